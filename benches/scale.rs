@@ -5,10 +5,13 @@
 //! cargo bench --bench scale -- --memory 4GiB 1280x720x2000        # one size, ms
 //! ```
 //!
-//! Each stage is a process of its own (`photocurrent run pipelines/scale.toml --to STAGE`), so that its peak is its own; what comes before it lies in the cache. Peak memory
-//! and processor time are what the system says of the ended process. Everything is written below `--folder` and removed at the end, about 4 GB for 1280x720x100.
+//! Each stage is a process of its own (`photocurrent run pipelines/scale.toml --to STAGE`), so that its peak
+//! is its own; what comes before it lies in the cache. Peak memory and processor time are what the system
+//! says of the ended process. Everything is written below `--folder` and removed at the end, about 4 GB for
+//! 1280x720x100.
 
-//! A second table says what limits each stage: what reading its inputs and packing its outputs take by themselves, in bytes of the cache, against its processor time.
+//! A second table says what limits each stage: what reading its inputs and packing its outputs take by
+//! themselves, in bytes of the cache, against its processor time.
 
 #![allow(clippy::print_stdout)]
 
@@ -39,7 +42,12 @@ fn main() {
         match argument.as_str() {
             "--memory" => memory = arguments.next().expect("--memory SIZE"),
             "--folder" => folder = PathBuf::from(arguments.next().expect("--folder FOLDER")),
-            size => sizes.push(parse(size).unwrap_or_else(|| panic!("`{size}` is no size: WIDTHxHEIGHTxMILLISECONDS, such as 640x360x100"))),
+            size => sizes.push(parse(size).unwrap_or_else(|| {
+                panic!(
+                    "`{size}` is no size: \
+                                                            WIDTHxHEIGHTxMILLISECONDS, such as 640x360x100"
+                )
+            })),
         }
     }
     if sizes.is_empty() {
@@ -56,14 +64,22 @@ fn main() {
         for stage in STAGES {
             let measured = run(stage, size, &memory, here.path());
             let (width, height, ms) = size;
-            let events = if stage == "scene" { "".into() } else { events(here.path(), size, &memory).map_or("".into(), millions) };
+            let events = if stage == "scene" {
+                "".into()
+            } else {
+                events(here.path(), size, &memory).map_or("".into(), millions)
+            };
             println!(
                 "| {width}x{height}, {ms} ms | {events} | {stage} | {:.1} s | {:.1} s | {} MB |",
                 measured.seconds,
                 measured.processor_seconds,
                 measured.peak_bytes / 1_000_000
             );
-            stages.push((stage, measured.processor_seconds, measured.outcome["tasks"].as_array().cloned().unwrap_or_default()));
+            stages.push((
+                stage,
+                measured.processor_seconds,
+                measured.outcome["tasks"].as_array().cloned().unwrap_or_default(),
+            ));
         }
         done.push((size, here, stages));
     }
@@ -71,7 +87,9 @@ fn main() {
     for ((width, height, ms), here, stages) in done {
         println!();
         println!("{width}x{height}, {ms} ms:");
-        let packing = |(stage, seconds, tasks): (_, f64, Vec<_>)| (stage, seconds, limits::packing(&tasks, &here.path().join("cache"), stage));
+        let packing = |(stage, seconds, tasks): (_, f64, Vec<_>)| {
+            (stage, seconds, limits::packing(&tasks, &here.path().join("cache"), stage))
+        };
         print_limits(&stages.into_iter().map(packing).collect::<Vec<_>>());
     }
 }
@@ -80,9 +98,16 @@ fn main() {
 fn print_limits(stages: &[(&str, f64, limits::Packing)]) {
     let (copied, operations) = (limits::copied_bytes_per_s(), limits::operations_per_s());
     println!();
-    println!("One core copies {:.1} GB/s and adds or multiplies {:.1} G doubles/s.", copied * 1e-9, operations * 1e-9);
+    println!(
+        "One core copies {:.1} GB/s and adds or multiplies {:.1} G doubles/s.",
+        copied * 1e-9,
+        operations * 1e-9
+    );
     println!();
-    println!("| stage | in, out of the cache | in memory | processor time | reading | packing | copying | rest |");
+    println!(
+        "| stage | in, out of the cache | in memory | processor time | reading | packing | copying | \
+              rest |"
+    );
     println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
     for (stage, seconds, packing) in stages {
         let (moved, mb) = (packing.reading + packing.packing, |bytes: u64| bytes as f64 * 1e-6);
@@ -113,15 +138,23 @@ fn run(stage: &str, (width, height, ms): (u32, u32, u32), memory: &str, folder: 
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/scale.toml");
     let mut command = Command::new(env!("CARGO_BIN_EXE_photocurrent"));
     command.arg("run").arg(manifest).args(["--to", stage, "--memory", memory, "--json", "--quiet"]);
-    for (name, value) in [("width", width.to_string()), ("height", height.to_string()), ("duration", format!("\"{ms} ms\""))] {
+    for (name, value) in
+        [("width", width.to_string()), ("height", height.to_string()), ("duration", format!("\"{ms} ms\""))]
+    {
         command.arg("--set").arg(format!("nodes.scene.params.{name}={value}"));
     }
-    command.arg("--cache").arg(folder.join("cache")).arg("--out").arg(folder.join("out")).stdout(Stdio::piped());
+    command
+        .arg("--cache")
+        .arg(folder.join("cache"))
+        .arg("--out")
+        .arg(folder.join("out"))
+        .stdout(Stdio::piped());
     let began = Instant::now();
     #[allow(clippy::zombie_processes)] // It is waited for below, in a way that says what it used.
     let mut child = command.spawn().expect("the command starts");
     let mut text = String::new();
-    std::io::Read::read_to_string(&mut child.stdout.take().expect("a pipe"), &mut text).expect("the command prints text");
+    std::io::Read::read_to_string(&mut child.stdout.take().expect("a pipe"), &mut text)
+        .expect("the command prints text");
     let (code, usage) = wait(child.id());
     assert_eq!(code, 0, "{stage} of {width}x{height} fails under --memory {memory}");
     let seconds_of = |time: libc::timeval| time.tv_sec as f64 + time.tv_usec as f64 * 1e-6;
@@ -140,7 +173,11 @@ fn wait(id: u32) -> (i32, libc::rusage) {
     // SAFETY: both point to memory of their type, and an all-zero rusage is valid.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();
-        assert_eq!(libc::wait4(id as libc::pid_t, &mut status, 0, &mut usage), id as libc::pid_t, "the child is ours");
+        assert_eq!(
+            libc::wait4(id as libc::pid_t, &mut status, 0, &mut usage),
+            id as libc::pid_t,
+            "the child is ours"
+        );
         usage
     };
     (status, usage)

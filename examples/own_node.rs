@@ -1,8 +1,11 @@
-//! A node of one's own in a pipeline: the mean of every frame, run by the engine on a recording of a real camera.
+//! A node of one's own in a pipeline: the mean of every frame, run by the engine on a recording of a real
+//! camera.
 #![allow(clippy::print_stdout)]
 
 use photocurrent_core::table::{Score, TableMeta};
-use photocurrent_core::{Catalogue, Context, Decl, FrameSequence, Grain, Kind, Meta, Node, NodeError, PortMetas, Table, Value};
+use photocurrent_core::{
+    Catalogue, Context, Decl, FrameSequence, Grain, Kind, Meta, Node, NodeError, PortMetas, Table, Value,
+};
 use photocurrent_engine::{Options, Plan, Selection, Unobserved, run};
 use photocurrent_store::Cache;
 use schemars::JsonSchema;
@@ -77,7 +80,13 @@ impl Node for MeanLevel {
             let value = known().map(|dn| f64::from(*dn)).sum::<f64>() / known().count().max(1) as f64;
             let exposure = input.frames.meta.times.exposure(frame, 0);
             let t_ns = i64::midpoint(exposure.start.0, exposure.end.0);
-            scores.push(Score { metric: "mean_dn".into(), frame: frame as i64, t_ns, value, unit: "DN".into() });
+            scores.push(Score {
+                metric: "mean_dn".into(),
+                frame: frame as i64,
+                t_ns,
+                value,
+                unit: "DN".into(),
+            });
         }
         Ok(Out { scores: Arc::new(Table::scores(scores, "mean over all known values of a frame")) })
     }
@@ -106,7 +115,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::write(&manifest, MANIFEST.replace("RECORDING", &recording.to_string_lossy()))?;
 
     let selection = Selection::default();
-    let (_, plan) = Plan::load(&manifest, &[], &catalogue, &selection).map_err(|problems| format!("{problems:?}"))?;
+    let (_, plan) =
+        Plan::load(&manifest, &[], &catalogue, &selection).map_err(|problems| format!("{problems:?}"))?;
     let cache = Cache::open(&folder.path().join("cache"))?;
     let outcome = run(&plan, &cache, &Options::default(), &Unobserved, &AtomicBool::new(false));
     let variant = &plan.variants[0].name;

@@ -1,12 +1,15 @@
 //! The table of contents: every node kind, in the order in which data flows. Nothing else registers nodes.
 
-use crate::{baseline, compensate, diagnose, estimate, read, refine, render, score, simulate, solve, split, write};
+use crate::{
+    baseline, compensate, diagnose, estimate, read, refine, render, score, simulate, solve, split, write,
+};
 use photocurrent_core::{Catalogue, Kind};
 
 /// Names that kinds had before, each with what to write in its place.
 const RETIRED: [(&str, &str); 1] = [(
     "solve/pixel",
-    "write `solve/map`, the MAP estimate, or `solve/paper`, the paper's least squares, and take `method` out: what was stated for one method is a parameter of its kind",
+    "write `solve/map`, the MAP estimate, or `solve/paper`, the paper's least squares, and take `method` \
+     out: what was stated for one method is a parameter of its kind",
 )];
 
 /// All node kinds.

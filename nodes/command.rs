@@ -1,7 +1,8 @@
 //! Runs a command of the user's in the folder of a node, until it ends or the run is interrupted.
 //!
-//! What it prints goes to `stdout.txt` and `stderr.txt` in that folder. No shell takes part unless the command names one. A command that fails shows the last of what it
-//! said. What else it does, nobody here knows: a node that runs one needs a text in its parameters that stands for the command's version.
+//! What it prints goes to `stdout.txt` and `stderr.txt` in that folder. No shell takes part unless the
+//! command names one. A command that fails shows the last of what it said. What else it does, nobody here
+//! knows: a node that runs one needs a text in its parameters that stands for the command's version.
 
 use photocurrent_core::{Context, NodeError};
 use std::fs::File;
@@ -15,9 +16,19 @@ const LAST_LINES: usize = 20;
 /// Runs `program` in `folder` to its end; `param` is the parameter that names it.
 ///
 /// # Errors
-/// When it cannot start, ends with another exit code than 0, or the run is interrupted (the command is ended then).
-pub(crate) fn run(folder: &Path, program: &str, arguments: &[String], param: &str, cx: &Context) -> Result<(), NodeError> {
-    let said = |name: &str| File::create(folder.join(name)).map_err(|error| NodeError::files(format!("cannot write {name}: {error}")));
+/// When it cannot start, ends with another exit code than 0, or the run is interrupted (the command is ended
+/// then).
+pub(crate) fn run(
+    folder: &Path,
+    program: &str,
+    arguments: &[String],
+    param: &str,
+    cx: &Context,
+) -> Result<(), NodeError> {
+    let said = |name: &str| {
+        File::create(folder.join(name))
+            .map_err(|error| NodeError::files(format!("cannot write {name}: {error}")))
+    };
     let mut child = Command::new(program)
         .args(arguments)
         .current_dir(folder)
@@ -51,7 +62,9 @@ fn failed(folder: &Path, program: &str, status: ExitStatus) -> NodeError {
     };
     let mut error = NodeError::failed(format!("\"{program}\" ended with {how}"));
     for name in ["stderr.txt", "stdout.txt"] {
-        let text = std::fs::read(folder.join(name)).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default();
+        let text = std::fs::read(folder.join(name))
+            .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
+            .unwrap_or_default();
         let lines: Vec<&str> = text.lines().collect();
         let last = &lines[lines.len().saturating_sub(LAST_LINES)..];
         if !last.is_empty() {

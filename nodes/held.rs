@@ -1,11 +1,13 @@
 //! Means of held tracks over the exposures of many frames, sixteen pixels at a time.
 //!
-//! Idea: a pixel that holds its value for thirty frames gives thirty equal means, so nothing is done for each frame of each pixel. Every knot marks the first
-//! frame that starts at or after it, one pass over the frames carries the marks on in vectors of sixteen pixels, and only exposures that a knot
-//! falls into are integrated. The cost is one mark a knot and one vector operation a frame.
+//! Idea: a pixel that holds its value for thirty frames gives thirty equal means, so nothing is done for each
+//! frame of each pixel. Every knot marks the first frame that starts at or after it, one pass over the frames
+//! carries the marks on in vectors of sixteen pixels, and only exposures that a knot falls into are
+//! integrated. The cost is one mark a knot and one vector operation a frame.
 //!
-//! An exposure inside a hold has the held value as its mean, exactly; any other is integrated by [`HeldTrack`] (Eq. (5)). Pixels never mix, and nothing is
-//! fused: a result does not depend on the tile, on the width of a vector or on the machine.
+//! An exposure inside a hold has the held value as its mean, exactly; any other is integrated by
+//! [`HeldTrack`] (Eq. (5)). Pixels never mix, and nothing is fused: a result does not depend on the tile, on
+//! the width of a vector or on the machine.
 
 use multiversion::multiversion;
 use photocurrent_core::Exposure;
@@ -68,14 +70,21 @@ impl Exposures {
     /// The first frame that starts at or after `t`; their number when there is none.
     fn first_from(&self, t: i64) -> usize {
         let origin = self.starts[0];
-        let bucket = (t.max(origin).wrapping_sub(origin) as u64 >> self.shift).min(self.first.len() as u64 - 2) as usize;
+        let bucket = (t.max(origin).wrapping_sub(origin) as u64 >> self.shift)
+            .min(self.first.len() as u64 - 2) as usize;
         let (low, high) = (self.first[bucket] as usize, self.first[bucket + 1] as usize);
-        // Most buckets have one frame or none, and then one comparison without a branch decides: a later bucket's frame starts after `t`.
-        if high - low <= 1 { low + usize::from(self.starts[low] < t) } else { low + self.starts[low..high].partition_point(|&start| start < t) }
+        // Most buckets have one frame or none, and then one comparison without a branch decides: a later
+        // bucket's frame starts after `t`.
+        if high - low <= 1 {
+            low + usize::from(self.starts[low] < t)
+        } else {
+            low + self.starts[low..high].partition_point(|&start| start < t)
+        }
     }
 }
 
-/// The first frame at or after each of evenly spaced instants, about eight for each frame, and the spacing as a power of two, ns. The last bucket is open.
+/// The first frame at or after each of evenly spaced instants, about eight for each frame, and the spacing as
+/// a power of two, ns. The last bucket is open.
 fn calendar(starts: &[i64]) -> (Vec<u32>, u32) {
     let (Some(&origin), Some(&last)) = (starts.first(), starts.last()) else { return (vec![0, 0], 0) };
     let length = last.wrapping_sub(origin) as u64;
@@ -92,7 +101,8 @@ fn calendar(starts: &[i64]) -> (Vec<u32>, u32) {
     (first, shift)
 }
 
-/// Knots of one pixel: `value[k]` holds from `t[k]` to `t[k + 1]`, the first one before it as well, the last one for ever.
+/// Knots of one pixel: `value[k]` holds from `t[k]` to `t[k + 1]`, the first one before it as well, the last
+/// one for ever.
 #[derive(Clone, Copy)]
 pub struct Knots<'a, P> {
     /// Instants, ns, not falling.
@@ -112,11 +122,17 @@ pub struct HeldMeans {
 }
 
 impl HeldMeans {
-    /// Means of up to sixteen pixels over the exposures of `frames`, as `[frame - frames.start][pixel]`; NaN for a pixel without knots.
+    /// Means of up to sixteen pixels over the exposures of `frames`, as `[frame - frames.start][pixel]`; NaN
+    /// for a pixel without knots.
     ///
     /// # Panics
     /// As [`HeldTrack::new`], when knots go back in time.
-    pub fn of<'a, P: Copy + Into<f64> + 'a>(&mut self, exposures: &Exposures, frames: Range<usize>, pixels: impl Iterator<Item = Knots<'a, P>>) -> &[Lanes] {
+    pub fn of<'a, P: Copy + Into<f64> + 'a>(
+        &mut self,
+        exposures: &Exposures,
+        frames: Range<usize>,
+        pixels: impl Iterator<Item = Knots<'a, P>>,
+    ) -> &[Lanes] {
         self.straddling.clear();
         self.means.clear();
         self.means.resize(frames.len(), [UNMARKED; TILE]);
@@ -132,12 +148,24 @@ impl HeldMeans {
         &self.means
     }
 
-    /// Puts every value of a pixel where it is first seen, and integrates the exposures that a knot falls into.
-    fn mark<P: Copy + Into<f64>>(&mut self, exposures: &Exposures, frames: &Range<usize>, lane: usize, pixel: Knots<P>) {
+    /// Puts every value of a pixel where it is first seen, and integrates the exposures that a knot falls
+    /// into.
+    fn mark<P: Copy + Into<f64>>(
+        &mut self,
+        exposures: &Exposures,
+        frames: &Range<usize>,
+        lane: usize,
+        pixel: Knots<P>,
+    ) {
         let track = HeldTrack::new(pixel.t, pixel.value);
         let t = track.knots_ns();
-        // Knots before the first frame mark it one after the other, which a later piece need not go through again.
-        let mut k = if frames.start == 0 { 0 } else { t.partition_point(|&t| t <= exposures.starts[frames.start]).saturating_sub(1) };
+        // Knots before the first frame mark it one after the other, which a later piece need not go through
+        // again.
+        let mut k = if frames.start == 0 {
+            0
+        } else {
+            t.partition_point(|&t| t <= exposures.starts[frames.start]).saturating_sub(1)
+        };
         let mut from = frames.start;
         loop {
             let value: f64 = pixel.value[k].into();
@@ -149,7 +177,11 @@ impl HeldMeans {
                 frame -= 1;
                 let exposure = exposures.exposures[frame];
                 if exposure.end.0 > ends {
-                    self.straddling.push((frame - frames.start, lane, track.integral_from(k, exposure) / exposures.seconds[frame]));
+                    self.straddling.push((
+                        frame - frames.start,
+                        lane,
+                        track.integral_from(k, exposure) / exposures.seconds[frame],
+                    ));
                 }
             }
             if next == frames.end {
@@ -172,11 +204,19 @@ fn carry_on(means: &mut [Lanes]) {
     }
 }
 
-/// Digital numbers of means: `black_level + gain * (mean * seconds)`, Eq. (5), a gain for each pixel and a length for each frame.
+/// Digital numbers of means: `black_level + gain * (mean * seconds)`, Eq. (5), a gain for each pixel and a
+/// length for each frame.
 ///
 /// They go to columns `left` and on of `out`, the same row of each frame, as far as it goes.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub fn develop(means: &[Lanes], seconds: &[f64], black_level: f64, gain: &Lanes, out: &mut [&mut [f32]], left: usize) {
+pub fn develop(
+    means: &[Lanes],
+    seconds: &[f64],
+    black_level: f64,
+    gain: &Lanes,
+    out: &mut [&mut [f32]],
+    left: usize,
+) {
     for ((means, seconds), row) in means.iter().zip(seconds).zip(out) {
         let mut dn = [0.0; TILE];
         for n in 0..TILE {
@@ -194,7 +234,8 @@ mod tests {
     use super::*;
     use photocurrent_core::random::Random;
 
-    /// By the definition: every hold counts for its overlap; a single one's value is the mean. The second number says how many holds there are.
+    /// By the definition: every hold counts for its overlap; a single one's value is the mean. The second
+    /// number says how many holds there are.
     fn mean(pixel: Knots<f64>, exposure: Exposure) -> (f64, usize) {
         let (mut sum, mut holds, mut held) = (0.0, 0, 0.0);
         for k in 0..pixel.t.len() {
@@ -211,7 +252,9 @@ mod tests {
 
     /// Steady, of changing lengths, in bursts with long gaps between, and all at one instant.
     fn sequences() -> Vec<Vec<Exposure>> {
-        let of = |starts: Vec<i64>, length: &dyn Fn(usize) -> i64| starts.iter().enumerate().map(|(l, s)| Exposure::new(*s, s + length(l))).collect();
+        let of = |starts: Vec<i64>, length: &dyn Fn(usize) -> i64| {
+            starts.iter().enumerate().map(|(l, s)| Exposure::new(*s, s + length(l))).collect()
+        };
         vec![
             of((0..500).map(|l| l * 1000 - 7).collect(), &|_| 100),
             of((0..500).map(|l| l * 1000).collect(), &|_| 1000),
@@ -227,7 +270,8 @@ mod tests {
         let mut random = Random::new(7, &[]);
         let mut pixels: Vec<(Vec<i64>, Vec<f64>)> = Vec::new();
         for count in [1, 2, 3, 5, 10, 40, 300, 1000] {
-            let mut t: Vec<i64> = (0..count).map(|_| (random.uniform() * 800_000.0) as i64 - 100_000).collect();
+            let mut t: Vec<i64> =
+                (0..count).map(|_| (random.uniform() * 800_000.0) as i64 - 100_000).collect();
             if count % 2 == 0 {
                 // Many equal instants, and many on the edges of exposures.
                 t.iter_mut().for_each(|t| *t -= *t % 1000);
@@ -245,7 +289,11 @@ mod tests {
                     let found = whole[l][lane];
                     // Exact when nothing is summed.
                     let tolerance = if holds == 1 { 0.0 } else { 1e-13 * holds as f64 };
-                    assert!((found / expected - 1.0).abs() <= tolerance, "sequence {n}, frame {l}, pixel {lane}: {found}, {expected}");
+                    assert!(
+                        (found / expected - 1.0).abs() <= tolerance,
+                        "sequence {n}, frame {l}, pixel \
+                                                            {lane}: {found}, {expected}"
+                    );
                 }
             }
             for length in [1, 3, 64] {
@@ -254,7 +302,12 @@ mod tests {
                     let mut means = HeldMeans::default();
                     let piece = means.of(&exposures, frames.clone(), knots());
                     for (piece, whole) in piece.iter().zip(&whole[frames]) {
-                        assert_eq!(piece[..pixels.len()], whole[..pixels.len()], "sequence {n}, pieces of {length}");
+                        assert_eq!(
+                            piece[..pixels.len()],
+                            whole[..pixels.len()],
+                            "sequence {n}, pieces of \
+                                                            {length}"
+                        );
                     }
                 }
             }
@@ -264,10 +317,16 @@ mod tests {
     #[test]
     fn frames_are_found_where_a_search_finds_them() {
         for exposures in sequences().into_iter().map(Exposures::new) {
-            for t in
-                (-2_000..700_000).step_by(97).chain(exposures.all().iter().flat_map(|e| [e.start.0 - 1, e.start.0, e.start.0 + 1])).chain([i64::MIN, i64::MAX])
+            for t in (-2_000..700_000)
+                .step_by(97)
+                .chain(exposures.all().iter().flat_map(|e| [e.start.0 - 1, e.start.0, e.start.0 + 1]))
+                .chain([i64::MIN, i64::MAX])
             {
-                assert_eq!(exposures.first_from(t), exposures.all().iter().filter(|e| e.start.0 < t).count(), "{t}");
+                assert_eq!(
+                    exposures.first_from(t),
+                    exposures.all().iter().filter(|e| e.start.0 < t).count(),
+                    "{t}"
+                );
             }
         }
     }
@@ -281,7 +340,13 @@ mod tests {
         let mut means = HeldMeans::default();
         let found = means.of(&exposures, 0..4, pixels.into_iter());
         assert_eq!(
-            found.iter().map(|lanes| lanes[0]).map(|mean| (mean.is_nan(), mean)).filter(|(nan, _)| !nan).map(|(_, mean)| mean).collect::<Vec<_>>(),
+            found
+                .iter()
+                .map(|lanes| lanes[0])
+                .map(|mean| (mean.is_nan(), mean))
+                .filter(|(nan, _)| !nan)
+                .map(|(_, mean)| mean)
+                .collect::<Vec<_>>(),
             [1.0, 3.0]
         );
         assert!(found[1][0].is_nan() && found[2][0].is_nan() && found.iter().all(|lanes| lanes[1].is_nan()));

@@ -1,8 +1,10 @@
 //! Every node kind of photocurrent: one file each, in families.
 //!
-//! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one list of all
-//! of them. What several nodes share stands next to the families: [`sampling`] (when virtual frames are exposed),
-//! [`reconstruct`] (what methods that start from captured frames do alike), [`spans`] (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of many frames), [`onnx`] (networks). [`show`] is what a report shows of results.
+//! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one
+//! list of all of them. What several nodes share stands next to the families: [`sampling`] (when virtual
+//! frames are exposed), [`reconstruct`] (what methods that start from captured frames do alike), [`spans`]
+//! (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of
+//! many frames), [`onnx`] (networks). [`show`] is what a report shows of results.
 
 pub mod baseline;
 pub mod catalog;

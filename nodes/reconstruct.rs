@@ -1,15 +1,17 @@
-//! What every method that turns captured frames into frames at other instants does alike: which frames are asked for, where thresholds come from,
-//! what white is, and the walk over rows.
+//! What every method that turns captured frames into frames at other instants does alike: which frames are
+//! asked for, where thresholds come from, what white is, and the walk over rows.
 //!
-//! Methods that are compared must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
-//! planning and for running, and [`by_rows`] and [`in_rows`] cut the work into rows.
+//! Methods that are compared must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and
+//! `at` are read here once, for planning and for running, and [`by_rows`] and [`in_rows`] cut the work into
+//! rows.
 
 use crate::sampling::{Sampling, virtual_frames};
 use crate::spans::{check_covered, check_one_clock};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
 use photocurrent_core::{
-    Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Rows, Sensor, Table,
+    Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError,
+    PortMetas, Rows, Sensor, Table,
 };
 use photocurrent_solve::co_located::{CoLocated, CoLocatedEvents};
 use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
@@ -33,13 +35,22 @@ impl<'a> Request<'a> {
     /// While planning.
     ///
     /// # Errors
-    /// When nothing is connected to `frames`, or the frames' size is no whole multiple of the events', or the two have no moment in common.
+    /// When nothing is connected to `frames`, or the frames' size is no whole multiple of the events', or the
+    /// two have no moment in common.
     pub fn planned(inputs: &'a PortMetas) -> Result<Request<'a>, NodeError> {
         let request = Request {
             frames: inputs.frames("frames")?,
-            events: inputs.has("events").then(|| inputs.events("events")).transpose()?.map(|events| &**events),
+            events: inputs
+                .has("events")
+                .then(|| inputs.events("events"))
+                .transpose()?
+                .map(|events| &**events),
             at: inputs.has("at").then(|| inputs.frames("at")).transpose()?.map(|at| &**at),
-            sensor: inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?.map(|sensor| &**sensor),
+            sensor: inputs
+                .has("sensor")
+                .then(|| inputs.sensor("sensor"))
+                .transpose()?
+                .map(|sensor| &**sensor),
         };
         request.lie()?;
         if let Some(events) = request.events {
@@ -57,7 +68,8 @@ impl<'a> Request<'a> {
         self.events.map(|events| CoLocated::new(events, self.frames)).transpose()
     }
 
-    /// Refuses frames with colours or of more pixels than the events, for methods that look at neighbours; `who` is the asker.
+    /// Refuses frames with colours or of more pixels than the events, for methods that look at neighbours;
+    /// `who` is the asker.
     ///
     /// # Errors
     /// When they are such.
@@ -73,7 +85,12 @@ impl<'a> Request<'a> {
         at: &'a Option<FrameSequence>,
         sensor: &'a Option<Arc<Sensor>>,
     ) -> Request<'a> {
-        Request { frames: &frames.meta, events: events.map(|events| &*events.meta), at: at.as_ref().map(|at| &*at.meta), sensor: sensor.as_deref() }
+        Request {
+            frames: &frames.meta,
+            events: events.map(|events| &*events.meta),
+            at: at.as_ref().map(|at| &*at.meta),
+            sensor: sensor.as_deref(),
+        }
     }
 
     /// What the method gives: sampled as `sampling` says, or like `at`.
@@ -83,31 +100,46 @@ impl<'a> Request<'a> {
     pub fn output(&self, sampling: &Sampling) -> Result<FramesMeta, NodeError> {
         let frames = self.frames;
         if frames.scale != FrameScale::Captured {
-            return Err(NodeError::usage("the method works on captured frames").hint("connect the recording's frames"));
+            return Err(NodeError::usage("the method works on captured frames")
+                .hint("connect the recording's frames"));
         }
-        let (Some(span), Some(nominal_ns)) = (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns()) else {
+        let (Some(span), Some(nominal_ns)) =
+            (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns())
+        else {
             return Err(NodeError::usage("there is no captured frame to start from"));
         };
         let covered = self.events.and_then(|events| events.span).map_or(span, |events| events.union(span));
         virtual_frames(sampling, self.at, (frames.extent, frames.colour), covered, nominal_ns, self.sensor)
     }
 
-    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is subtracted
-    /// every stamp.
+    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the
+    /// description's two; `latency` is subtracted every stamp.
     ///
     /// # Errors
     /// When no threshold is known, or the description cannot be read.
-    pub fn step_rule(&self, who: &str, threshold: Option<f64>, searched: Option<f64>, stamp: Stamp, latency: Duration) -> Result<StepRule, NodeError> {
+    pub fn step_rule(
+        &self,
+        who: &str,
+        threshold: Option<f64>,
+        searched: Option<f64>,
+        stamp: Stamp,
+        latency: Duration,
+    ) -> Result<StepRule, NodeError> {
         let mut rule = match (threshold.or(searched), self.sensor, self.events) {
             (Some(threshold), sensor, _) => {
                 let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
                 StepRule { threshold_on: threshold, threshold_off: threshold, stamp, shift_ns }
             }
-            (None, Some(sensor), Some(events)) => StepRule::from_sensor(sensor, events, stamp, who).map_err(or_state_threshold)?,
+            (None, Some(sensor), Some(events)) => {
+                StepRule::from_sensor(sensor, events, stamp, who).map_err(or_state_threshold)?
+            }
             _ => {
-                return Err(NodeError::usage("no threshold: neither `threshold` nor a sensor description nor `contrast` is given")
-                    .hint("connect `sensor`, or state `threshold`")
-                    .param("threshold"));
+                return Err(NodeError::usage(
+                    "no threshold: neither `threshold` nor a sensor description nor \
+                                             `contrast` is given",
+                )
+                .hint("connect `sensor`, or state `threshold`")
+                .param("threshold"));
             }
         };
         rule.shift_ns += latency.ns();
@@ -121,12 +153,20 @@ impl<'a> Request<'a> {
     pub fn intensity(&self, who: &str, white: Option<f64>) -> Result<Intensity, NodeError> {
         let black = black_level(self.sensor);
         let Some(white) = white.or_else(|| self.sensor.and_then(|sensor| sensor.frames.saturation_dn)) else {
-            return Err(NodeError::usage(format!("{who} works on intensities from 0 to 1, and the DN of white is not known"))
-                .hint("state `white` (255 for 8-bit frames), or connect a sensor description with `frames.saturation_dn`")
-                .param("white"));
+            return Err(NodeError::usage(format!(
+                "{who} works on intensities from 0 to 1, and the DN of \
+                                                 white is not known"
+            ))
+            .hint(
+                "state `white` (255 for 8-bit frames), or connect a sensor description with \
+                       `frames.saturation_dn`",
+            )
+            .param("white"));
         };
         if white <= black {
-            return Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).hint("state a larger `white`").param("white"));
+            return Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN"))
+                .hint("state a larger `white`")
+                .param("white"));
         }
         let nominal_s = self.frames.times.nominal_exposure_ns().map_or(1.0, |ns| ns as f64 * 1e-9);
         Ok(Intensity { black, white, nominal_s })
@@ -153,13 +193,15 @@ pub struct Intensity {
     nominal_s: f64,
 }
 
-/// Darker intensities than this, of frames whose noise lies below the black level, count as this: log(1 + I) stays finite.
+/// Darker intensities than this, of frames whose noise lies below the black level, count as this: log(1 + I)
+/// stays finite.
 const DARKEST: f64 = -0.5;
 
 impl Intensity {
     /// Of a captured digital number.
     pub fn of(&self, dn: f32, exposure: Exposure) -> f64 {
-        let value = (f64::from(dn) - self.black) / (self.white - self.black) * (self.nominal_s / exposure.seconds());
+        let value =
+            (f64::from(dn) - self.black) / (self.white - self.black) * (self.nominal_s / exposure.seconds());
         // `max` would turn an unknown value into the bound.
         if value < DARKEST { DARKEST } else { value }
     }
@@ -177,7 +219,8 @@ impl Intensity {
 pub fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
     match table.column("contrast") {
         Some(Column::Numbers(values)) if !values.is_empty() && values.iter().all(|c| *c > 0.0) => Ok(values),
-        _ => Err(NodeError::input("the table at `contrast` has no positive number in a column `contrast`").hint("connect baseline/contrast")),
+        _ => Err(NodeError::input("the table at `contrast` has no positive number in a column `contrast`")
+            .hint("connect baseline/contrast")),
     }
 }
 
@@ -188,10 +231,11 @@ pub fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
 pub fn one_contrast_of(table: &Table, who: &str) -> Result<f64, NodeError> {
     match contrast_of(table)? {
         [one] => Ok(*one),
-        values => {
-            Err(NodeError::input(format!("{who} takes one threshold for all frames, and `contrast` has {}", values.len()))
-                .hint("search with `per = \"sequence\"`"))
-        }
+        values => Err(NodeError::input(format!(
+            "{who} takes one threshold for all frames, and `contrast` has {}",
+            values.len()
+        ))
+        .hint("search with `per = \"sequence\"`")),
     }
 }
 
@@ -203,7 +247,10 @@ pub fn black_level(sensor: Option<&Sensor>) -> f64 {
 /// Index of the captured frame whose exposure of `row` has its middle nearest to `t`; the earlier of two.
 pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
     let mid = |l: usize| frames.times.exposure(l, row).mid().0;
-    let after = frames.times.exposures.partition_point(|e| e.delayed(frames.times.row_time_ns * i64::from(row)).mid().0 < t);
+    let after = frames
+        .times
+        .exposures
+        .partition_point(|e| e.delayed(frames.times.row_time_ns * i64::from(row)).mid().0 < t);
     match after {
         0 => 0,
         n if n == frames.times.len() => n - 1,
@@ -216,19 +263,31 @@ pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
 ///
 /// # Errors
 /// When they are of other pixels or cannot be read.
-pub fn events_of(events: &EventStream, frames: &FramesMeta, rows: Rows) -> Result<CoLocatedEvents, NodeError> {
+pub fn events_of(
+    events: &EventStream,
+    frames: &FramesMeta,
+    rows: Rows,
+) -> Result<CoLocatedEvents, NodeError> {
     CoLocated::new(&events.meta, frames)?.read(events, rows)
 }
 
-/// Frames of the context's rows, one call per row side by side; a call gives all frames of its row as [frame][value].
+/// Frames of the context's rows, one call per row side by side; a call gives all frames of its row as
+/// [frame][value].
 ///
 /// # Errors
 /// When a call fails, or the user interrupts.
-pub fn by_rows(cx: &Context, meta: FramesMeta, row: impl Fn(u32) -> Result<Vec<f32>, NodeError> + Sync) -> Result<FrameSequence, NodeError> {
+pub fn by_rows(
+    cx: &Context,
+    meta: FramesMeta,
+    row: impl Fn(u32) -> Result<Vec<f32>, NodeError> + Sync,
+) -> Result<FrameSequence, NodeError> {
     let width = meta.row_values();
     in_rows(cx, meta, |y, frames| {
         let picture = row(y)?;
-        frames.iter_mut().zip(picture.chunks_exact(width)).for_each(|(out, values)| out.copy_from_slice(values));
+        frames
+            .iter_mut()
+            .zip(picture.chunks_exact(width))
+            .for_each(|(out, values)| out.copy_from_slice(values));
         Ok(())
     })
 }
@@ -237,13 +296,21 @@ pub fn by_rows(cx: &Context, meta: FramesMeta, row: impl Fn(u32) -> Result<Vec<f
 ///
 /// # Errors
 /// When a call fails, or the user interrupts.
-pub fn in_rows(cx: &Context, meta: FramesMeta, row: impl Fn(u32, &mut [&mut [f32]]) -> Result<(), NodeError> + Sync) -> Result<FrameSequence, NodeError> {
+pub fn in_rows(
+    cx: &Context,
+    meta: FramesMeta,
+    row: impl Fn(u32, &mut [&mut [f32]]) -> Result<(), NodeError> + Sync,
+) -> Result<FrameSequence, NodeError> {
     let rows = cx.rows();
     cx.begin(rows.len() as u64, "rows");
     let mut block = FrameBlock::zeros(0..meta.times.len(), rows, meta.row_values());
-    let mut of_rows: Vec<(u32, Vec<&mut [f32]>)> = rows.iter().map(|y| (y, Vec::with_capacity(meta.times.len()))).collect();
+    let mut of_rows: Vec<(u32, Vec<&mut [f32]>)> =
+        rows.iter().map(|y| (y, Vec::with_capacity(meta.times.len()))).collect();
     for frame in block.dn.chunks_exact_mut((rows.len() * meta.row_values()).max(1)) {
-        of_rows.iter_mut().zip(frame.chunks_exact_mut(meta.row_values())).for_each(|((_, frames), values)| frames.push(values));
+        of_rows
+            .iter_mut()
+            .zip(frame.chunks_exact_mut(meta.row_values()))
+            .for_each(|((_, frames), values)| frames.push(values));
     }
     of_rows.into_par_iter().try_for_each(|(y, mut frames)| -> Result<(), NodeError> {
         row(y, &mut frames)?;
@@ -259,8 +326,12 @@ mod tests {
 
     #[test]
     fn white_of_half_an_exposure_is_half_of_white() {
-        let frames =
-            testing::captured(Extent { width: 1, height: 1 }, vec![Exposure::new(0, 1_000_000), Exposure::new(2_000_000, 2_500_000)], 0, |_, _, _| 0.0);
+        let frames = testing::captured(
+            Extent { width: 1, height: 1 },
+            vec![Exposure::new(0, 1_000_000), Exposure::new(2_000_000, 2_500_000)],
+            0,
+            |_, _, _| 0.0,
+        );
         let mut sensor = Sensor::unknown("test");
         sensor.frames.black_level_dn = Some(16.0);
         let request = Request { frames: &frames.meta, events: None, at: None, sensor: Some(&sensor) };
@@ -284,8 +355,9 @@ mod tests {
     #[test]
     fn rows_are_put_where_they_belong() {
         let frames = testing::frames(2, 3, 2);
-        let (out, _) =
-            testing::with_context(frames.rows(), &["frames"], |cx| by_rows(cx, (*frames.meta).clone(), |y| Ok((0..4).map(|i| (10 * y + i) as f32).collect())));
+        let (out, _) = testing::with_context(frames.rows(), &["frames"], |cx| {
+            by_rows(cx, (*frames.meta).clone(), |y| Ok((0..4).map(|i| (10 * y + i) as f32).collect()))
+        });
         let block = out.unwrap().read_rows(frames.rows()).unwrap();
         assert_eq!(block.row(1, 2), [22.0, 23.0]);
     }

@@ -1,13 +1,16 @@
 //! When virtual frames are exposed: at a steady rate, or like frames that exist.
 //!
-//! A renderer and every method that is compared with it must sample alike, or their scores compare different pictures. So the parameters, their
-//! checks and the list of exposures stand here once. Frame `k` of a steady rate has the middle of its exposure at `k / rate`
-//! on the recording's clock (rounded to the nanosecond): with any two rates that divide each other, common instants fall together.
+//! A renderer and every method that is compared with it must sample alike, or their scores compare different
+//! pictures. So the parameters, their checks and the list of exposures stand here once. Frame `k` of a steady
+//! rate has the middle of its exposure at `k / rate` on the recording's clock (rounded to the nanosecond):
+//! with any two rates that divide each other, common instants fall together.
 
 use crate::spans::{MOST_STEPS, rounded};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::time::{NS_PER_S, in_seconds};
-use photocurrent_core::{Colour, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_core::{
+    Colour, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +45,13 @@ pub struct Sampling {
 
 impl Default for Sampling {
     fn default() -> Self {
-        Sampling { rate: Rate::new(1000.0), exposure: Duration::new(100_000), shutter: Shutter::Global, start: None, end: None }
+        Sampling {
+            rate: Rate::new(1000.0),
+            exposure: Duration::new(100_000),
+            shutter: Shutter::Global,
+            start: None,
+            end: None,
+        }
     }
 }
 
@@ -67,24 +76,40 @@ impl Sampling {
             );
             return Err(NodeError::usage(message)
                 .note(covered)
-                .hint("set `start` and `end` around what you want to see, or lower `rate`; is the recording that long, or is one stamp far from all others?")
+                .hint(
+                    "set `start` and `end` around what you want to see, or lower `rate`; is the recording \
+                       that long, or is one stamp far from all others?",
+                )
                 .param("rate"));
         }
         let first = (start as f64 / period).ceil() as i64;
-        let instants = (first..).map(|k| (k as f64 * period).round() as i64).skip_while(|&t| t < start).take_while(|&t| t < end);
+        let instants = (first..)
+            .map(|k| (k as f64 * period).round() as i64)
+            .skip_while(|&t| t < start)
+            .take_while(|&t| t < end);
         let half = self.exposure.ns() / 2;
-        let exposures: Vec<Exposure> = instants.map(|t| Exposure::new(t - half, t - half + self.exposure.ns())).collect();
+        let exposures: Vec<Exposure> =
+            instants.map(|t| Exposure::new(t - half, t - half + self.exposure.ns())).collect();
         if exposures.is_empty() {
-            return Err(NodeError::usage(format!("no frame lies between {} and {} at {}", shown(start), shown(end), self.rate))
-                .note(covered)
-                .hint("move `start` and `end` apart, or raise `rate`")
-                .param(if self.start.is_some() { "start" } else { "rate" }));
+            return Err(NodeError::usage(format!(
+                "no frame lies between {} and {} at {}",
+                shown(start),
+                shown(end),
+                self.rate
+            ))
+            .note(covered)
+            .hint("move `start` and `end` apart, or raise `rate`")
+            .param(if self.start.is_some() { "start" } else { "rate" }));
         }
         let row_time_ns = match (self.shutter, sensor) {
             (Shutter::Global, _) => 0,
-            (Shutter::Rolling, Some(sensor)) => sensor.need(sensor.frames.row_time, "frames.row_time", "a rolling shutter")?.ns(),
+            (Shutter::Rolling, Some(sensor)) => {
+                sensor.need(sensor.frames.row_time, "frames.row_time", "a rolling shutter")?.ns()
+            }
             (Shutter::Rolling, None) => {
-                return Err(NodeError::usage("`shutter = \"rolling\"` needs a sensor description").hint("connect `sensor`").param("shutter"));
+                return Err(NodeError::usage("`shutter = \"rolling\"` needs a sensor description")
+                    .hint("connect `sensor`")
+                    .param("shutter"));
             }
         };
         FrameTimes::new(exposures, row_time_ns).map_err(NodeError::from)
@@ -98,10 +123,18 @@ impl Sampling {
         let (message, param) = match (self.start, self.end) {
             _ if end > start => return Ok((start, end)),
             (None, None) => return Ok((start, end)),
-            (Some(_), Some(_)) if end == start => (format!("the window ends at {}, where it begins", shown(end)), "end"),
-            (Some(_), Some(_)) => (format!("the window ends at {}, before it begins at {}", shown(end), shown(start)), "end"),
-            (Some(_), None) => (format!("the window begins at {}, when the recording is over", shown(start)), "start"),
-            (None, Some(_)) => (format!("the window ends at {}, before the recording begins", shown(end)), "end"),
+            (Some(_), Some(_)) if end == start => {
+                (format!("the window ends at {}, where it begins", shown(end)), "end")
+            }
+            (Some(_), Some(_)) => {
+                (format!("the window ends at {}, before it begins at {}", shown(end), shown(start)), "end")
+            }
+            (Some(_), None) => {
+                (format!("the window begins at {}, when the recording is over", shown(start)), "start")
+            }
+            (None, Some(_)) => {
+                (format!("the window ends at {}, before the recording begins", shown(end)), "end")
+            }
         };
         let hint = "`start` comes first, and both lie in the recording";
         Err(NodeError::usage(message).note(covered(span)).hint(hint).param(param))
@@ -113,7 +146,8 @@ fn covered(span: TimeSpan) -> String {
     format!("the recording covers {} to {}", Duration::new(span.start.0), Duration::new(span.end.0))
 }
 
-/// What virtual frames of a size and colours will look like: like `at` when it is connected, else steadily sampled and scaled to the recording's ordinary exposure.
+/// What virtual frames of a size and colours will look like: like `at` when it is connected, else steadily
+/// sampled and scaled to the recording's ordinary exposure.
 ///
 /// # Errors
 /// As [`Sampling::times`]; and when `at` has another size than the pictures.
@@ -126,9 +160,18 @@ pub fn virtual_frames(
     sensor: Option<&Sensor>,
 ) -> Result<FramesMeta, NodeError> {
     match at {
-        Some(at) if at.extent != extent => Err(NodeError::usage(format!("frames to imitate are {}, the sensor's are {extent}", at.extent))),
+        Some(at) if at.extent != extent => Err(NodeError::usage(format!(
+            "frames to imitate are {}, the \
+                                                            sensor's are {extent}",
+            at.extent
+        ))),
         Some(at) => Ok(FramesMeta { colour, ..at.clone() }),
-        None => Ok(FramesMeta { extent, colour, times: sampling.times(span, sensor)?, scale: FrameScale::Nominal { exposure_ns: nominal_exposure_ns } }),
+        None => Ok(FramesMeta {
+            extent,
+            colour,
+            times: sampling.times(span, sensor)?,
+            scale: FrameScale::Nominal { exposure_ns: nominal_exposure_ns },
+        }),
     }
 }
 
@@ -154,7 +197,10 @@ mod tests {
     fn instants_are_multiples_of_the_period_whatever_the_start() {
         let sampling = Sampling { rate: Rate::new(1000.0), ..Sampling::default() };
         assert_eq!(mids(&sampling, TimeSpan::new(-500_000, 2_500_000)), [0, 1_000_000, 2_000_000]);
-        assert_eq!(mids(&Sampling { start: Some(Duration::new(1)), ..sampling }, TimeSpan::new(0, 3_000_000)), [1_000_000, 2_000_000]);
+        assert_eq!(
+            mids(&Sampling { start: Some(Duration::new(1)), ..sampling }, TimeSpan::new(0, 3_000_000)),
+            [1_000_000, 2_000_000]
+        );
     }
 
     #[test]
@@ -178,9 +224,14 @@ mod tests {
         let sampling = Sampling { rate: Rate::new(1000.0), ..Sampling::default() };
         let decades = TimeSpan::new(0, 1_700_000_000_000_000_000);
         let error = sampling.times(decades, None).unwrap_err();
-        assert!(error.message.starts_with("this would render 1.7e12 frames, from 0 s to 1700000000 s at 1 kHz"), "{}", error.message);
+        assert!(
+            error.message.starts_with("this would render 1.7e12 frames, from 0 s to 1700000000 s at 1 kHz"),
+            "{}",
+            error.message
+        );
         assert!(error.hint.unwrap().contains("set `start` and `end`"));
-        let part = Sampling { start: Some(Duration::new(0)), end: Some(Duration::new(5_000_000)), ..sampling };
+        let part =
+            Sampling { start: Some(Duration::new(0)), end: Some(Duration::new(5_000_000)), ..sampling };
         assert_eq!(mids(&part, decades).len(), 5);
         assert!(part.times(TimeSpan::new(i64::MIN, i64::MAX), None).is_ok());
     }
@@ -193,10 +244,25 @@ mod tests {
             let error = sampling.times(TimeSpan::new(0, span_end_ms * 1_000_000), None).unwrap_err();
             (error.message, error.param.unwrap())
         };
-        assert_eq!(refused(ms(30), ms(10), 60), ("the window ends at 10 ms, before it begins at 30 ms".into(), "end".into()));
-        assert_eq!(refused(ms(30), ms(30), 60), ("the window ends at 30 ms, where it begins".into(), "end".into()));
-        assert_eq!(refused(ms(90), None, 60), ("the window begins at 90 ms, when the recording is over".into(), "start".into()));
-        assert_eq!(refused(None, ms(-5), 60), ("the window ends at -5 ms, before the recording begins".into(), "end".into()));
-        assert_eq!(refused(None, None, 0), ("no frame lies between 0 ns and 0 ns at 1 kHz".into(), "rate".into()));
+        assert_eq!(
+            refused(ms(30), ms(10), 60),
+            ("the window ends at 10 ms, before it begins at 30 ms".into(), "end".into())
+        );
+        assert_eq!(
+            refused(ms(30), ms(30), 60),
+            ("the window ends at 30 ms, where it begins".into(), "end".into())
+        );
+        assert_eq!(
+            refused(ms(90), None, 60),
+            ("the window begins at 90 ms, when the recording is over".into(), "start".into())
+        );
+        assert_eq!(
+            refused(None, ms(-5), 60),
+            ("the window ends at -5 ms, before the recording begins".into(), "end".into())
+        );
+        assert_eq!(
+            refused(None, None, 0),
+            ("no frame lies between 0 ns and 0 ns at 1 kHz".into(), "rate".into())
+        );
     }
 }

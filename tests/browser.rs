@@ -1,11 +1,15 @@
-//! The pages in a real browser: headless Chromium opens the report of a run and of a diagnosis, and does what a person would.
+//! The pages in a real browser: headless Chromium opens the report of a run and of a diagnosis, and does what
+//! a person would.
 //!
-//! The browser is driven through its own protocol on a pipe (`--remote-debugging-pipe`: JSON, ended by a zero byte): no port, no driver program, no
-//! library. Any error on a page, or anything that it would load, fails the test. `make browser` installs Debian's `chromium`; without a browser these tests fail,
-//! for a page that nobody opened is not tested. With `KEEP_SCREENSHOTS=FOLDER` the pictures that the tests take are kept, to be looked at.
+//! The browser is driven through its own protocol on a pipe (`--remote-debugging-pipe`: JSON, ended by a zero
+//! byte): no port, no driver program, no library. Any error on a page, or anything that it would load, fails
+//! the test. `make browser` installs Debian's `chromium`; without a browser these tests fail, for a page that
+//! nobody opened is not tested. With `KEEP_SCREENSHOTS=FOLDER` the pictures that the tests take are kept, to
+//! be looked at.
 //!
-//! On each page, in light and dark, wide and 390 px, axe-core looks for what breaks WCAG 2.0 to 2.2 at levels A and AA, or its best practices. `make browser` fetches it; without it that part is
-//! skipped and said so, unless `REQUIRE_AXE` is set. What axe-core cannot decide is not reported.
+//! On each page, in light and dark, wide and 390 px, axe-core looks for what breaks WCAG 2.0 to 2.2 at levels
+//! A and AA, or its best practices. `make browser` fetches it; without it that part is skipped and said so,
+//! unless `REQUIRE_AXE` is set. What axe-core cannot decide is not reported.
 
 use crate::support::{Bench, root};
 use serde_json::{Value, json};
@@ -39,12 +43,22 @@ impl Browser {
         // The protocol is spoken on descriptors 3 and 4, which the shell makes of its own input and output.
         let script = format!(
             "exec {program} --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars --no-first-run --disable-extensions --force-device-scale-factor=1 \
-             --user-data-dir=\"$1\" --window-size={width},{height} --remote-debugging-pipe about:blank 3<&0 4>&1 0</dev/null 1>/dev/null 2>/dev/null"
+             --user-data-dir=\"$1\" --window-size={width},{height} --remote-debugging-pipe about:blank 3<&0 \
+                               4>&1 0</dev/null 1>/dev/null 2>/dev/null"
         );
-        let mut process =
-            Command::new("sh").args(["-c", &script, "browser"]).arg(profile.path()).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("a shell");
-        let (to, from) = (process.stdin.take().expect("its input"), BufReader::new(process.stdout.take().expect("its output")));
-        let mut browser = Browser { process, to, from, session: None, last: 0, complaints: Vec::new(), _profile: profile };
+        let mut process = Command::new("sh")
+            .args(["-c", &script, "browser"])
+            .arg(profile.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("a shell");
+        let (to, from) = (
+            process.stdin.take().expect("its input"),
+            BufReader::new(process.stdout.take().expect("its output")),
+        );
+        let mut browser =
+            Browser { process, to, from, session: None, last: 0, complaints: Vec::new(), _profile: profile };
         let target = browser.ask("Target.createTarget", json!({ "url": "about:blank" }))["targetId"].clone();
         let session = browser.ask("Target.attachToTarget", json!({ "targetId": target, "flatten": true }));
         browser.session = session["sessionId"].as_str().map(String::from);
@@ -58,14 +72,19 @@ impl Browser {
         browser
     }
 
-    /// One call of the protocol and its answer; what the browser says in between is looked through for complaints.
+    /// One call of the protocol and its answer; what the browser says in between is looked through for
+    /// complaints.
     fn ask(&mut self, method: &str, params: Value) -> Value {
         self.last += 1;
         let mut message = json!({ "id": self.last, "method": method, "params": params });
         if let Some(session) = &self.session {
             message["sessionId"] = json!(session);
         }
-        self.to.write_all(message.to_string().as_bytes()).and_then(|()| self.to.write_all(b"\0")).and_then(|()| self.to.flush()).expect("the browser listens");
+        self.to
+            .write_all(message.to_string().as_bytes())
+            .and_then(|()| self.to.write_all(b"\0"))
+            .and_then(|()| self.to.flush())
+            .expect("the browser listens");
         loop {
             let mut bytes = Vec::new();
             self.from.read_until(0, &mut bytes).expect("the browser answers");
@@ -82,7 +101,9 @@ impl Browser {
     fn listen(&mut self, message: &Value) {
         let params = &message["params"];
         match message["method"].as_str().unwrap_or_default() {
-            "Runtime.exceptionThrown" => self.complaints.push(format!("exception: {}", params["exceptionDetails"])),
+            "Runtime.exceptionThrown" => {
+                self.complaints.push(format!("exception: {}", params["exceptionDetails"]))
+            }
             "Runtime.consoleAPICalled" if params["type"] == "error" || params["type"] == "warning" => {
                 self.complaints.push(format!("console: {}", params["args"]))
             }
@@ -113,31 +134,52 @@ impl Browser {
     }
 
     fn resize(&mut self, width: u32, height: u32) {
-        self.ask("Emulation.setDeviceMetricsOverride", json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500 }));
+        self.ask(
+            "Emulation.setDeviceMetricsOverride",
+            json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500 }),
+        );
     }
 
     fn scheme(&mut self, media: &str, scheme: &str) {
-        self.ask("Emulation.setEmulatedMedia", json!({ "media": media, "features": [{ "name": "prefers-color-scheme", "value": scheme }] }));
+        self.ask(
+            "Emulation.setEmulatedMedia",
+            json!({ "media": media, "features": [{ "name": "prefers-color-scheme", "value": scheme }] }),
+        );
     }
 
     fn press(&mut self, x: f64, y: f64) {
         for kind in ["mousePressed", "mouseReleased"] {
-            self.ask("Input.dispatchMouseEvent", json!({ "type": kind, "x": x, "y": y, "button": "left", "clickCount": 1 }));
+            self.ask(
+                "Input.dispatchMouseEvent",
+                json!({ "type": kind, "x": x, "y": y, "button": "left", "clickCount": 1 }),
+            );
         }
     }
 
     /// Keeps a picture of the whole page when `KEEP_SCREENSHOTS` names a folder.
     fn keep(&mut self, name: &str) {
         let Ok(folder) = std::env::var("KEEP_SCREENSHOTS") else { return };
-        let picture = self.ask("Page.captureScreenshot", json!({ "format": "png", "captureBeyondViewport": true }));
+        let picture =
+            self.ask("Page.captureScreenshot", json!({ "format": "png", "captureBeyondViewport": true }));
         let path = Path::new(&folder).join(format!("{name}.png"));
         let script = "import base64,sys; open(sys.argv[1],'wb').write(base64.b64decode(sys.stdin.read()))";
-        let mut child = Command::new("python3").args(["-c", script]).arg(path).stdin(Stdio::piped()).spawn().expect("python3, to keep pictures");
-        child.stdin.take().expect("its input").write_all(picture["data"].as_str().unwrap_or_default().as_bytes()).expect("a picture");
+        let mut child = Command::new("python3")
+            .args(["-c", script])
+            .arg(path)
+            .stdin(Stdio::piped())
+            .spawn()
+            .expect("python3, to keep pictures");
+        child
+            .stdin
+            .take()
+            .expect("its input")
+            .write_all(picture["data"].as_str().unwrap_or_default().as_bytes())
+            .expect("a picture");
         child.wait().expect("python3 ends");
     }
 
-    /// What hurts on any page: complaints, a page wider than its window, text without contrast, controls without a name.
+    /// What hurts on any page: complaints, a page wider than its window, text without contrast, controls
+    /// without a name.
     fn check(&mut self, what: &str) {
         let overflow = self.js("document.documentElement.scrollWidth - document.documentElement.clientWidth");
         assert_eq!(overflow, json!(0), "{what}: the page is wider than its window; {}", self.js(WIDEST));
@@ -146,12 +188,14 @@ impl Browser {
         let nameless = self.nameless();
         assert!(nameless.is_empty(), "{what}: controls or pictures without a name: {nameless:?}");
         assert_eq!(
-            self.js("[...document.querySelectorAll('[id]')].map((e) => e.id).filter((id, at, all) => all.indexOf(id) !== at)"),
+            self.js("[...document.querySelectorAll('[id]')].map((e) => e.id).filter((id, at, all) => \
+                     all.indexOf(id) !== at)"),
             json!([]),
             "{what}: ids twice"
         );
         assert_eq!(
-            self.js("[...document.querySelectorAll('a[href^=\"#\"]')].map((a) => a.hash.slice(1)).filter((id) => !document.getElementById(id))"),
+            self.js("[...document.querySelectorAll('a[href^=\"#\"]')].map((a) => \
+                     a.hash.slice(1)).filter((id) => !document.getElementById(id))"),
             json!([]),
             "{what}: links to nothing"
         );
@@ -160,30 +204,56 @@ impl Browser {
         assert!(self.complaints.is_empty(), "{what}: {:?}", self.complaints);
     }
 
-    /// What axe-core finds that breaks WCAG at levels A and AA or its best practices: a rule and its elements each.
+    /// What axe-core finds that breaks WCAG at levels A and AA or its best practices: a rule and its elements
+    /// each.
     fn barriers(&mut self) -> Vec<String> {
         let Ok(script) = std::fs::read_to_string(root().join(AXE)) else {
             assert!(std::env::var_os("REQUIRE_AXE").is_none(), "{AXE} is missing: `make browser` fetches it");
-            eprintln!("skipped: no {AXE} here, so the pages are not tested with axe-core; `make browser` fetches it");
+            eprintln!(
+                "skipped: no {AXE} here, so the pages are not tested with axe-core; `make browser` \
+                       fetches it"
+            );
             return Vec::new();
         };
         if self.js("typeof axe") != json!("object") {
             self.js(&script);
         }
-        // From the top: where the page stands in the middle of a scroll, controls that pass under the fixed list of parts would count as too small.
+        // From the top: where the page stands in the middle of a scroll, controls that pass under the fixed
+        // list of parts would count as too small.
         self.js("window.scrollTo({ top: 0, behavior: 'instant' })");
         let found = self.js(
             "axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'], resultTypes: ['violations'] }).then((found) => ({ passes: found.passes.length,
              bad: found.violations.map((one) => `${one.id}: ${one.help}: ${one.nodes.slice(0, 5).map((node) => `${node.target.join(' ')} ${node.html.slice(0, 120)}`).join('; ')}`) }))",
         );
-        assert!(found["passes"].as_u64().is_some_and(|passes| passes > 10), "axe-core has looked at the page: {found}");
-        found["bad"].as_array().into_iter().flatten().map(|one| one.as_str().unwrap_or_default().to_owned()).collect()
+        assert!(
+            found["passes"].as_u64().is_some_and(|passes| passes > 10),
+            "axe-core has looked at the \
+                                                            page: {found}"
+        );
+        found["bad"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .map(|one| one.as_str().unwrap_or_default().to_owned())
+            .collect()
     }
 
     /// Roles and names as a screen reader gets them: every control and picture has a name.
     fn nameless(&mut self) -> Vec<String> {
         let tree = self.ask("Accessibility.getFullAXTree", json!({}));
-        let wanted = ["button", "combobox", "slider", "spinbutton", "link", "image", "img", "textbox", "region", "navigation", "heading"];
+        let wanted = [
+            "button",
+            "combobox",
+            "slider",
+            "spinbutton",
+            "link",
+            "image",
+            "img",
+            "textbox",
+            "region",
+            "navigation",
+            "heading",
+        ];
         let nodes = tree["nodes"].as_array().cloned().unwrap_or_default();
         assert!(nodes.len() > 20, "there is an accessibility tree");
         let is_bad = |node: &&Value| {
@@ -205,9 +275,13 @@ impl Drop for Browser {
 }
 
 /// The elements that reach furthest to the right, outside of parts that scroll by themselves.
-const WIDEST: &str = "JSON.stringify([...document.querySelectorAll('body *')].filter((e) => !e.closest('.wide, .dag, nav, pre') && e.getBoundingClientRect().right > document.documentElement.clientWidth + 1).slice(0, 5).map((e) => e.outerHTML.slice(0, 90)))";
+const WIDEST: &str = "JSON.stringify([...document.querySelectorAll('body *')].filter((e) => \
+                      !e.closest('.wide, .dag, nav, pre') && e.getBoundingClientRect().right > \
+                      document.documentElement.clientWidth + 1).slice(0, 5).map((e) => e.outerHTML.slice(0, \
+                      90)))";
 
-/// Texts whose contrast with what is painted behind them is below 4.5 : 1 (WCAG 2.2, 1.4.3), as far as plain colours say.
+/// Texts whose contrast with what is painted behind them is below 4.5 : 1 (WCAG 2.2, 1.4.3), as far as plain
+/// colours say.
 const CONTRAST: &str = r#"(() => {
   const canvas = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
   const rgba = (colour) => { canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1); return [...canvas.getImageData(0, 0, 1, 1).data]; };
@@ -244,17 +318,25 @@ fn look_everywhere(browser: &mut Browser, name: &str) {
     browser.keep(&format!("{name}-print"));
     let paper = browser.js("getComputedStyle(document.body).backgroundColor");
     assert_eq!(paper, json!("rgb(255, 255, 255)"), "paper is white, whatever the screen is");
-    assert_eq!(browser.js("document.querySelector('nav').checkVisibility()"), json!(false), "links within the page are not printed");
+    assert_eq!(
+        browser.js("document.querySelector('nav').checkVisibility()"),
+        json!(false),
+        "links within the page are not printed"
+    );
     browser.scheme("screen", "light");
     browser.resize(1280, 900);
 }
 
 /// `codes`: what the picture shows, read from a copy, so that the page's own canvas stays as it is.
-const CODES: &str = "const c = document.querySelector('[data-part=canvas]'); const k = new OffscreenCanvas(c.width, c.height).getContext('2d', { willReadFrequently: true }); k.drawImage(c, 0, 0); const codes = k.getImageData(0, 60, c.width, c.height - 60).data;";
+const CODES: &str = "const c = document.querySelector('[data-part=canvas]'); const k = new \
+                     OffscreenCanvas(c.width, c.height).getContext('2d', { willReadFrequently: true }); \
+                     k.drawImage(c, 0, 0); const codes = k.getImageData(0, 60, c.width, c.height - 60).data;";
 
 /// One number that changes with what the picture shows.
 fn shown() -> String {
-    format!("(() => {{ {CODES} let sum = 0; for (let k = 0; k < codes.length; k += 97) sum = (sum * 31 + codes[k]) % 1000003; return sum; }})()")
+    format!(
+        "(() => {{ {CODES} let sum = 0; for (let k = 0; k < codes.length; k += 97) sum = (sum * 31 + codes[k]) % 1000003; return sum; }})()"
+    )
 }
 
 #[test]
@@ -316,7 +398,10 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
         browser.js("(() => { const b = document.querySelector('[data-part=canvas]').getBoundingClientRect(); return [b.left, b.top, b.width, b.height]; })()");
     let [left, top, width, height] = [0, 1, 2, 3].map(|k| box_[k].as_f64().expect("a number"));
     browser.press(left + width * 100.5 / 128.0, top + height * 30.5 / 96.0);
-    browser.wait("document.querySelector('[data-part=x]').value === '100' && document.querySelector('[data-part=y]').value === '30'");
+    browser.wait(
+        "document.querySelector('[data-part=x]').value === '100' && \
+                  document.querySelector('[data-part=y]').value === '30'",
+    );
     browser.wait("document.querySelectorAll('[data-part=values] tr').length === 8");
     assert_eq!(
         browser.js("document.querySelector('[data-part=more]').checkVisibility()"),
@@ -326,19 +411,35 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     // One of the pixels of which all is known.
     browser.js("(() => { const s = document.querySelector('[data-part=pixel]'); s.value = 0; s.dispatchEvent(new Event('input')); })()");
     browser.wait("document.querySelectorAll('#probe-tool svg.chart').length === 4");
-    assert!(browser.js("document.querySelector('[data-part=counts]').textContent").as_str().is_some_and(|text| text.contains("events")));
+    assert!(
+        browser
+            .js("document.querySelector('[data-part=counts]').textContent")
+            .as_str()
+            .is_some_and(|text| text.contains("events"))
+    );
     // Keys, for those who have no mouse.
     browser.js("document.querySelector('[data-part=canvas]').focus()");
     for key in [".", "d", "+"] {
         browser.ask("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": key, "text": key }));
     }
     browser.wait("document.querySelector('[data-part=instant]').textContent.startsWith('9 of')");
-    assert_eq!(browser.js("document.querySelector('[data-mode=difference]').getAttribute('aria-pressed')"), json!("true"));
-    assert!(browser.js("Number(document.querySelector('[data-part=zoom]').value)").as_f64().is_some_and(|zoom| zoom > 0.0));
+    assert_eq!(
+        browser.js("document.querySelector('[data-mode=difference]').getAttribute('aria-pressed')"),
+        json!("true")
+    );
+    assert!(
+        browser
+            .js("Number(document.querySelector('[data-part=zoom]').value)")
+            .as_f64()
+            .is_some_and(|zoom| zoom > 0.0)
+    );
     // A curve is hidden by its entry in the legend.
     let curves = browser.js("document.querySelectorAll('#time .curve').length");
     browser.js("document.querySelector('#time .legend button').click()");
-    assert_eq!(browser.js("document.querySelectorAll('#time .curve').length").as_u64().map(|n| n + 1), curves.as_u64());
+    assert_eq!(
+        browser.js("document.querySelectorAll('#time .curve').length").as_u64().map(|n| n + 1),
+        curves.as_u64()
+    );
     // Tables are copied; a page from disk may have no clipboard, and then shows the text.
     browser.js("document.querySelector('[data-copy=\"0\"]').click()");
     browser.wait("document.querySelector('[data-copy=\"0\"]').textContent !== 'Markdown'");
@@ -350,9 +451,18 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
 fn axe_core_finds_a_barrier_where_there_is_one() {
     let bench = Bench::new();
     let page = |picture: &str| {
-        let rest: String = (0..12).map(|n| format!("<section aria-label=\"{n}\"><h2>Part {n}</h2><p>Text</p></section>")).collect();
+        let rest: String = (0..12)
+            .map(|n| {
+                format!(
+                    "<section aria-label=\"{n}\"><h2>Part \
+                                                    {n}</h2><p>Text</p></section>"
+                )
+            })
+            .collect();
         format!(
-            "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>x</title></head><body><main><h1>x</h1>{picture}{rest}<a href=\"#a\" id=\"a\">link</a><button>press</button></main></body></html>"
+            "<!doctype html><html lang=\"en\"><head><meta \
+             charset=\"utf-8\"><title>x</title></head><body><main><h1>x</h1>{picture}{rest}<a href=\"#a\" \
+             id=\"a\">link</a><button>press</button></main></body></html>"
         )
     };
     bench.write("good.html", &page("<img alt=\"dot\" src=\"data:image/png;base64,\">"));
@@ -372,10 +482,23 @@ fn the_page_of_a_diagnosis_is_read_in_a_browser() {
     let mut browser = Browser::open(&bench.path("found/report.html"), 1280, 900);
     look_everywhere(&mut browser, "diagnosis");
     assert_eq!(browser.js("document.title"), json!("Diagnosis: davis346_traffic.aedat4"));
-    assert!(browser.js("document.querySelector('main dl').textContent").as_str().is_some_and(|text| text.contains("davis346_sheet.toml")));
-    assert!(browser.js("document.querySelector('#looked-at svg').getBoundingClientRect().width").as_f64().is_some_and(|width| width > 300.0));
     assert!(
-        browser.js("document.querySelector('#missing').textContent").as_str().is_some_and(|text| text.contains(" ms") && text.contains(" us")),
+        browser
+            .js("document.querySelector('main dl').textContent")
+            .as_str()
+            .is_some_and(|text| text.contains("davis346_sheet.toml"))
+    );
+    assert!(
+        browser
+            .js("document.querySelector('#looked-at svg').getBoundingClientRect().width")
+            .as_f64()
+            .is_some_and(|width| width > 300.0)
+    );
+    assert!(
+        browser
+            .js("document.querySelector('#missing').textContent")
+            .as_str()
+            .is_some_and(|text| text.contains(" ms") && text.contains(" us")),
         "times in units that people write"
     );
     browser.js("document.getElementById('theme').click()");

@@ -1,7 +1,8 @@
-//! Modules of a crate that import each other in a circle: none but those that docs/architecture.md lists with a reason.
+//! Modules of a crate that import each other in a circle: none but those that docs/architecture.md lists with
+//! a reason.
 //!
-//! `use` and paths in production files count, parents and children included. The root of a crate only re-exports:
-//! a name imported from there counts for the module that it comes from.
+//! `use` and paths in production files count, parents and children included. The root of a crate only
+//! re-exports: a name imported from there counts for the module that it comes from.
 
 use crate::tidy::{DIRECTION, files, is_test_file, read, working_code};
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,7 +30,8 @@ fn flat(path: &str) -> Vec<String> {
     parts.map(|part| format!("{}{part}", before.trim())).collect()
 }
 
-/// Paths of this crate that a file imports or names. An indented `use super::` is in a module inside the file.
+/// Paths of this crate that a file imports or names. An indented `use super::` is in a module inside the
+/// file.
 fn uses(code: &str) -> Vec<String> {
     let mut paths = Vec::new();
     for (at, _) in code.match_indices("use ") {
@@ -84,14 +86,19 @@ fn imports(code: &BTreeMap<String, String>) -> Imports {
         });
         found.filter(|to| to != name).collect()
     };
-    code.iter().filter(|(name, _)| !name.is_empty()).map(|(name, code)| (name.clone(), of(name, code))).collect()
+    code.iter()
+        .filter(|(name, _)| !name.is_empty())
+        .map(|(name, code)| (name.clone(), of(name, code)))
+        .collect()
 }
 
 /// The modules that a module leads to.
 fn reach<'a>(imports: &'a Imports, from: &'a str) -> BTreeSet<&'a str> {
     let (mut reached, mut next) = (BTreeSet::new(), vec![from]);
     while let Some(at) = next.pop() {
-        next.extend(imports.get(at).into_iter().flatten().map(String::as_str).filter(|to| reached.insert(*to)));
+        next.extend(
+            imports.get(at).into_iter().flatten().map(String::as_str).filter(|to| reached.insert(*to)),
+        );
     }
     reached
 }
@@ -99,7 +106,8 @@ fn reach<'a>(imports: &'a Imports, from: &'a str) -> BTreeSet<&'a str> {
 /// Modules that lead to each other, each circle once.
 fn circles(imports: &Imports) -> BTreeSet<Vec<&str>> {
     let all: BTreeMap<&str, _> = imports.keys().map(|name| (name.as_str(), reach(imports, name))).collect();
-    let circle = |name: &&str| all[name].iter().copied().filter(|other| all[other].contains(name)).collect::<Vec<_>>();
+    let circle =
+        |name: &&str| all[name].iter().copied().filter(|other| all[other].contains(name)).collect::<Vec<_>>();
     all.keys().map(circle).filter(|circle| !circle.is_empty()).collect()
 }
 
@@ -116,7 +124,10 @@ fn modules(folder: &str, files: &BTreeSet<String>) -> BTreeMap<String, String> {
 #[test]
 fn modules_import_each_other_in_no_circle_without_a_reason() {
     let (page, files) = (read("docs/architecture.md"), files());
-    let reasons = page.split_once("\n## Circles\n").and_then(|(_, rest)| rest.split("\n## ").next()).unwrap_or_default();
+    let reasons = page
+        .split_once("\n## Circles\n")
+        .and_then(|(_, rest)| rest.split("\n## ").next())
+        .unwrap_or_default();
     let (mut found, mut present) = (Vec::new(), BTreeMap::<&str, usize>::new());
     for folder in DIRECTION.iter().map(|(folder, ..)| *folder).chain(["src/cli"]) {
         for circle in circles(&imports(&modules(folder, &files))) {
@@ -130,17 +141,31 @@ fn modules_import_each_other_in_no_circle_without_a_reason() {
     }
     for (place, most) in PRESENT {
         let now = present.get(place).copied().unwrap_or(0);
-        assert!(now <= most, "{place} has {now} files in circles of imports, and had {most}: cut the new one");
+        assert!(
+            now <= most,
+            "{place} has {now} files in circles of imports, and had {most}: cut the new one"
+        );
     }
-    let hint = "move what they share to a module below them, or list the circle with its reason in docs/architecture.md";
+    let hint = "move what they share to a module below them, or list the circle with its reason in \
+                docs/architecture.md";
     assert!(found.is_empty(), "these import each other in a circle; {hint}:\n{}\n", found.join("\n"));
 }
 
 #[test]
 fn a_circle_is_found_through_parents_braces_and_the_root() {
-    let code = [("", "pub use a::A;"), ("a", "use crate::{b, c::{x, y::Z}};"), ("b", "use super::A as Other;"), ("c", "")];
-    let code = code.into_iter().chain([("c/y", "fn f() -> super::Part {}\nmod inner {\n    use super::Own;\n}")]);
-    let code: BTreeMap<String, String> = code.map(|(name, text)| (name.to_string(), text.to_string())).collect();
+    let code = [
+        ("", "pub use a::A;"),
+        ("a", "use crate::{b, c::{x, y::Z}};"),
+        ("b", "use super::A as Other;"),
+        ("c", ""),
+    ];
+    let code = code.into_iter().chain([(
+        "c/y",
+        "fn f() -> super::Part {}\nmod inner \
+                                                {\n    use super::Own;\n}",
+    )]);
+    let code: BTreeMap<String, String> =
+        code.map(|(name, text)| (name.to_string(), text.to_string())).collect();
     let graph = imports(&code);
     assert_eq!(graph["a"], ["b", "c", "c/y"].map(String::from).into());
     assert_eq!(graph["c/y"], ["c"].map(String::from).into());

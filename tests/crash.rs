@@ -1,8 +1,8 @@
-//! Kills at random moments, interrupts, two runs at once, damaged files, nodes that fail: never a wrong artefact, and the next run comes to the
-//! right end.
+//! Kills at random moments, interrupts, two runs at once, damaged files, nodes that fail: never a wrong
+//! artefact, and the next run comes to the right end.
 //!
-//! Moments come from a fixed seed and are spread over the length of an undisturbed run. How far a killed run gets depends on the machine; what
-//! is asserted afterwards holds at every moment.
+//! Moments come from a fixed seed and are spread over the length of an undisturbed run. How far a killed run
+//! gets depends on the machine; what is asserted afterwards holds at every moment.
 
 use crate::recordings;
 use crate::support::{self, Bench, digests, executed, files, results};
@@ -20,7 +20,11 @@ use std::time::{Duration, Instant};
 fn bench() -> Bench {
     let bench = Bench::new();
     let text = support::small_pipeline();
-    let larger = text.replace("width = 32, height = 24, duration = \"40 ms\"", "width = 64, height = 48, duration = \"60 ms\"");
+    let larger = text.replace(
+        "width = 32, height = 24, duration = \"40 ms\"",
+        "width = 64, height = 48, \
+                                                            duration = \"60 ms\"",
+    );
     assert_ne!(larger, text);
     bench.write("m.toml", &larger);
     bench
@@ -30,22 +34,37 @@ fn is_hidden(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'))
 }
 
-/// Every exported folder that is there is whole: its stamp names its files, all of them, each with its size and content.
+/// Every exported folder that is there is whole: its stamp names its files, all of them, each with its size
+/// and content.
 fn assert_exports_are_whole(out: &Path, when: &str) {
     let folders = std::fs::read_dir(out).into_iter().flatten().map(|entry| entry.expect("an entry").path());
     for folder in folders.filter(|path| path.is_dir() && !is_hidden(path)) {
-        let stamp =
-            std::fs::read_to_string(folder.join(".photocurrent.toml")).unwrap_or_else(|error| panic!("{when}: {} has no stamp: {error}", folder.display()));
+        let stamp = std::fs::read_to_string(folder.join(".photocurrent.toml"))
+            .unwrap_or_else(|error| panic!("{when}: {} has no stamp: {error}", folder.display()));
         let stamp: toml::Table = toml::from_str(&stamp).expect("a stamp is TOML");
         let mut there = files(&folder);
         there.remove(Path::new(".photocurrent.toml"));
         for file in stamp["files"].as_array().expect("files") {
             let name = file["name"].as_str().expect("a name");
-            let bytes = there.remove(Path::new(name)).unwrap_or_else(|| panic!("{when}: {name} is stamped and missing"));
+            let bytes = there.remove(Path::new(name)).unwrap_or_else(|| {
+                panic!(
+                    "{when}: {name} is stamped \
+                                                            and missing"
+                )
+            });
             assert_eq!(file["bytes"].as_integer(), Some(bytes.len() as i64), "{when}: {name}");
-            assert_eq!(file["digest"].as_str(), Some(blake3::hash(&bytes).to_hex().as_str()), "{when}: {name}");
+            assert_eq!(
+                file["digest"].as_str(),
+                Some(blake3::hash(&bytes).to_hex().as_str()),
+                "{when}: {name}"
+            );
         }
-        assert!(there.is_empty(), "{when}: {} holds what its stamp does not name: {:?}", folder.display(), there.keys());
+        assert!(
+            there.is_empty(),
+            "{when}: {} holds what its stamp does not name: {:?}",
+            folder.display(),
+            there.keys()
+        );
     }
 }
 
@@ -58,7 +77,13 @@ fn assert_cache_is_whole(bench: &Bench, when: &str) {
 fn start(bench: &Bench, arguments: &[&str]) -> Child {
     let mut all = vec!["run", "m.toml"];
     all.extend(arguments);
-    bench.command(&all).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the command starts")
+    bench
+        .command(&all)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the command starts")
 }
 
 /// What an undisturbed run leaves: digests, exported files, and how long it took.
@@ -92,13 +117,17 @@ fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, whe
 
 /// Makes every node run, so that a run on a full cache is as long as one on an empty cache.
 fn force_all() -> Vec<&'static str> {
-    ["sensor", "scene", "recording", "solve", "render", "edi", "psnr", "psnr_edi", "table", "frames"].iter().flat_map(|node| ["--force", node]).collect()
+    ["sensor", "scene", "recording", "solve", "render", "edi", "psnr", "psnr_edi", "table", "frames"]
+        .iter()
+        .flat_map(|node| ["--force", node])
+        .collect()
 }
 
 #[test]
 fn a_run_killed_at_any_moment_leaves_nothing_wrong_and_the_next_one_completes() {
-    // Twenty kills, all on one cache and one output folder that are never cleaned. Each seed of the pipeline is killed twice before it may
-    // finish: the first time with everything to be made and the files of the seed before to be replaced, the second time on what the first left.
+    // Twenty kills, all on one cache and one output folder that are never cleaned. Each seed of the pipeline
+    // is killed twice before it may finish: the first time with everything to be made and the files of the
+    // seed before to be replaced, the second time on what the first left.
     let bench = bench();
     let mut random = Random::new(20, &[]);
     let mut killed = 0;
@@ -126,7 +155,10 @@ fn a_run_killed_at_any_moment_leaves_nothing_wrong_and_the_next_one_completes() 
     assert!(killed > 0, "no run was hit: nothing was tested");
     // Writers clear away what killed ones left.
     bench.outcome(&["m.toml", "--force", "table", "--force", "frames"]);
-    let left: Vec<PathBuf> = files(&bench.path("out/m")).into_keys().filter(|path| path.to_string_lossy().contains(".partial")).collect();
+    let left: Vec<PathBuf> = files(&bench.path("out/m"))
+        .into_keys()
+        .filter(|path| path.to_string_lossy().contains(".partial"))
+        .collect();
     assert!(left.is_empty(), "{left:?}");
 }
 
@@ -155,7 +187,8 @@ fn an_interrupt_ends_with_130_and_the_next_run_goes_on() {
 
 /// The shell's own `kill` is there wherever a shell is.
 fn send(signal: &str, child: &Child) {
-    let sent = std::process::Command::new("sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
+    let sent =
+        std::process::Command::new("sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
     assert!(sent.is_ok_and(|status| status.success()), "{signal} was not sent");
 }
 
@@ -194,8 +227,13 @@ fn a_diagnosis_in_the_middle_of_a_long_step_stops_and_leaves_nothing_behind() {
     recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     std::fs::create_dir(bench.path("temporary")).expect("a folder");
     let sensor = support::root().join("data/sensors/hybrid.toml");
-    let mut command = bench.command(&["diagnose", "rec.h5", "--sensor", sensor.to_str().expect("UTF-8"), "-o", "answer"]);
-    let command = command.env("TMPDIR", bench.path("temporary")).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut command =
+        bench.command(&["diagnose", "rec.h5", "--sensor", sensor.to_str().expect("UTF-8"), "-o", "answer"]);
+    let command = command
+        .env("TMPDIR", bench.path("temporary"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
     let mut child = command.spawn().expect("the command starts");
     let begun = wait_for_start(&mut child, "integrity");
     if begun && child.try_wait().expect("a child").is_none() {
@@ -215,17 +253,27 @@ fn a_disk_that_is_full_ends_what_it_must_and_spoils_nothing() {
     let bench = bench();
     let expected = undisturbed(&[]);
     let mut ended = 0;
-    // A process that may write files of so many blocks only gets the same message as one on a full disk: that a write failed.
+    // A process that may write files of so many blocks only gets the same message as one on a full disk: that
+    // a write failed.
     for blocks in [8, 32, 128, 300, 600] {
         let limited = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
         let mut command = std::process::Command::new("sh");
-        command.args(["-c", &limited, env!("CARGO_BIN_EXE_photocurrent"), "run", "m.toml", "-q"]).current_dir(bench.path(""));
+        command
+            .args(["-c", &limited, env!("CARGO_BIN_EXE_photocurrent"), "run", "m.toml", "-q"])
+            .current_dir(bench.path(""));
         let output = command.output().expect("a shell");
         let (when, said) = (format!("{blocks} blocks"), String::from_utf8_lossy(&output.stderr).into_owned());
         match output.status.code() {
             Some(1) => {
-                assert!(said.contains("cannot write") || said.contains("is the disk full?"), "{when}: {said}");
-                assert!(said.contains(".photocurrent") || said.contains("out/m"), "{when}: no file is named: {said}");
+                assert!(
+                    said.contains("cannot write") || said.contains("is the disk full?"),
+                    "{when}: {said}"
+                );
+                assert!(
+                    said.contains(".photocurrent") || said.contains("out/m"),
+                    "{when}: no file is \
+                                                            named: {said}"
+                );
                 ended += 1;
             }
             code => assert_eq!(code, Some(0), "{when}: {said}"),
@@ -250,7 +298,9 @@ fn a_cache_that_cannot_be_written_is_said_before_anything_runs() {
     let expected = undisturbed(&[]);
     bench.outcome(&["m.toml"]);
     let data = bench.path(".photocurrent/data");
-    let mode = |mode: u32| std::fs::set_permissions(&data, std::os::unix::fs::PermissionsExt::from_mode(mode)).expect("a mode");
+    let mode = |mode: u32| {
+        std::fs::set_permissions(&data, std::os::unix::fs::PermissionsExt::from_mode(mode)).expect("a mode")
+    };
     mode(0o555);
     // The superuser may write nevertheless.
     if std::fs::write(data.join("probe"), "").is_err() {
@@ -271,7 +321,11 @@ fn an_output_folder_that_cannot_be_made_is_said_before_anything_runs() {
     for out in ["file", "file/out"] {
         let done = bench.run(&["run", "m.toml", "--out", out]);
         assert_eq!(done.code, 1, "{}", done.stderr);
-        assert!(done.stderr.contains(&format!("{out}: cannot make the folder")) && done.stderr.contains("--out"), "{}", done.stderr);
+        assert!(
+            done.stderr.contains(&format!("{out}: cannot make the folder")) && done.stderr.contains("--out"),
+            "{}",
+            done.stderr
+        );
         assert!(!done.stderr.contains("started"), "{}", done.stderr);
     }
     assert_eq!(std::fs::read_to_string(bench.path("file")).expect("the file"), "not a folder");
@@ -280,12 +334,18 @@ fn an_output_folder_that_cannot_be_made_is_said_before_anything_runs() {
 #[test]
 fn an_input_file_that_goes_away_midway_fails_its_reader_alone() {
     let bench = Bench::new();
-    let write = || recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
+    let write = || {
+        recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)))
+    };
     write();
     // The scene is longer than it takes to remove a file, and one thread takes nodes in order.
-    let scene = support::small_pipeline().replace("width = 32, height = 24, duration = \"40 ms\"", "width = 96, height = 72, duration = \"100 ms\"");
+    let scene = support::small_pipeline().replace(
+        "width = 32, height = 24, duration = \"40 ms\"",
+        "width = 96, height = 72, duration = \"100 ms\"",
+    );
     let given = "[nodes.given]\nkind = \"read/recording\"\nparams = { path = \"rec.h5\" }\n\
-        [nodes.repeated]\nkind = \"baseline/repeat\"\nin = { frames = \"given.frames\", sensor = \"sensor\", at = \"given.frames\" }\n";
+        [nodes.repeated]\nkind = \"baseline/repeat\"\nin = \
+                                   { frames = \"given.frames\", sensor = \"sensor\", at = \"given.frames\" }\n";
     bench.write("m.toml", &format!("{scene}{given}"));
     let mut child = start(&bench, &["--threads", "1"]);
     assert!(wait_for_start(&mut child, "scene"));
@@ -306,14 +366,25 @@ fn two_runs_at_once_on_one_cache_and_one_folder_are_both_right() {
     for seed in 1..=4 {
         let set = format!("pipeline.seed={seed}");
         let spawn = |threads: &str| {
-            let mut command = bench.command(&["run", "m.toml", "--json", "--set", &set, "--threads", threads]);
-            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the command starts")
+            let mut command =
+                bench.command(&["run", "m.toml", "--json", "--set", &set, "--threads", threads]);
+            command
+                .stdin(Stdio::null())
+                .stdout(Stdio::piped())
+                .stderr(Stdio::piped())
+                .spawn()
+                .expect("the command starts")
         };
         let both = [spawn("1"), spawn("2")];
         let ended = both.map(|child| child.wait_with_output().expect("it ends"));
         let expected = undisturbed(&["--set", &set]);
         for output in ended {
-            assert_eq!(output.status.code(), Some(0), "seed {seed}: {}", String::from_utf8_lossy(&output.stderr));
+            assert_eq!(
+                output.status.code(),
+                Some(0),
+                "seed {seed}: {}",
+                String::from_utf8_lossy(&output.stderr)
+            );
             let outcome: Value = serde_json::from_slice(&output.stdout).expect("JSON");
             assert_eq!(digests(&outcome), expected.digests, "seed {seed}");
         }
@@ -340,7 +411,12 @@ impl Damaged {
     }
 
     fn record(&self, node: &str) -> PathBuf {
-        let task = self.outcome["tasks"].as_array().expect("tasks").iter().find(|task| task["node"] == node).expect("the node");
+        let task = self.outcome["tasks"]
+            .as_array()
+            .expect("tasks")
+            .iter()
+            .find(|task| task["node"] == node)
+            .expect("the node");
         self.bench.path(".photocurrent/keys").join(format!("{}.toml", task["key"].as_str().expect("a key")))
     }
 
@@ -355,7 +431,10 @@ impl Damaged {
         assert_eq!(digests(&outcome), digests(&self.outcome));
         let name = damaged.file_name().expect("a name").to_string_lossy().into_owned();
         let warnings = outcome["warnings"].as_array().expect("warnings");
-        assert!(warnings.iter().any(|warning| warning.as_str().expect("a text").contains(&name)), "{name} is not named in {warnings:?}");
+        assert!(
+            warnings.iter().any(|warning| warning.as_str().expect("a text").contains(&name)),
+            "{name} is not named in {warnings:?}"
+        );
         assert!(done.stderr.contains(&name), "{}", done.stderr);
         assert_cache_is_whole(&self.bench, &name);
         assert_eq!(executed(&self.bench.outcome(&["m.toml"])), [""; 0]);
@@ -386,7 +465,11 @@ fn a_result_that_is_cut_short_or_gone_is_made_again() {
         harm(&events);
         assert_eq!(damaged.bench.run(&["cache", "verify"]).code, 3);
         let plan = damaged.bench.run(&["explain", "m.toml", "recording"]);
-        assert!(plan.stdout.starts_with("recording: would run\n  record damaged: output `events`: "), "{}", plan.stdout);
+        assert!(
+            plan.stdout.starts_with("recording: would run\n  record damaged: output `events`: "),
+            "{}",
+            plan.stdout
+        );
         damaged.is_repaired(&[], &["recording"], &events);
     }
 }
@@ -398,7 +481,14 @@ fn a_result_with_a_wrong_byte_is_noticed_when_it_is_read_and_made_again() {
     flip_a_byte(&events);
     let verified = damaged.bench.run(&["cache", "verify"]);
     assert_eq!(verified.code, 3);
-    assert!(verified.stdout.contains(&format!("damaged: .photocurrent/data/{}", events.file_name().expect("a name").to_string_lossy())), "{}", verified.stdout);
+    assert!(
+        verified.stdout.contains(&format!(
+            "damaged: .photocurrent/data/{}",
+            events.file_name().expect("a name").to_string_lossy()
+        )),
+        "{}",
+        verified.stdout
+    );
     damaged.is_repaired(&["--force", "solve"], &["recording", "solve"], &events);
 }
 
@@ -437,7 +527,10 @@ fn a_record_that_is_gone_is_a_plain_miss() {
     let damaged = Damaged::new();
     delete(&damaged.record("solve"));
     let outcome = damaged.bench.outcome(&["m.toml"]);
-    assert_eq!((executed(&outcome), digests(&outcome)), (vec!["solve".to_string()], digests(&damaged.outcome)));
+    assert_eq!(
+        (executed(&outcome), digests(&outcome)),
+        (vec!["solve".to_string()], digests(&damaged.outcome))
+    );
     assert_eq!(outcome["warnings"].as_array(), Some(&vec![]));
 }
 
@@ -458,7 +551,10 @@ in = { frames = "render", truth = "recording.truth" }
 fn a_node_that_fails_stops_only_what_hangs_on_it() {
     let bench = Bench::new();
     write_bad_recording(&bench.path("rec.h5"));
-    let aside = "[nodes.scene]\nkind = \"simulate/scene\"\nin.sensor = \"sensor\"\nparams = { width = 16, height = 16 }\n[nodes.camera]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"sensor\" }\n[nodes.aside]\nkind = \"write/frames\"\nin.frames = \"camera.frames\"\n";
+    let aside = "[nodes.scene]\nkind = \"simulate/scene\"\nin.sensor = \"sensor\"\nparams = \
+                 { width = 16, height = 16 }\n[nodes.camera]\nkind = \"simulate/sensor\"\nin = \
+                 { light = \"scene.light\", sensor = \"sensor\" }\n[nodes.aside]\nkind = \
+                 \"write/frames\"\nin.frames = \"camera.frames\"\n";
     bench.write("m.toml", &format!("{}{aside}", recordings::pipeline()));
     let done = bench.run(&["run", "--json", "m.toml"]);
     assert_eq!(done.code, 3, "{}", done.stderr);
@@ -501,16 +597,27 @@ fn an_ablation_goes_on_without_a_variant_that_fails() {
         "in = { tracks = \"solve.tracks\", sensor = \"sensor\" }",
         "in = { tracks = \"solve.tracks\", sensor = \"sensor\" }\nparams = { end = \"20 ms\" }",
     );
-    let ablation = "[ablation]\nmetrics = [\"psnr.psnr_db\"]\nbaseline = { input = \"good\" }\n[ablation.axes.input]\ngood = { nodes.recording.params.path = \"rec.h5\" }\nbad = { nodes.recording.params.path = \"bad.h5\" }\n";
+    let ablation = "[ablation]\nmetrics = [\"psnr.psnr_db\"]\nbaseline = \
+                    { input = \"good\" }\n[ablation.axes.input]\ngood = \
+                    { nodes.recording.params.path = \"rec.h5\" }\nbad = \
+                    { nodes.recording.params.path = \"bad.h5\" }\n";
     bench.write("m.toml", &format!("{base}{SCORED}{ablation}"));
     let done = bench.run(&["run", "m.toml"]);
     assert_eq!(done.code, 4, "{}", done.stderr);
     let rows: Vec<Vec<&str>> = done.stdout.lines().map(|line| line.split_whitespace().collect()).collect();
     assert_eq!(rows[0], ["input", "psnr.psnr_db", "gain"]);
-    assert_eq!((rows[2][0], rows[2][2], rows[3].as_slice()), ("good", "+0.000", &["bad", "failed", "-"][..]), "{}", done.stdout);
+    assert_eq!(
+        (rows[2][0], rows[2][2], rows[3].as_slice()),
+        ("good", "+0.000", &["bad", "failed", "-"][..]),
+        "{}",
+        done.stdout
+    );
     assert!(rows[2][1].parse::<f64>().is_ok_and(f64::is_finite), "{}", done.stdout);
     assert!(done.stderr.contains("x = 4000, y = 1"), "{}", done.stderr);
-    assert!(bench.path("out/m/input=good/frames/frames.csv").is_file() && !bench.path("out/m/input=bad/frames").exists());
+    assert!(
+        bench.path("out/m/input=good/frames/frames.csv").is_file()
+            && !bench.path("out/m/input=bad/frames").exists()
+    );
     // Nothing that is finished runs again, and the failed variant fails again.
     let again = bench.run(&["run", "--json", "m.toml"]);
     let outcome: Value = serde_json::from_str(&again.stdout).expect("JSON");

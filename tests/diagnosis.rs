@@ -20,12 +20,21 @@ fn says(done: &Done, code: i32, parts: &[&str]) {
 fn data_without_a_picture_are_broken_and_reported() {
     let bench = Bench::new();
     let black = testing::captured(recordings::EXTENT, recordings::exposures(4), 30_000, |_, _, _| 0.0);
-    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
-    let content = RecordingContent { frames: Some(&black), sensor: Some(&text), ..RecordingContent::empty(recordings::EXTENT) };
+    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml"))
+        .expect("a sensor description");
+    let content = RecordingContent {
+        frames: Some(&black),
+        sensor: Some(&text),
+        ..RecordingContent::empty(recordings::EXTENT)
+    };
     recordings::write_content(&bench.path("black.h5"), &content);
     let done = bench.run(&["diagnose", "black.h5", "-o", "found"]);
     assert_eq!(done.code, 3, "{}", done.stderr);
-    assert!(done.stdout.starts_with("broken_data: ") && done.stdout.contains("hold no picture"), "{}", done.stdout);
+    assert!(
+        done.stdout.starts_with("broken_data: ") && done.stdout.contains("hold no picture"),
+        "{}",
+        done.stdout
+    );
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
     assert_eq!(report["verdict"], "broken_data");
 }
@@ -33,18 +42,24 @@ fn data_without_a_picture_are_broken_and_reported() {
 #[test]
 fn frames_alone_are_insufficient() {
     let bench = Bench::new();
-    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
+    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml"))
+        .expect("a sensor description");
     let frames = recordings::frames(4);
-    let content = RecordingContent { frames: Some(&frames), sensor: Some(&text), ..RecordingContent::empty(recordings::EXTENT) };
+    let content = RecordingContent {
+        frames: Some(&frames),
+        sensor: Some(&text),
+        ..RecordingContent::empty(recordings::EXTENT)
+    };
     recordings::write_content(&bench.path("frames.h5"), &content);
     let done = bench.run(&["diagnose", "frames.h5", "-o", "found"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     assert!(done.stdout.starts_with("insufficient: 0 events"), "{}", done.stdout);
 }
 
-/// A real camera. What was read off the clip otherwise: the camera's own triggers say that a readout of 260 rows takes 9.18 ms, 35.3 us a row, right after the exposure; no
-/// two events of a pixel and sign are closer than 0.97 ms; pixels that stand still have 2 to 4 ON events in a thousand seconds; events follow frames by milliseconds; held-out
-/// frames are predicted best with smaller thresholds.
+/// A real camera. What was read off the clip otherwise: the camera's own triggers say that a readout of 260
+/// rows takes 9.18 ms, 35.3 us a row, right after the exposure; no two events of a pixel and sign are closer
+/// than 0.97 ms; pixels that stand still have 2 to 4 ON events in a thousand seconds; events follow frames by
+/// milliseconds; held-out frames are predicted best with smaller thresholds.
 #[test]
 fn a_davis_camera_couples_leaks_is_blind_late_and_more_sensitive_than_stated() {
     let bench = Bench::new();
@@ -52,12 +67,23 @@ fn a_davis_camera_couples_leaks_is_blind_late_and_more_sensitive_than_stated() {
     let sheet = support::root().join("data/sensors/davis346_sheet.toml");
     let done = bench.run(&["diagnose", clip.to_str().expect("UTF-8"), "--direct"]);
     says(&done, 2, &["no sensor description", "--sensor"]);
-    let done = bench.run(&["diagnose", clip.to_str().expect("UTF-8"), "--direct", "--sensor", sheet.to_str().expect("UTF-8"), "-o", "found"]);
+    let done = bench.run(&[
+        "diagnose",
+        clip.to_str().expect("UTF-8"),
+        "--direct",
+        "--sensor",
+        sheet.to_str().expect("UTF-8"),
+        "-o",
+        "found",
+    ]);
     says(&done, 0, &["t = 0 is 1589163147364965 us on the clock of davis346_traffic.aedat4"]);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
     let effects = report["effects"].as_array().expect("effects");
     let number = |id: &str, key: &str| {
-        let effect = effects.iter().find(|effect| effect["id"] == id).unwrap_or_else(|| panic!("{id} in {}", report["summary"]));
+        let effect = effects
+            .iter()
+            .find(|effect| effect["id"] == id)
+            .unwrap_or_else(|| panic!("{id} in {}", report["summary"]));
         assert!(effect["evidence"]["heldout_nats"].as_f64().expect("a gain") > 30.0, "{effect}");
         effect["parameters"][key]["estimate"].as_f64().unwrap_or_else(|| panic!("{key} in {effect}"))
     };
@@ -75,21 +101,34 @@ fn a_davis_camera_couples_leaks_is_blind_late_and_more_sensitive_than_stated() {
     }
 }
 
-/// What was read off the clip without this program (data/README.md): events agree with frames best 5 ms later, the wait for a threshold included, and the log change for an event is 0.31 to 0.6.
+/// What was read off the clip without this program (data/README.md): events agree with frames best 5 ms
+/// later, the wait for a threshold included, and the log change for an event is 0.31 to 0.6.
 #[test]
 fn a_dim_davis_camera_is_late_more_sensitive_and_has_a_dark_current_where_held_out_frames_agree() {
     let bench = Bench::new();
     let pipeline = support::root().join("pipelines/cradle.toml");
     let found = |least_better_db: &str| -> Value {
         let set = format!("nodes.confirm.params.least_better_db={least_better_db}");
-        let done = bench.run(&["run", pipeline.to_str().expect("UTF-8"), "--to", "answer", "--set", &set, "--out", "found"]);
+        let done = bench.run(&[
+            "run",
+            pipeline.to_str().expect("UTF-8"),
+            "--to",
+            "answer",
+            "--set",
+            &set,
+            "--out",
+            "found",
+        ]);
         assert_eq!(done.code, 0, "{}", done.stderr);
         serde_json::from_str(&read(&bench, "found/answer/diagnosis.json")).expect("JSON")
     };
     let report = found("1.0");
     let number = |id: &str, key: &str| {
-        let effect = report["effects"].as_array().and_then(|all| all.iter().find(|effect| effect["id"] == id));
-        effect.and_then(|effect| effect["parameters"][key]["estimate"].as_f64()).unwrap_or_else(|| panic!("{id} in {}", report["summary"]))
+        let effect =
+            report["effects"].as_array().and_then(|all| all.iter().find(|effect| effect["id"] == id));
+        effect
+            .and_then(|effect| effect["parameters"][key]["estimate"].as_f64())
+            .unwrap_or_else(|| panic!("{id} in {}", report["summary"]))
     };
     assert!((1e-3..5e-3).contains(&number("clock_offset", "offset_s")));
     // The dark half of the clip is below 25 DN, and 1 is 1 DN.
@@ -97,19 +136,32 @@ fn a_dim_davis_camera_is_late_more_sensitive_and_has_a_dark_current_where_held_o
     // 0.28 to 0.4 for the stated 0.49 and 0.46, as a dark current leaves less to the thresholds.
     assert!((-0.43..-0.15).contains(&number("threshold_scale", "fraction")));
     let none = found("50.0");
-    let is_named = |id: &str| none["effects"].as_array().expect("effects").iter().any(|effect| effect["id"] == id);
-    assert!(!["clock_offset", "dark_current", "threshold_scale"].into_iter().any(is_named), "{}", none["summary"]);
+    let is_named =
+        |id: &str| none["effects"].as_array().expect("effects").iter().any(|effect| effect["id"] == id);
+    assert!(
+        !["clock_offset", "dark_current", "threshold_scale"].into_iter().any(is_named),
+        "{}",
+        none["summary"]
+    );
 }
 
 #[test]
 fn what_cannot_be_diagnosed_says_why() {
     let bench = Bench::new();
-    says(&bench.run(&["diagnose", "nowhere.h5"]), 2, &["nowhere.h5", "cannot read the recording", "docs/recordings.md"]);
+    says(
+        &bench.run(&["diagnose", "nowhere.h5"]),
+        2,
+        &["nowhere.h5", "cannot read the recording", "docs/recordings.md"],
+    );
     recordings::write(&bench.path("plain.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     says(&bench.run(&["diagnose", "plain.h5"]), 2, &["no sensor description", "--sensor"]);
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "none.toml"]), 2, &["none.toml", "cannot read"]);
     bench.write("empty.toml", "format = \"photocurrent-sensor/1\"\n");
-    says(&bench.run(&["diagnose", "plain.h5", "--sensor", "empty.toml"]), 2, &["comparator.threshold_on", "frames.gain", "photocurrent init"]);
+    says(
+        &bench.run(&["diagnose", "plain.h5", "--sensor", "empty.toml"]),
+        2,
+        &["comparator.threshold_on", "frames.gain", "photocurrent init"],
+    );
     assert!(!bench.path("out").exists(), "nothing is left behind");
 }
 
@@ -118,43 +170,95 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     let bench = Bench::new();
     let root = support::root();
     let recording = root.join("data/concealed/recordings/0ca5a116.h5");
-    let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1", "--cache", "of the command"]);
+    let done = bench.run(&[
+        "diagnose",
+        recording.to_str().expect("a path"),
+        "-o",
+        "command",
+        "--threads",
+        "1",
+        "--cache",
+        "of the command",
+    ]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
     let path = format!("nodes.recording.params.path={recording:?}");
     let named = "nodes.answer.params.recording=\"0ca5a116.h5\"";
-    let arguments = [manifest.as_str(), "--set", &path, "--set", named, "--out", "graph", "--threads", "2", "--to", "answer"];
+    let arguments = [
+        manifest.as_str(),
+        "--set",
+        &path,
+        "--set",
+        named,
+        "--out",
+        "graph",
+        "--threads",
+        "2",
+        "--to",
+        "answer",
+    ];
     assert!(executed(&bench.outcome(&arguments)).contains(&"confirm".to_string()));
     for name in ["diagnosis.json", "report.html", "sensor.fitted.toml"] {
         let there = bench.path(&format!("command/{name}")).exists();
         assert_eq!(bench.path(&format!("graph/answer/{name}")).exists(), there, "{name}");
         if there {
-            assert_eq!(read(&bench, &format!("graph/answer/{name}")), read(&bench, &format!("command/{name}")), "{name}");
+            assert_eq!(
+                read(&bench, &format!("graph/answer/{name}")),
+                read(&bench, &format!("command/{name}")),
+                "{name}"
+            );
         }
     }
     assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
     // The examination's stages have the same keys, so that only the judgement is left to do.
     let concealed = root.join("pipelines/diagnose/concealed.toml").display().to_string();
-    let examined = bench.outcome(&[&concealed, "--variant", "recording=0ca5a116", "--to", "right", "--out", "concealed"]);
+    let examined = bench.outcome(&[
+        &concealed,
+        "--variant",
+        "recording=0ca5a116",
+        "--to",
+        "right",
+        "--out",
+        "concealed",
+    ]);
     assert_eq!(executed(&examined), ["right"]);
-    let table = bench.run(&["table", "concealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
+    let table = bench.run(&[
+        "table",
+        "concealed",
+        "--rows",
+        "card.truth",
+        "--columns",
+        "card.said",
+        "--metric",
+        "count",
+        "--sum",
+    ]);
     assert_eq!(table.code, 0, "{}", table.stderr);
     assert!(table.stdout.contains("none"), "{}", table.stdout);
 }
 
-/// Another description than the recording's own, which also states the row time that the frames do not; the stages of an earlier run come from the cache.
+/// Another description than the recording's own, which also states the row time that the frames do not; the
+/// stages of an earlier run come from the cache.
 #[test]
 fn a_description_next_to_the_recording_counts_and_a_second_run_is_read_from_the_cache() {
     let bench = Bench::new();
-    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
+    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml"))
+        .expect("a sensor description");
     bench.write("mine.toml", &text);
     let frames = recordings::frames(4);
-    let content = RecordingContent { events: Some(&recordings::events()), frames: Some(&frames), ..RecordingContent::empty(recordings::EXTENT) };
+    let content = RecordingContent {
+        events: Some(&recordings::events()),
+        frames: Some(&frames),
+        ..RecordingContent::empty(recordings::EXTENT)
+    };
     recordings::write_content(&bench.path("plain.h5"), &content);
     let run = |out: &str| {
-        let done = bench.run(&["diagnose", "plain.h5", "--sensor", "mine.toml", "-o", out, "--progress", "json"]);
+        let done =
+            bench.run(&["diagnose", "plain.h5", "--sensor", "mine.toml", "-o", out, "--progress", "json"]);
         assert_eq!(done.code, 0, "{}", done.stderr);
-        let count = |end: &str| done.stderr.lines().filter(|line| line.contains(&format!("\"end\":\"{end}\""))).count();
+        let count = |end: &str| {
+            done.stderr.lines().filter(|line| line.contains(&format!("\"end\":\"{end}\""))).count()
+        };
         (count("done"), count("reused"), read(&bench, &format!("{out}/diagnosis.json")))
     };
     // In the same folder: the second report takes the place of the first.
@@ -163,16 +267,30 @@ fn a_description_next_to_the_recording_counts_and_a_second_run_is_read_from_the_
     // Files are written anew, and nothing else is done.
     assert!(second.0 <= 1 && second.0 + second.1 == first.0, "{second:?}");
     assert_eq!(first.2, second.2);
-    let names: Vec<_> = std::fs::read_dir(bench.path("found")).expect("the folder").flatten().map(|entry| entry.file_name()).collect();
-    assert!(names.iter().all(|name| ["diagnosis.json", "report.html", "sensor.fitted.toml"].iter().any(|own| name == own)), "{names:?}");
+    let names: Vec<_> = std::fs::read_dir(bench.path("found"))
+        .expect("the folder")
+        .flatten()
+        .map(|entry| entry.file_name())
+        .collect();
+    assert!(
+        names.iter().all(|name| ["diagnosis.json", "report.html", "sensor.fitted.toml"]
+            .iter()
+            .any(|own| name == own)),
+        "{names:?}"
+    );
 }
 
 #[test]
 fn a_cache_that_cannot_be_opened_is_reported_and_the_answer_comes_all_the_same() {
     let bench = Bench::new();
-    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
+    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml"))
+        .expect("a sensor description");
     let frames = recordings::frames(4);
-    let content = RecordingContent { frames: Some(&frames), sensor: Some(&text), ..RecordingContent::empty(recordings::EXTENT) };
+    let content = RecordingContent {
+        frames: Some(&frames),
+        sensor: Some(&text),
+        ..RecordingContent::empty(recordings::EXTENT)
+    };
     recordings::write_content(&bench.path("frames.h5"), &content);
     bench.write("occupied", "a file where a folder should be");
     let done = bench.run(&["diagnose", "frames.h5", "-o", "found", "--cache", "occupied"]);
@@ -180,7 +298,8 @@ fn a_cache_that_cannot_be_opened_is_reported_and_the_answer_comes_all_the_same()
     assert!(done.stdout.starts_with("insufficient"), "{}", done.stdout);
 }
 
-/// After `init` of these files as `my.toml`: `diagnose` ends in a report, with the description by itself and with the manifest, without an edit. The report by the manifest.
+/// After `init` of these files as `my.toml`: `diagnose` ends in a report, with the description by itself and
+/// with the manifest, without an edit. The report by the manifest.
 pub fn follows_init(bench: &Bench, files: &[&str]) -> Value {
     reported(bench, &[files, &["--sensor", "my.sensor.toml"]].concat());
     reported(bench, &["my.toml"])
@@ -190,16 +309,28 @@ pub fn follows_init(bench: &Bench, files: &[&str]) -> Value {
 fn reported(bench: &Bench, arguments: &[&str]) -> Value {
     let done = bench.run(&[&["diagnose"], arguments, &["-o", "found"]].concat());
     assert_eq!(done.code, 0, "{arguments:?}\n{}", done.stderr);
-    assert!(done.stdout.contains("not tested: time_constant") && bench.path("found/report.html").is_file(), "{}", done.stdout);
+    assert!(
+        done.stdout.contains("not tested: time_constant") && bench.path("found/report.html").is_file(),
+        "{}",
+        done.stdout
+    );
     let report: Value = serde_json::from_str(&read(bench, "found/diagnosis.json")).expect("JSON");
     let left_out = report["not_testable"].as_array().expect("a list");
     for id in ["time_constant", "threshold_mismatch"] {
-        let why = left_out.iter().find(|one| one["id"] == id).and_then(|one| one["why"].as_str()).unwrap_or_else(|| panic!("{id} in {report}"));
+        let why = left_out
+            .iter()
+            .find(|one| one["id"] == id)
+            .and_then(|one| one["why"].as_str())
+            .unwrap_or_else(|| panic!("{id} in {report}"));
         for part in ["front_end.tau_0 and front_end.alpha are not stated", "would add", "maker's sheet"] {
             assert!(why.contains(part), "`{part}` in {why}");
         }
     }
-    assert!(report["next_experiment"].to_string().contains("state front_end.tau_0 and front_end.alpha"), "{}", report["next_experiment"]);
+    assert!(
+        report["next_experiment"].to_string().contains("state front_end.tau_0 and front_end.alpha"),
+        "{}",
+        report["next_experiment"]
+    );
     report
 }
 
@@ -211,7 +342,12 @@ fn a_diagnosis_follows_init_on_real_clips() {
         let path = support::root().join(format!("data/recordings/{clip}.aedat4")).display().to_string();
         assert_eq!(bench.run(&["init", &path, "-o", "my.toml"]).code, 0, "{clip}");
         let report = reported(&bench, &[&path, "--sensor", "my.sensor.toml"]);
-        let ids: Vec<&str> = report["effects"].as_array().expect("effects").iter().filter_map(|effect| effect["id"].as_str()).collect();
+        let ids: Vec<&str> = report["effects"]
+            .as_array()
+            .expect("effects")
+            .iter()
+            .filter_map(|effect| effect["id"].as_str())
+            .collect();
         assert!(found.is_empty() || ids.contains(&found), "{clip}: {ids:?}");
         // Nothing is named that needs the front end.
         assert!(!ids.contains(&"time_constant") && !ids.contains(&"second_pole"), "{clip}: {ids:?}");
@@ -223,15 +359,23 @@ fn scores(bench: &Bench, folder: &str) -> BTreeMap<(String, String), f64> {
     let text = read(bench, &format!("{folder}/metrics.pooled.jsonl"));
     let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("a JSON object a line"));
     let text = |line: &Value, key: &str| line[key].as_str().expect("a text").to_string();
-    lines.map(|line| ((text(&line, "node"), text(&line, "metric")), line["value"].as_f64().expect("a number"))).collect()
+    lines
+        .map(|line| ((text(&line, "node"), text(&line, "metric")), line["value"].as_f64().expect("a number")))
+        .collect()
 }
 
 /// A fast texture, seen by a sensor that is blind for 50 us, and stated to be so for 700 us.
 fn hidden_refractory(more: &str) -> String {
     let path = support::root().join("data/sensors/hybrid.toml");
     let sensor = |name: &str, refractory: &str| {
-        let change = format!("comparator = {{ threshold_on = 0.1, threshold_off = 0.105 }}, readout = {{ refractory = \"{refractory}\" }}");
-        format!("[nodes.{name}]\nkind = \"read/sensor\"\nparams = {{ path = {path:?}, change = {{ {change} }} }}\n")
+        let change = format!(
+            "comparator = {{ threshold_on = 0.1, threshold_off = 0.105 }}, readout = \
+                              {{ refractory = \"{refractory}\" }}"
+        );
+        format!(
+            "[nodes.{name}]\nkind = \"read/sensor\"\nparams = \
+                 {{ path = {path:?}, change = {{ {change} }} }}\n"
+        )
     };
     let parts = [
         "format = 1\n[pipeline]\nseed = 1\n".into(),
@@ -239,7 +383,8 @@ fn hidden_refractory(more: &str) -> String {
         sensor("actual", "50 us"),
         "[nodes.scene]\nkind = \"simulate/scene\"\nin = { sensor = \"stated\" }\n".into(),
         "params = { scene = \"texture\", width = 40, height = 30, duration = \"60 ms\", illuminance = \"800 lx\", texture = { speed = 8.0 } }\n".into(),
-        "[nodes.recording]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"actual\" }\n".into(),
+        "[nodes.recording]\nkind = \"simulate/sensor\"\nin = \
+         { light = \"scene.light\", sensor = \"actual\" }\n".into(),
         more.into(),
     ];
     parts.concat()
@@ -252,14 +397,19 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     let diagnosis = format!(
         "[nodes.integrity]\nkind = \"diagnose/integrity\"\nin = {{ {streams}, sensor = \"stated\" }}\n\
          [nodes.confirm]\nkind = \"diagnose/confirm\"\nin = {{ {streams}, sensor = \"stated\", integrity = \"integrity.findings\" }}\n\
-         [nodes.answer]\nkind = \"write/diagnosis\"\nin = {{ report = \"confirm.report\", page = \"confirm.page\", sensor = \"confirm.sensor\" }}\n"
+         [nodes.answer]\nkind = \"write/diagnosis\"\nin = \
+                                  {{ report = \"confirm.report\", page = \"confirm.page\", sensor = \
+                                                \"confirm.sensor\" }}\n"
     );
     let manifest = bench.write("diagnosis.toml", &hidden_refractory(&diagnosis)).display().to_string();
     bench.outcome(&[&manifest]);
-    let report: Value = serde_json::from_str(&read(&bench, "out/diagnosis/answer/diagnosis.json")).expect("JSON");
+    let report: Value =
+        serde_json::from_str(&read(&bench, "out/diagnosis/answer/diagnosis.json")).expect("JSON");
     assert_eq!(report["summary"], "refractory");
     // Held-out frames agree better after than before.
-    let of = |when: &str| report["fit"]["heldout_frame_psnr_db"][when].as_f64().unwrap_or_else(|| panic!("{when} in {report}"));
+    let of = |when: &str| {
+        report["fit"]["heldout_frame_psnr_db"][when].as_f64().unwrap_or_else(|| panic!("{when} in {report}"))
+    };
     assert!(of("after") > of("before") + 3.0, "{report}");
     // The description that was written is read, simulates, and solves.
     let solved = |name: &str| {
@@ -272,13 +422,19 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
         )
     };
     let again = "[nodes.fitted]\nkind = \"read/sensor\"\nparams = { path = \"out/diagnosis/answer/sensor.fitted.toml\" }\n\
-                 [nodes.again]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"fitted\" }\n";
+                 [nodes.again]\nkind = \"simulate/sensor\"\nin = \
+                                         { light = \"scene.light\", sensor = \"fitted\" }\n";
     let proof = [again, &solved("stated"), &solved("fitted")].concat();
     let manifest = bench.write("proof.toml", &hidden_refractory(&proof)).display().to_string();
     assert!(executed(&bench.outcome(&[&manifest])).contains(&"again".to_string()));
     let scores = scores(&bench, "out/proof");
     let psnr = |name: &str| scores[&(format!("psnr_{name}"), "psnr_db".to_string())];
-    assert!(psnr("fitted") > psnr("stated") + 1.0, "{} dB fitted, {} dB nominal", psnr("fitted"), psnr("stated"));
+    assert!(
+        psnr("fitted") > psnr("stated") + 1.0,
+        "{} dB fitted, {} dB nominal",
+        psnr("fitted"),
+        psnr("stated")
+    );
 }
 
 #[test]
@@ -318,18 +474,36 @@ fn on_a_known_target_a_slower_front_end_has_its_name_and_size() {
     bench.write("star.toml", &STAR.replace("SENSORS", &sensors));
     let done = bench.run(&["run", "star.toml", "--out", "star"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
-    let target = "scene = \"siemens_disk\"\n[free]\n\"siemens_disk.speed\" = [\"270 rpm\", \"310 rpm\"]\nilluminance = [\"200 lx\", \"400 lx\"]\n";
+    let target = "scene = \"siemens_disk\"\n[free]\n\"siemens_disk.speed\" = [\"270 rpm\", \"310 \
+                  rpm\"]\nilluminance = [\"200 lx\", \"400 lx\"]\n";
     bench.write("target.toml", target);
     let sensor = format!("{sensors}/hybrid.toml");
-    let diagnose = |target: &str| bench.run(&["diagnose", "star/file/recording.h5", "--sensor", &sensor, "--scene", target, "-o", "found"]);
+    let diagnose = |target: &str| {
+        bench.run(&[
+            "diagnose",
+            "star/file/recording.h5",
+            "--sensor",
+            &sensor,
+            "--scene",
+            target,
+            "-o",
+            "found",
+        ])
+    };
     let done = diagnose("target.toml");
     says(&done, 0, &["siemens_disk.speed = 29", "illuminance = "]);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
     assert_eq!(report["effects"][0]["id"], "time_constant", "{}", report["summary"]);
-    let alpha = report["effects"][0]["parameters"]["alpha_s"]["estimate"].as_f64().unwrap_or_else(|| panic!("{}", report["effects"][0]));
+    let alpha = report["effects"][0]["parameters"]["alpha_s"]["estimate"]
+        .as_f64()
+        .unwrap_or_else(|| panic!("{}", report["effects"][0]));
     assert!((alpha / 24e-3 - 1.0).abs() < 0.05, "{alpha}");
     bench.write("wrong.toml", "scene = \"siemens_disk\"\nsiemens_disk = { spoke = 8 }\n");
-    says(&diagnose("wrong.toml"), 2, &["wrong.toml:2", "`siemens_disk.spoke` is no parameter", "diagnose/target"]);
+    says(
+        &diagnose("wrong.toml"),
+        2,
+        &["wrong.toml:2", "`siemens_disk.spoke` is no parameter", "diagnose/target"],
+    );
     bench.write("range.toml", "scene = \"siemens_disk\"\nfree = { start = [\"2 ms\", \"1 ms\"] }\n");
     says(&diagnose("range.toml"), 2, &["range.toml", "the range of `start`", "same unit"]);
     says(&diagnose("none.toml"), 2, &["none.toml", "cannot read the scene"]);

@@ -1,7 +1,10 @@
-//! A small recording with known light: a bright disc crosses a striped ramp, 96 x 72 pixels, 0.3 s; and writers of the files that people have.
+//! A small recording with known light: a bright disc crosses a striped ramp, 96 x 72 pixels, 0.3 s; and
+//! writers of the files that people have.
 //!
-//! Events have a threshold of 0.25 in log(1 + light) and exact times; frames of 10 ms begin every 20 ms, from 2 ms on, in 8 bits. No event lies below row 63 or above row 22: the disc does not
-//! reach them. [`score`] compares rendered frames with the light, in rows 20 to 65; frames are read as sRGB there, as `init` proposes for 8 bits.
+//! Events have a threshold of 0.25 in log(1 + light) and exact times; frames of 10 ms begin every 20 ms, from
+//! 2 ms on, in 8 bits. No event lies below row 63 or above row 22: the disc does not reach them. [`score`]
+//! compares rendered frames with the light, in rows 20 to 65; frames are read as sRGB there, as `init`
+//! proposes for 8 bits.
 
 #![allow(clippy::unwrap_used)]
 
@@ -47,7 +50,10 @@ pub struct Disc {
 /// Light of every pixel at an instant, 8-bit values as an sRGB picture has them.
 pub fn light(t_s: f64) -> Vec<f64> {
     let (width, height) = (WIDTH as f64, HEIGHT as f64);
-    let centre = ((0.15 * width + 400.0 * t_s).rem_euclid(1.2 * width) - 0.1 * width, 0.5 * height + 0.2 * height * libm::sin(6.0 * t_s));
+    let centre = (
+        (0.15 * width + 400.0 * t_s).rem_euclid(1.2 * width) - 0.1 * width,
+        0.5 * height + 0.2 * height * libm::sin(6.0 * t_s),
+    );
     let at = |i: usize| {
         let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
         let ground = 40.0 + 60.0 * (x / width) + 30.0 * libm::sin(y / 5.0);
@@ -89,11 +95,19 @@ fn events() -> Vec<Event> {
         before = now;
     }
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
-    all.into_iter().map(|(t, pixel, is_on)| Event { t_us: t.round() as i64, x: (pixel % WIDTH) as u16, y: (pixel / WIDTH) as u16, is_on }).collect()
+    all.into_iter()
+        .map(|(t, pixel, is_on)| Event {
+            t_us: t.round() as i64,
+            x: (pixel % WIDTH) as u16,
+            y: (pixel / WIDTH) as u16,
+            is_on,
+        })
+        .collect()
 }
 
 fn frames() -> Frames {
-    let starts_us: Vec<i64> = (0..).map(|l| OPEN_US + l * PERIOD_US).take_while(|start| *start < LENGTH_US - EXPOSURE_US).collect();
+    let starts_us: Vec<i64> =
+        (0..).map(|l| OPEN_US + l * PERIOD_US).take_while(|start| *start < LENGTH_US - EXPOSURE_US).collect();
     let mean = |start: &i64| {
         const PARTS: usize = 20;
         let mut sum = vec![0.0; WIDTH * HEIGHT];
@@ -111,7 +125,12 @@ fn frames() -> Frames {
 fn npy<T: Copy>(kind: &str, values: &[T], bytes: impl Fn(T) -> Vec<u8>) -> Vec<u8> {
     let head = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({},), }}", values.len());
     let padded = format!("{head:<117}\n");
-    b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(values.iter().flat_map(|value| bytes(*value))).collect()
+    b"\x93NUMPY\x01\x00\x76\x00"
+        .iter()
+        .copied()
+        .chain(padded.bytes())
+        .chain(values.iter().flat_map(|value| bytes(*value)))
+        .collect()
 }
 
 /// A zip archive of members that are stored as they are.
@@ -121,7 +140,15 @@ pub fn zip(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
         let mut crc = flate2::Crc::new();
         crc.update(bytes);
         let size = (bytes.len() as u32).to_le_bytes();
-        let common = [&[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..], &crc.sum().to_le_bytes(), &size, &size, &(name.len() as u16).to_le_bytes(), &[0, 0]].concat();
+        let common = [
+            &[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..],
+            &crc.sum().to_le_bytes(),
+            &size,
+            &size,
+            &(name.len() as u16).to_le_bytes(),
+            &[0, 0],
+        ]
+        .concat();
         let at = (out.len() as u32).to_le_bytes();
         directory.extend([&b"PK\x01\x02\x14\x00"[..], &common, &[0; 10], &at, name.as_bytes()].concat());
         out.extend([&b"PK\x03\x04"[..], &common, name.as_bytes(), bytes].concat());
@@ -141,8 +168,12 @@ pub fn npz(path: &Path, events: &[Event]) {
 
 /// The same with a column of polarity of its own.
 pub fn npz_with(path: &Path, events: &[Event], polarity: &[u8]) {
-    let wide = |of: fn(&Event) -> i64| npy("<i8", &events.iter().map(of).collect::<Vec<_>>(), |value: i64| value.to_le_bytes().to_vec());
-    let short = |of: fn(&Event) -> u16| npy("<u2", &events.iter().map(of).collect::<Vec<_>>(), |value: u16| value.to_le_bytes().to_vec());
+    let wide = |of: fn(&Event) -> i64| {
+        npy("<i8", &events.iter().map(of).collect::<Vec<_>>(), |value: i64| value.to_le_bytes().to_vec())
+    };
+    let short = |of: fn(&Event) -> u16| {
+        npy("<u2", &events.iter().map(of).collect::<Vec<_>>(), |value: u16| value.to_le_bytes().to_vec())
+    };
     let members = [
         ("t.npy", wide(|event| event.t_us)),
         ("x.npy", short(|event| event.x)),
@@ -175,30 +206,49 @@ fn linear(value: f64) -> f64 {
     if value <= 0.04045 { value / 12.92 } else { libm::pow((value + 0.055) / 1.055, 2.4) }
 }
 
-/// PSNR of every fifth rendered frame against the light, dB, with a peak of 255; rows 20 to 65. `zero_s` is the scene's time at the run's zero.
+/// PSNR of every fifth rendered frame against the light, dB, with a peak of 255; rows 20 to 65. `zero_s` is
+/// the scene's time at the run's zero.
 pub fn score(folder: &Path, zero_s: f64) -> f64 {
     let table = fs::read_to_string(folder.join("frames.csv")).unwrap();
     let lines: Vec<&str> = table.lines().filter(|line| !line.starts_with('#')).collect();
     let names: Vec<&str> = lines[0].split(',').collect();
     let comment = table.lines().next().unwrap();
-    let number = |key: &str| comment.split(key).nth(1).and_then(|rest| rest.split(';').next()).and_then(|text| text.trim().parse::<f64>().ok());
+    let number = |key: &str| {
+        comment
+            .split(key)
+            .nth(1)
+            .and_then(|rest| rest.split(';').next())
+            .and_then(|text| text.trim().parse::<f64>().ok())
+    };
     let column = |name: &str| names.iter().position(|known| *known == name);
     let (mut square, mut count) = (0.0, 0.0);
     for line in lines[1..].iter().step_by(5) {
         let cells: Vec<&str> = line.split(',').collect();
         let cell = |name: &str| column(name).map(|at| cells[at]);
-        let value = |name: &str, key: &str| cell(name).map_or_else(|| number(key).unwrap_or(0.0), |text| text.parse().unwrap());
+        let value = |name: &str, key: &str| {
+            cell(name).map_or_else(|| number(key).unwrap_or(0.0), |text| text.parse().unwrap())
+        };
         let (scale, offset) = (value("scale_dn", "scale="), value("offset_dn", "offset="));
         let t_s = cell("t_mid_ns").unwrap().parse::<i64>().unwrap() as f64 * 1e-9 + zero_s;
         let truth = light(t_s);
-        let mut reader = png::Decoder::new(BufReader::new(fs::File::open(folder.join(cell("file").unwrap())).unwrap())).read_info().unwrap();
+        let mut reader =
+            png::Decoder::new(BufReader::new(fs::File::open(folder.join(cell("file").unwrap())).unwrap()))
+                .read_info()
+                .unwrap();
         let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut bytes).unwrap();
         let channels = info.color_type.samples();
-        let stored: Vec<f64> = bytes.chunks_exact(2).map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]]))).collect();
+        let stored: Vec<f64> =
+            bytes.chunks_exact(2).map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]]))).collect();
         let times = info.width as usize / WIDTH;
-        let row = |pixel: usize, down: usize| ((pixel / WIDTH * times + down) * WIDTH + pixel % WIDTH) * times * channels;
-        let sum = |pixel: usize| (0..times).map(|down| stored[row(pixel, down)..][..times * channels].iter().sum::<f64>()).sum::<f64>();
+        let row = |pixel: usize, down: usize| {
+            ((pixel / WIDTH * times + down) * WIDTH + pixel % WIDTH) * times * channels
+        };
+        let sum = |pixel: usize| {
+            (0..times)
+                .map(|down| stored[row(pixel, down)..][..times * channels].iter().sum::<f64>())
+                .sum::<f64>()
+        };
         let grey = |pixel: usize| sum(pixel) / (times * times * channels) as f64;
         for pixel in 20 * WIDTH..66 * WIDTH {
             let error = grey(pixel) * scale + offset - 255.0 * linear(truth[pixel] / 255.0);

@@ -18,7 +18,8 @@ fn output(name: &str) -> String {
 #[test]
 fn one_pixel_brightens_with_its_events() {
     let printed = output("one_pixel");
-    let light: Vec<f64> = printed.lines().map(|line| line.split_whitespace().last().unwrap().parse().unwrap()).collect();
+    let light: Vec<f64> =
+        printed.lines().map(|line| line.split_whitespace().last().unwrap().parse().unwrap()).collect();
     // Frames of 4 ms: 200 DN at first, 420 DN at last.
     assert!(light.len() > 4 && light[light.len() - 1] > 1.7 * light[0], "{printed}");
 }
@@ -26,13 +27,17 @@ fn one_pixel_brightens_with_its_events() {
 #[test]
 fn any_file_is_counted() {
     let printed = output("read_any_file");
-    assert!(printed.starts_with("data/recordings/davis346_traffic.aedat4: ") && printed.contains(" events, "), "{printed}");
+    assert!(
+        printed.starts_with("data/recordings/davis346_traffic.aedat4: ") && printed.contains(" events, "),
+        "{printed}"
+    );
 }
 
 #[test]
 fn a_simulated_pixel_is_estimated_closely() {
     let printed = output("simulate_and_solve");
-    let rms: f64 = printed.split(": log light to ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    let rms: f64 =
+        printed.split(": log light to ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     // A tenth of a threshold.
     assert!(rms < 0.02, "{printed}");
 }
@@ -40,6 +45,7 @@ fn a_simulated_pixel_is_estimated_closely() {
 #[test]
 fn a_node_of_ones_own_runs_in_a_pipeline() {
     let printed = output("own_node");
-    let levels: Vec<f64> = printed.lines().map(|line| line.split_whitespace().nth(2).unwrap().parse().unwrap()).collect();
+    let levels: Vec<f64> =
+        printed.lines().map(|line| line.split_whitespace().nth(2).unwrap().parse().unwrap()).collect();
     assert!(levels.len() > 2 && levels.iter().all(|dn| (1.0..255.0).contains(dn)), "{printed}");
 }

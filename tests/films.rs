@@ -1,4 +1,5 @@
-//! Films and photos as light, through the command: which change of the pictures runs what again, and that bands and threads are no part of a result.
+//! Films and photos as light, through the command: which change of the pictures runs what again, and that
+//! bands and threads are no part of a result.
 
 use crate::support::{Bench, digests, executed, root};
 use std::path::Path;
@@ -10,7 +11,9 @@ fn picture(path: &Path, shift: u32) {
     let file = std::fs::File::create(path).expect("a picture");
     let mut encoder = png::Encoder::new(file, SIZE.0, SIZE.1);
     encoder.set_color(png::ColorType::Grayscale);
-    let values: Vec<u8> = (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (60 + 5 * ((x + shift) % 24) + 4 * y) as u8)).collect();
+    let values: Vec<u8> = (0..SIZE.1)
+        .flat_map(|y| (0..SIZE.0).map(move |x| (60 + 5 * ((x + shift) % 24) + 4 * y) as u8))
+        .collect();
     encoder.write_header().and_then(|mut writer| writer.write_image_data(&values)).expect("its pixels");
 }
 
@@ -77,7 +80,11 @@ fn light_from_pictures_does_not_depend_on_threads_or_the_height_of_bands() {
         digests(&outcome)
     };
     let expected = run(&["--threads", "1"]);
-    assert!(expected.contains_key("seen.events") && expected.contains_key("snapped.events"), "{:?}", expected.keys());
+    assert!(
+        expected.contains_key("seen.events") && expected.contains_key("snapped.events"),
+        "{:?}",
+        expected.keys()
+    );
     for rows in ["1", "5"] {
         assert_eq!(run(&["--threads", "2", "--band-rows", rows]), expected, "bands of {rows} rows");
     }

@@ -1,13 +1,16 @@
-//! The first two commands of a new user, for files of every kind: `init`, then `run`, without an edit, gives frames sharper than those captured.
+//! The first two commands of a new user, for files of every kind: `init`, then `run`, without an edit, gives
+//! frames sharper than those captured.
 //!
-//! One made-up recording (a texture that slides four pixels within an exposure) is written as each dataset lays it out. What comes back is held against the true
-//! light of the scene.
+//! One made-up recording (a texture that slides four pixels within an exposure) is written as each dataset
+//! lays it out. What comes back is held against the true light of the scene.
 
 #![allow(clippy::unwrap_used)]
 
 use crate::disc::zip;
 use crate::support::{Bench, root};
-use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, compressed_image, db3, event_array, image};
+use photocurrent_formats::ros::testing::{
+    BagWriter, Packing, Wire, compressed_image, db3, event_array, image,
+};
 use photocurrent_formats::{EventChunk, aedat3::made as made3, aedat4::made, catalog, joined};
 use photocurrent_store::recording::Recording;
 use std::fmt::Write as _;
@@ -78,13 +81,23 @@ fn read(path: &Path) -> Scene {
     let opened = joined::open(catalog::named("recording").unwrap(), path, &Default::default()).unwrap();
     let mut cursor = opened.events().unwrap();
     while cursor.next(&mut chunk).unwrap() {
-        events.extend((0..chunk.len()).map(|i| (chunk.t[i] / 1000 + 1_000_000, chunk.x[i], chunk.y[i], chunk.on[i] != 0)));
+        events.extend(
+            (0..chunk.len())
+                .map(|i| (chunk.t[i] / 1000 + 1_000_000, chunk.x[i], chunk.y[i], chunk.on[i] != 0)),
+        );
     }
     Scene {
         events,
-        frames: (0..frames.len()).map(|l| (frames.meta.times.exposures[l].start.0 / 1000 + 1_000_000, codes(block.frame(l)))).collect(),
+        frames: (0..frames.len())
+            .map(|l| (frames.meta.times.exposures[l].start.0 / 1000 + 1_000_000, codes(block.frame(l))))
+            .collect(),
         truth: (0..truth.len())
-            .map(|l| (truth.meta.times.exposures[l].mid().0 / 1000 + 1_000_000, true_block.frame(l).iter().map(|dn| f64::from(*dn) * scale).collect()))
+            .map(|l| {
+                (
+                    truth.meta.times.exposures[l].mid().0 / 1000 + 1_000_000,
+                    true_block.frame(l).iter().map(|dn| f64::from(*dn) * scale).collect(),
+                )
+            })
             .collect(),
     }
 }
@@ -123,21 +136,37 @@ fn psnr(frames: &[(i64, Vec<f64>)]) -> f64 {
 /// The rendered frames of a run: middle in us since the first event or exposure, linear values.
 fn rendered(folder: &Path) -> Vec<(i64, Vec<f64>)> {
     let table = fs::read_to_string(folder.join("frames.csv")).unwrap();
-    let scale: f64 = table.lines().next().unwrap().split("scale=").nth(1).unwrap().split(';').next().unwrap().parse().unwrap();
+    let scale: f64 = table
+        .lines()
+        .next()
+        .unwrap()
+        .split("scale=")
+        .nth(1)
+        .unwrap()
+        .split(';')
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
     let rows = table.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
     let frame = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
-        let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(folder.join(cells[4])).unwrap()));
+        let decoder =
+            png::Decoder::new(std::io::BufReader::new(fs::File::open(folder.join(cells[4])).unwrap()));
         let mut reader = decoder.read_info().unwrap();
         let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut bytes).unwrap();
-        let values = bytes.chunks_exact(2).map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]])) * scale).collect();
+        let values = bytes
+            .chunks_exact(2)
+            .map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]])) * scale)
+            .collect();
         (cells[3].parse::<i64>().unwrap() / 1000, values)
     };
     rows.map(frame).collect()
 }
 
-/// `init` and `run` on files in a bench; the frames must be nearer to the truth than repeating the captured ones, by a good margin.
+/// `init` and `run` on files in a bench; the frames must be nearer to the truth than repeating the captured
+/// ones, by a good margin.
 fn two_commands(bench: &Bench, files: &[&str], options: &[&str]) {
     let mut arguments = vec!["init"];
     arguments.extend(files);
@@ -151,26 +180,48 @@ fn two_commands(bench: &Bench, files: &[&str], options: &[&str]) {
     assert_eq!(done.code, 0, "{}\n{manifest}", done.stderr);
     let scene = scene();
     let zero = scene.events[0].0.min(scene.frames[0].0);
-    let ours: Vec<(i64, Vec<f64>)> = rendered(&bench.path("out/my/frames")).into_iter().map(|(t, values)| (t + zero, values)).collect();
-    let captured = |t: i64| scene.frames.iter().min_by_key(|(start, _)| (start + EXPOSURE_US / 2 - t).abs()).unwrap();
-    let repeated: Vec<(i64, Vec<f64>)> = ours.iter().map(|(t, _)| (*t, captured(*t).1.iter().map(|code| f64::from(*code)).collect())).collect();
+    let ours: Vec<(i64, Vec<f64>)> =
+        rendered(&bench.path("out/my/frames")).into_iter().map(|(t, values)| (t + zero, values)).collect();
+    let captured =
+        |t: i64| scene.frames.iter().min_by_key(|(start, _)| (start + EXPOSURE_US / 2 - t).abs()).unwrap();
+    let repeated: Vec<(i64, Vec<f64>)> = ours
+        .iter()
+        .map(|(t, _)| (*t, captured(*t).1.iter().map(|code| f64::from(*code)).collect()))
+        .collect();
     let (ours, repeated) = (psnr(&ours), psnr(&repeated));
-    // Half the error at least: a shift of a frame period, a wrong curve or events of the wrong sign all fall below.
-    assert!(ours > repeated + 3.0, "sharp frames have {ours:.1} dB, captured ones {repeated:.1} dB\n{manifest}");
-    assert!(bench.path("out/my/sheet/contact_sheet.png").is_file() && bench.path("out/my/frames/preview").is_dir(), "there is something to look at");
+    // Half the error at least: a shift of a frame period, a wrong curve or events of the wrong sign all fall
+    // below.
+    assert!(
+        ours > repeated + 3.0,
+        "sharp frames have {ours:.1} dB, captured ones {repeated:.1} \
+                                    dB\n{manifest}"
+    );
+    assert!(
+        bench.path("out/my/sheet/contact_sheet.png").is_file()
+            && bench.path("out/my/frames/preview").is_dir(),
+        "there is something to look at"
+    );
     // And the third command.
     let report = crate::diagnosis::follows_init(bench, files);
-    assert_eq!(report["effects"].as_array().map(Vec::len), Some(0), "nothing is wrong with this sensor: {}", report["summary"]);
+    assert_eq!(
+        report["effects"].as_array().map(Vec::len),
+        Some(0),
+        "nothing is wrong with this sensor: {}",
+        report["summary"]
+    );
 }
 
-/// What this test knows of the scene and a dataset does not record; a user knows it too, or looks at the marked lines.
+/// What this test knows of the scene and a dataset does not record; a user knows it too, or looks at the
+/// marked lines.
 const KNOWN: [&str; 6] = ["--exposure", "8 ms", "--stamp", "start", "--transfer", "linear"];
 
 #[test]
 fn a_folder_of_the_event_camera_dataset() {
     let bench = Bench::new();
     let mut text = String::new();
-    scene().events.iter().for_each(|(t, x, y, on)| writeln!(text, "{}.{:06} {x} {y} {}", t / 1_000_000, t % 1_000_000, u8::from(*on)).unwrap());
+    scene().events.iter().for_each(|(t, x, y, on)| {
+        writeln!(text, "{}.{:06} {x} {y} {}", t / 1_000_000, t % 1_000_000, u8::from(*on)).unwrap()
+    });
     bench.write("clip/events.txt", &text);
     let mut list = String::new();
     for (l, (t, codes)) in scene().frames.iter().enumerate() {
@@ -221,10 +272,13 @@ fn an_evt3_file_with_a_folder_of_pictures() {
 #[test]
 fn an_aedat4_file() {
     let bench = Bench::new();
-    let events: Vec<(i64, i16, i16, u8)> = scene().events.iter().map(|(t, x, y, on)| (*t, *x as i16, *y as i16, u8::from(*on))).collect();
+    let events: Vec<(i64, i16, i16, u8)> =
+        scene().events.iter().map(|(t, x, y, on)| (*t, *x as i16, *y as i16, u8::from(*on))).collect();
     let mut pieces: Vec<made::Piece> = events.chunks(1000).map(|part| made::events(0, part)).collect();
     let size = (WIDTH as i16, HEIGHT as i16);
-    pieces.extend(scene().frames.iter().map(|(t, codes)| made::frame(1, *t, (*t, t + EXPOSURE_US), 0, size, codes)));
+    pieces.extend(
+        scene().frames.iter().map(|(t, codes)| made::frame(1, *t, (*t, t + EXPOSURE_US), 0, size, codes)),
+    );
     let streams = [("EVTS", WIDTH as u32, HEIGHT as u32), ("FRME", WIDTH as u32, HEIGHT as u32)];
     fs::write(bench.path("clip.aedat4"), made::file(made::How::Lz4, &streams, &pieces, true)).unwrap();
     // Everything is recorded.
@@ -235,7 +289,10 @@ fn an_aedat4_file() {
 fn a_bag_of_ros() {
     let bench = Bench::new();
     let mut bag = BagWriter::new(Packing::None);
-    let (events, images) = (bag.connect("/dvs/events", "dvs_msgs/EventArray"), bag.connect("/dvs/image_raw", "sensor_msgs/Image"));
+    let (events, images) = (
+        bag.connect("/dvs/events", "dvs_msgs/EventArray"),
+        bag.connect("/dvs/image_raw", "sensor_msgs/Image"),
+    );
     let size = (WIDTH as u32, HEIGHT as u32);
     for part in scene().events.chunks(500) {
         let part: Vec<Event> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
@@ -253,14 +310,21 @@ fn a_bag_of_ros() {
 fn a_bag_of_ros_with_compressed_pictures() {
     let bench = Bench::new();
     let mut bag = BagWriter::new(Packing::Lz4);
-    let (events, images) = (bag.connect("/dvs/events", "dvs_msgs/EventArray"), bag.connect("/dvs/image_raw/compressed", "sensor_msgs/CompressedImage"));
+    let (events, images) = (
+        bag.connect("/dvs/events", "dvs_msgs/EventArray"),
+        bag.connect("/dvs/image_raw/compressed", "sensor_msgs/CompressedImage"),
+    );
     for part in scene().events.chunks(500) {
         let part: Vec<Event> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
         let last = part.last().unwrap().0;
         bag.message(events, last, &event_array(Wire::Ros1, last, (WIDTH as u32, HEIGHT as u32), &part));
     }
     for (t, codes) in &scene().frames {
-        bag.message(images, t * 1000, &compressed_image(Wire::Ros1, t * 1000, "mono8; png compressed ", &png(codes)));
+        bag.message(
+            images,
+            t * 1000,
+            &compressed_image(Wire::Ros1, t * 1000, "mono8; png compressed ", &png(codes)),
+        );
     }
     fs::write(bench.path("clip.bag"), bag.finish().unwrap()).unwrap();
     two_commands(&bench, &["clip.bag"], &KNOWN);
@@ -285,7 +349,11 @@ fn a_bag_of_ros_2_in_sqlite_as_a_file_and_as_a_folder() {
     two_commands(&bench, &["clip.db3"], &KNOWN);
     // The same, split as a long recording is.
     let (first, second) = messages.split_at(messages.len() / 2);
-    bench.write("bag/metadata.yaml", "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - bag_0.db3\n    - bag_1.db3\n");
+    bench.write(
+        "bag/metadata.yaml",
+        "rosbag2_bagfile_information:\n  version: 5\n  \
+                                      relative_file_paths:\n    - bag_0.db3\n    - bag_1.db3\n",
+    );
     fs::write(bench.path("bag/bag_0.db3"), db3(&topics, first).unwrap()).unwrap();
     fs::write(bench.path("bag/bag_1.db3"), db3(&topics, second).unwrap()).unwrap();
     fs::remove_file(bench.path("my.toml")).unwrap();
@@ -327,7 +395,8 @@ fn a_sequence_of_hs_ergb() {
         let from = if l == 0 { i64::MIN } else { *t };
         let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
         let part: Vec<_> = scene().events.iter().filter(|event| (from..to).contains(&event.0)).collect();
-        let column = |of: &dyn Fn(&Event) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
+        let column =
+            |of: &dyn Fn(&Event) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
         let bytes = zip(&[
             ("x.npy", column(&|event| 32 * i64::from(event.1))),
             ("y.npy", column(&|event| 32 * i64::from(event.2))),
@@ -351,27 +420,72 @@ fn unknowns_are_proposed_and_marked_and_the_manifest_runs_all_the_same() {
         write_png(&bench.path(&format!("frames/{l}.png")), codes);
     }
     bench.write("stamps.txt", &stamps);
-    let done = bench.run(&["init", "events.csv", "frames", "stamps.txt", "-o", "my.toml", "--time-unit", "us"]);
+    let done =
+        bench.run(&["init", "events.csv", "frames", "stamps.txt", "-o", "my.toml", "--time-unit", "us"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
-    let (manifest, sensor) = (fs::read_to_string(bench.path("my.toml")).unwrap(), fs::read_to_string(bench.path("my.sensor.toml")).unwrap());
+    let (manifest, sensor) = (
+        fs::read_to_string(bench.path("my.toml")).unwrap(),
+        fs::read_to_string(bench.path("my.sensor.toml")).unwrap(),
+    );
     for name in ["exposure", "stamp", "row_time", "transfer"] {
-        let line = manifest.lines().find(|line| line.starts_with(&format!("{name} ="))).unwrap_or_else(|| panic!("{name} stands in\n{manifest}"));
+        let line = manifest
+            .lines()
+            .find(|line| line.starts_with(&format!("{name} =")))
+            .unwrap_or_else(|| panic!("{name} stands in\n{manifest}"));
         assert!(line.contains("# FILL: "), "{line}");
     }
-    assert!(sensor.lines().any(|line| line.starts_with("threshold_on =") && line.contains("# FILL: ")), "{sensor}");
+    assert!(
+        sensor.lines().any(|line| line.starts_with("threshold_on =") && line.contains("# FILL: ")),
+        "{sensor}"
+    );
     assert_eq!(bench.run(&["run", "my.toml", "--quiet"]).code, 0);
     // By the files alone a reader needs what the manifest states: its name, or the options.
     fs::copy(bench.path("my.sensor.toml"), bench.path("other.toml")).unwrap();
-    let files = ["diagnose", "events.csv", "frames", "stamps.txt", "--sensor", "other.toml", "--direct", "-o", "found", "--time-unit", "us"];
+    let files = [
+        "diagnose",
+        "events.csv",
+        "frames",
+        "stamps.txt",
+        "--sensor",
+        "other.toml",
+        "--direct",
+        "-o",
+        "found",
+        "--time-unit",
+        "us",
+    ];
     let done = bench.run(&files);
-    assert!(done.code == 2 && done.stderr.contains("photocurrent diagnose my.toml") && done.stderr.contains("state it: --"), "{}", done.stderr);
+    assert!(
+        done.code == 2
+            && done.stderr.contains("photocurrent diagnose my.toml")
+            && done.stderr.contains("state it: --"),
+        "{}",
+        done.stderr
+    );
     let done = bench.run(&[&files[..], &KNOWN, &["--row-time", "0 us"]].concat());
     assert_eq!(done.code, 0, "{}", done.stderr);
     // Next to its manifest the description is enough.
-    let done = bench.run(&["diagnose", "events.csv", "frames", "stamps.txt", "--sensor", "my.sensor.toml", "--direct", "-o", "found"]);
+    let done = bench.run(&[
+        "diagnose",
+        "events.csv",
+        "frames",
+        "stamps.txt",
+        "--sensor",
+        "my.sensor.toml",
+        "--direct",
+        "-o",
+        "found",
+    ]);
     assert_eq!(done.code, 0, "{}", done.stderr);
-    let note = done.stderr.lines().find(|line| line.ends_with(" as in my.toml")).unwrap_or_else(|| panic!("{}", done.stderr));
-    assert!(["time_unit", "exposure", "stamp", "row_time", "transfer"].iter().all(|name| note.contains(name)), "{note}");
+    let note = done
+        .stderr
+        .lines()
+        .find(|line| line.ends_with(" as in my.toml"))
+        .unwrap_or_else(|| panic!("{}", done.stderr));
+    assert!(
+        ["time_unit", "exposure", "stamp", "row_time", "transfer"].iter().all(|name| note.contains(name)),
+        "{note}"
+    );
     // Nothing is overwritten unasked.
     let again = bench.run(&["init", "events.csv", "frames", "stamps.txt", "-o", "my.toml"]);
     assert!(again.code == 2 && again.stderr.contains("--force"), "{}", again.stderr);
@@ -390,13 +504,27 @@ fn what_is_converted_there_and_back_is_the_same() {
     }
     // Our own recording begins at zero; a part of it is what the text says of that part.
     assert_eq!(bench.run(&["convert", "a.csv", "d.h5"]).code, 0);
-    assert_eq!(bench.run(&["convert", "d.h5", "e.csv", "--crop", "8,4,20,10", "--start", "20 ms", "--end", "60 ms"]).code, 0);
+    assert_eq!(
+        bench
+            .run(&["convert", "d.h5", "e.csv", "--crop", "8,4,20,10", "--start", "20 ms", "--end", "60 ms"])
+            .code,
+        0
+    );
     let zero = scene().events[0].0;
-    let inside = |event: &&Event| (20_000..60_000).contains(&(event.0 - zero)) && (8..28).contains(&event.1) && (4..14).contains(&event.2);
-    let expected: Vec<String> =
-        scene().events.iter().filter(inside).map(|(t, x, y, on)| format!("{},{},{},{}", t - zero, x - 8, y - 4, u8::from(*on))).collect();
+    let inside = |event: &&Event| {
+        (20_000..60_000).contains(&(event.0 - zero))
+            && (8..28).contains(&event.1)
+            && (4..14).contains(&event.2)
+    };
+    let expected: Vec<String> = scene()
+        .events
+        .iter()
+        .filter(inside)
+        .map(|(t, x, y, on)| format!("{},{},{},{}", t - zero, x - 8, y - 4, u8::from(*on)))
+        .collect();
     let part = fs::read_to_string(bench.path("e.csv")).unwrap();
-    let found: Vec<&str> = part.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit())).collect();
+    let found: Vec<&str> =
+        part.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit())).collect();
     assert_eq!(found, expected);
     assert!(!expected.is_empty());
 }

@@ -1,7 +1,9 @@
-//! Changed files of every format through the two commands of a new user, `init` and `run`: no panic, no abort, no endless work, whatever the files hold.
+//! Changed files of every format through the two commands of a new user, `init` and `run`: no panic, no
+//! abort, no endless work, whatever the files hold.
 //!
-//! Each command has an address space of 2 GiB, 20 s of processor time, and two minutes where it waits. The long run, of the same inputs, is
-//! `cargo run --release --example fuzz_commands -- INPUTS SEED`; inputs that fail are kept in `fuzz-failures`.
+//! Each command has an address space of 2 GiB, 20 s of processor time, and two minutes where it waits. The
+//! long run, of the same inputs, is `cargo run --release --example fuzz_commands -- INPUTS SEED`; inputs that
+//! fail are kept in `fuzz-failures`.
 
 #![allow(clippy::unwrap_used)]
 
@@ -26,11 +28,19 @@ const SERIES: u64 = 1;
 /// How a command ended when it should not have; `None` for every ordinary end.
 fn broken(bench: &Bench, arguments: &[&str]) -> Option<String> {
     let mut command = bench.command(arguments);
-    command.env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "0").stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+        .env("RAYON_NUM_THREADS", "1")
+        .env("RUST_BACKTRACE", "0")
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
     let limit = libc::rlimit { rlim_cur: BYTES, rlim_max: BYTES };
     let processor = libc::rlimit { rlim_cur: SECONDS, rlim_max: SECONDS };
-    let timer = libc::itimerval { it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 }, it_value: libc::timeval { tv_sec: WAITED, tv_usec: 0 } };
-    // SAFETY: between fork and exec only setrlimit and setitimer are called, which are safe there; the timer outlives exec.
+    let timer = libc::itimerval {
+        it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 },
+        it_value: libc::timeval { tv_sec: WAITED, tv_usec: 0 },
+    };
+    // SAFETY: between fork and exec only setrlimit and setitimer are called, which are safe there; the timer
+    // outlives exec.
     unsafe {
         command.pre_exec(move || {
             let is_set = libc::setitimer(libc::ITIMER_REAL, &timer, std::ptr::null_mut()) == 0
@@ -40,7 +50,12 @@ fn broken(bench: &Bench, arguments: &[&str]) -> Option<String> {
         });
     }
     let done = command.output().unwrap();
-    inputs::broken(arguments[0], done.status.signal(), done.status.code(), &String::from_utf8_lossy(&done.stderr))
+    inputs::broken(
+        arguments[0],
+        done.status.signal(),
+        done.status.code(),
+        &String::from_utf8_lossy(&done.stderr),
+    )
 }
 
 /// `init` and `run` on one input; `None` where both end as they may.
@@ -48,8 +63,15 @@ fn both(seed: &Seed, bench: &Bench) -> Option<String> {
     let path = seed.write(&bench.path("in"), None);
     let relative = path.strip_prefix(bench.path("")).unwrap().to_string_lossy().into_owned();
     let files = inputs::files(seed, &relative);
-    let arguments: Vec<&str> = ["init", "-o", "my.toml"].into_iter().chain(files.iter().map(String::as_str)).collect();
-    broken(bench, &arguments).or_else(|| if bench.path("my.toml").exists() { broken(bench, &["run", "my.toml", "--to", "render", "--quiet"]) } else { None })
+    let arguments: Vec<&str> =
+        ["init", "-o", "my.toml"].into_iter().chain(files.iter().map(String::as_str)).collect();
+    broken(bench, &arguments).or_else(|| {
+        if bench.path("my.toml").exists() {
+            broken(bench, &["run", "my.toml", "--to", "render", "--quiet"])
+        } else {
+            None
+        }
+    })
 }
 
 #[test]

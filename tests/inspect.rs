@@ -1,7 +1,9 @@
-//! `inspect` and `check` of recordings: events and frames of several files held together, exit codes, and the form of `--json`.
+//! `inspect` and `check` of recordings: events and frames of several files held together, exit codes, and the
+//! form of `--json`.
 //!
-//! The scene is made here: a texture of waves whose halves drift against each other over 96 x 72 pixels, its logarithm known in closed form. Events are the crossings of whole
-//! thresholds, frames the light at the middle of a short exposure; both are written as plain files.
+//! The scene is made here: a texture of waves whose halves drift against each other over 96 x 72 pixels, its
+//! logarithm known in closed form. Events are the crossings of whole thresholds, frames the light at the
+//! middle of a short exposure; both are written as plain files.
 
 use crate::support::Bench;
 use serde_json::Value;
@@ -35,7 +37,10 @@ fn log_light(x: i64, y: i64, t_us: i64) -> f64 {
     let way = if y < HEIGHT / 2 { 1.0 } else { -1.0 };
     let (x, y) = (x as f64 - way * 150.0 * s, y as f64 + way * 60.0 * s);
     let wave = |a: f64, b: f64, phase: f64| libm::sin(a * x + b * y + phase);
-    0.3 * wave(0.41, 0.23, 0.0) + 0.2 * wave(0.17, -0.39, 1.0) + 0.2 * wave(-0.13, 0.61, 2.0) + 0.1 * wave(0.9, 0.3, 0.5)
+    0.3 * wave(0.41, 0.23, 0.0)
+        + 0.2 * wave(0.17, -0.39, 1.0)
+        + 0.2 * wave(-0.13, 0.61, 2.0)
+        + 0.1 * wave(0.9, 0.3, 0.5)
 }
 
 /// Writes `events.csv`, `film.y4m` and `stamps.txt`.
@@ -60,14 +65,21 @@ fn scene(made: Made) -> Bench {
     events.sort_unstable();
     let lines: String = events.iter().map(|(t, x, y, p)| format!("{t},{x},{y},{p}\n")).collect();
     bench.write("events.csv", &format!("t,x,y,p\n{lines}"));
-    let mut film = format!("YUV4MPEG2 W{} H{HEIGHT} F50:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n", WIDTH + made.wider).into_bytes();
+    let mut film =
+        format!("YUV4MPEG2 W{} H{HEIGHT} F50:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n", WIDTH + made.wider)
+            .into_bytes();
     let mut stamps = String::new();
     for frame in 0..FRAMES {
         let start = 10_000 + frame * PERIOD_US;
-        stamps += &format!("{} {}\n", start + made.frames_later_us, start + EXPOSURE_US + made.frames_later_us);
+        stamps +=
+            &format!("{} {}\n", start + made.frames_later_us, start + EXPOSURE_US + made.frames_later_us);
         film.extend(b"FRAME\n");
         for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH + made.wider).map(move |x| (x, y))) {
-            film.push((110.0 * libm::exp(log_light(x - made.right, y - made.down, start + EXPOSURE_US / 2))).round().min(255.0) as u8);
+            film.push(
+                (110.0 * libm::exp(log_light(x - made.right, y - made.down, start + EXPOSURE_US / 2)))
+                    .round()
+                    .min(255.0) as u8,
+            );
         }
     }
     std::fs::write(bench.path("film.y4m"), film).expect("a film");
@@ -76,13 +88,18 @@ fn scene(made: Made) -> Bench {
 }
 
 /// Events, frames and stamps, in any order.
-const TOGETHER: [&str; 7] = ["film.y4m", "events.csv", "stamps.txt", "--time-unit", "us", "--extent", "96x72"];
+const TOGETHER: [&str; 7] =
+    ["film.y4m", "events.csv", "stamps.txt", "--time-unit", "us", "--extent", "96x72"];
 
 fn inspected(bench: &Bench) -> (i32, Value) {
     let mut arguments = vec!["inspect", "--json"];
     arguments.extend(TOGETHER);
     let done = bench.run(&arguments);
-    (done.code, serde_json::from_str(&done.stdout).unwrap_or_else(|error| panic!("{error}: {}\n{}", done.stdout, done.stderr)))
+    (
+        done.code,
+        serde_json::from_str(&done.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {}\n{}", done.stdout, done.stderr)),
+    )
 }
 
 fn checked(bench: &Bench) -> (i32, String) {
@@ -109,7 +126,10 @@ fn events_and_frames_of_several_files_are_one_recording() {
     let files = all["files"].as_array().expect("files");
     assert_eq!((code, files.len()), (0, 1), "{all}");
     let entry = &files[0];
-    assert_eq!((&entry["survey"]["frames"]["count"], &entry["survey"]["events"]["extent"][0]), (&FRAMES.into(), &WIDTH.into()));
+    assert_eq!(
+        (&entry["survey"]["frames"]["count"], &entry["survey"]["events"]["extent"][0]),
+        (&FRAMES.into(), &WIDTH.into())
+    );
     for id in ["in_time", "on_one_grid"] {
         assert!(finding(entry, id).is_some(), "{id} is missing: {:#}", entry["findings"]);
     }
@@ -127,11 +147,21 @@ fn events_and_frames_of_several_files_are_one_recording() {
 #[test]
 fn a_shift_in_time_or_place_is_a_hazard_with_the_shift_that_was_made() {
     let entry = &inspected(&scene(Made { late_us: 8_000, ..Made::default() })).1["files"][0];
-    assert_eq!(finding(entry, "events_late").map(|found| &found["severity"]), Some(&"hazard".into()), "{:#}", entry["findings"]);
+    assert_eq!(
+        finding(entry, "events_late").map(|found| &found["severity"]),
+        Some(&"hazard".into()),
+        "{:#}",
+        entry["findings"]
+    );
     let (late, low, high) = interval(&entry["survey"]["lag"]["late_ns"]);
     assert!((late - 8e6).abs() < 1e6 && low < late && late < high, "{late} ({low} to {high})");
     let entry = &inspected(&scene(Made { right: 2, down: -1, ..Made::default() })).1["files"][0];
-    assert_eq!(finding(entry, "displaced").map(|found| &found["severity"]), Some(&"hazard".into()), "{:#}", entry["findings"]);
+    assert_eq!(
+        finding(entry, "displaced").map(|found| &found["severity"]),
+        Some(&"hazard".into()),
+        "{:#}",
+        entry["findings"]
+    );
     let grid = &entry["survey"]["lag"]["grid"];
     for (way, made) in [("right_px", 2.0), ("down_px", -1.0)] {
         let (found, low, high) = interval(&grid[way]);
@@ -161,19 +191,31 @@ fn what_is_no_one_recording_is_shown_file_by_file() {
     std::fs::create_dir(&folder).expect("a folder");
     let film = std::fs::read(bench.path("film.y4m")).expect("the film");
     let values = &film[film.len() - (WIDTH * HEIGHT) as usize..];
-    let mut encoder = png::Encoder::new(std::fs::File::create(folder.join("0.png")).expect("a file"), WIDTH as u32, HEIGHT as u32);
+    let mut encoder = png::Encoder::new(
+        std::fs::File::create(folder.join("0.png")).expect("a file"),
+        WIDTH as u32,
+        HEIGHT as u32,
+    );
     encoder.set_color(png::ColorType::Grayscale);
     encoder.write_header().and_then(|mut writer| writer.write_image_data(values)).expect("a picture");
     let done = bench.run(&["inspect", "events.csv", "frames", "--time-unit", "us", "--json"]);
     let all: Value = serde_json::from_str(&done.stdout).expect("JSON");
     assert_eq!((done.code, all["files"].as_array().map(Vec::len)), (2, Some(2)), "{}", done.stderr);
-    assert!(done.stderr.contains("cannot be held together") && done.stderr.contains("stamps"), "{}", done.stderr);
+    assert!(
+        done.stderr.contains("cannot be held together") && done.stderr.contains("stamps"),
+        "{}",
+        done.stderr
+    );
     // Two recordings of events.
     let done = bench.run(&["inspect", "events.csv", "events.csv", "--time-unit", "us", "--json"]);
     let all: Value = serde_json::from_str(&done.stdout).expect("JSON");
     assert_eq!((done.code, all["files"].as_array().map(Vec::len)), (0, Some(2)), "{}", done.stderr);
     let done = bench.run(&["check", "events.csv", "events.csv"]);
-    assert!(done.code == 2 && done.stderr.contains("takes one manifest, recording or description"), "{}", done.stderr);
+    assert!(
+        done.code == 2 && done.stderr.contains("takes one manifest, recording or description"),
+        "{}",
+        done.stderr
+    );
 }
 
 #[test]
@@ -192,14 +234,22 @@ fn exit_codes_are_those_of_the_manual() {
     ];
     for (arguments, code, says) in cases {
         let done = bench.run(arguments);
-        assert!(done.code == code && done.stderr.contains(says), "{arguments:?}: {}\n{}", done.code, done.stderr);
+        assert!(
+            done.code == code && done.stderr.contains(says),
+            "{arguments:?}: {}\n{}",
+            done.code,
+            done.stderr
+        );
     }
 }
 
-/// Names and types of everything in a value, a line each; of a list its first element, of a map of numbers all.
+/// Names and types of everything in a value, a line each; of a list its first element, of a map of numbers
+/// all.
 fn form(at: &str, value: &Value, lines: &mut Vec<String>) {
     match value {
-        Value::Object(fields) => fields.iter().for_each(|(name, value)| form(&format!("{at}.{name}"), value, lines)),
+        Value::Object(fields) => {
+            fields.iter().for_each(|(name, value)| form(&format!("{at}.{name}"), value, lines))
+        }
         Value::Array(elements) => match elements.first() {
             Some(first) => form(&format!("{at}[]"), first, lines),
             None => lines.push(format!("{at}: empty list")),
@@ -225,6 +275,7 @@ fn the_form_of_json_is_the_one_that_is_kept() {
     let expected = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         found == expected,
-        "the form of --json is not tests/inspect.form; when the new one is meant: UPDATE_EXPECT=1 cargo test --test photocurrent inspect\n{found}"
+        "the form of --json is not tests/inspect.form; when the new one is meant: UPDATE_EXPECT=1 cargo \
+         test --test photocurrent inspect\n{found}"
     );
 }

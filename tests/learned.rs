@@ -1,7 +1,9 @@
-//! The manifests of pipelines/baselines/: a row that says what is missing, and one that is filled as soon as a network or pictures are there.
+//! The manifests of pipelines/baselines/: a row that says what is missing, and one that is filled as soon as
+//! a network or pictures are there.
 //!
-//! Nobody else's weights are here, so that networks that blend the frames stand in (`data/networks/stand_ins.py`). In a still scene any blend of frames is the scene:
-//! a wrong encoding, white or scale would cost tens of decibels.
+//! Nobody else's weights are here, so that networks that blend the frames stand in
+//! (`data/networks/stand_ins.py`). In a still scene any blend of frames is the scene: a wrong encoding, white
+//! or scale would cost tens of decibels.
 
 use crate::support::{Bench, root};
 use std::path::Path;
@@ -23,7 +25,11 @@ fn still(bench: &Bench, method: &str, more: &[&str]) -> crate::support::Done {
         "nodes.scene.params.height=32",
         "nodes.scene.params.duration=\"40 ms\"",
     ];
-    let end = if method == "evunroll" { "nodes.instants.params.end=\"35 ms\"".to_string() } else { format!("nodes.{method}.params.end=\"35 ms\"") };
+    let end = if method == "evunroll" {
+        "nodes.instants.params.end=\"35 ms\"".to_string()
+    } else {
+        format!("nodes.{method}.params.end=\"35 ms\"")
+    };
     let manifest = manifest(method);
     let mut arguments = vec!["run", manifest.as_str(), "--variant", "scene=fan", "--set", end.as_str()];
     arguments.extend(sets.iter().flat_map(|set| ["--set", set]));
@@ -43,7 +49,11 @@ fn numbers(bench: &Bench, method: &str) -> [f64; 2] {
     let lines = pooled(bench, method);
     ["psnr", "lpips"].map(|metric| {
         let node = format!("{metric}_{method}");
-        lines.iter().find(|line| line["node"] == node).and_then(|line| line["value"].as_f64()).unwrap_or_else(|| panic!("no number of {node}: {lines:?}"))
+        lines
+            .iter()
+            .find(|line| line["node"] == node)
+            .and_then(|line| line["value"].as_f64())
+            .unwrap_or_else(|| panic!("no number of {node}: {lines:?}"))
     })
 }
 
@@ -54,13 +64,28 @@ fn a_row_says_which_weights_are_missing_in_a_run_that_succeeds() {
     let stand_in = format!("nodes.film.params.network={:?}", root().join("data/networks/stand_in_film.onnx"));
     let done = still(&bench, "film", &["--set", &stand_in]);
     assert_eq!(done.code, 0, "{}", done.stderr);
-    for (method, missing) in [("time_lens", "time_lens.onnx"), ("cbmnet", "cbmnet.onnx"), ("refid", "refid.onnx"), ("evunroll", "evunroll/fan")] {
+    for (method, missing) in [
+        ("time_lens", "time_lens.onnx"),
+        ("cbmnet", "cbmnet.onnx"),
+        ("refid", "refid.onnx"),
+        ("evunroll", "evunroll/fan"),
+    ] {
         let done = still(&bench, method, &[]);
         assert_eq!(done.code, 0, "{method}: {}", done.stderr);
         let note = format!("left out: {method}, psnr_{method}, lpips_{method}: cannot read ");
         assert!(done.stderr.contains(&note), "{method}: {}", done.stderr);
         let manifests = [manifest("film"), manifest(method)];
-        let done = bench.run(&["table", &manifests[0], &manifests[1], "--metric", "psnr_db", "--rows", "method", "--columns", "scene"]);
+        let done = bench.run(&[
+            "table",
+            &manifests[0],
+            &manifests[1],
+            "--metric",
+            "psnr_db",
+            "--rows",
+            "method",
+            "--columns",
+            "scene",
+        ]);
         assert_eq!(done.code, 0, "{method}: {}", done.stderr);
         assert!(done.stdout.contains(&format!("| {method} | no {missing} |")), "{}", done.stdout);
         assert!(done.stdout.contains(&format!("\nno {missing}: cannot read ")), "{}", done.stdout);
@@ -92,7 +117,16 @@ fn the_interpolator_of_this_project_fills_its_row() {
     assert_eq!(done.code, 0, "{}", done.stderr);
     let [psnr, lpips] = numbers(&bench, "learned_ours");
     assert!(psnr > 40.0 && lpips < 0.02, "{psnr} dB, LPIPS {lpips}");
-    let done = bench.run(&["table", &manifest("learned_ours"), "--metric", "psnr_db", "--rows", "method", "--columns", "scene"]);
+    let done = bench.run(&[
+        "table",
+        &manifest("learned_ours"),
+        "--metric",
+        "psnr_db",
+        "--rows",
+        "method",
+        "--columns",
+        "scene",
+    ]);
     assert!(done.stdout.contains("learned_ours"), "{}", done.stdout);
 }
 
@@ -103,7 +137,14 @@ fn grey(path: &Path) -> (u32, u32, Vec<u16>) {
     let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
     let info = reader.next_frame(&mut bytes).expect("its pixels");
     assert_eq!(info.bit_depth, png::BitDepth::Sixteen);
-    (info.width, info.height, bytes[..info.buffer_size()].chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
+    (
+        info.width,
+        info.height,
+        bytes[..info.buffer_size()]
+            .chunks_exact(2)
+            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+            .collect(),
+    )
 }
 
 #[test]
@@ -112,22 +153,34 @@ fn pictures_fill_their_row_through_the_same_manifest() {
     // What the camera saw of the still scene, in linear codes of 16 bits.
     bench.write(
         "seen.toml",
-        &format!("format = 1\nextends = {:?}\n[nodes.seen]\nkind = \"write/frames\"\nin = {{ frames = \"recording.frames\" }}\nparams = {{ scale = 1.0, offset = 0.0 }}\n", manifest("evunroll")),
+        &format!(
+            "format = 1\nextends = {:?}\n[nodes.seen]\nkind = \"write/frames\"\nin = \
+                  {{ frames = \"recording.frames\" }}\nparams = {{ scale = 1.0, offset = 0.0 }}\n",
+            manifest("evunroll")
+        ),
     );
     let seen = bench.path("seen.toml").display().to_string();
-    let sets = ["scene=\"fan\"", "fan.speed=\"0 rpm\"", "width=48", "height=32", "duration=\"40 ms\""].map(|set| format!("nodes.scene.params.{set}"));
+    let sets = ["scene=\"fan\"", "fan.speed=\"0 rpm\"", "width=48", "height=32", "duration=\"40 ms\""]
+        .map(|set| format!("nodes.scene.params.{set}"));
     let mut arguments = vec!["run", seen.as_str(), "--variant", "scene=fan", "--to", "seen"];
     arguments.extend(sets.iter().flat_map(|set| ["--set", set.as_str()]));
     let done = bench.run(&arguments);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let (width, height, dn) = grey(&bench.path("out/seen/scene=fan/seen/000001.png"));
     // As EvUnroll's authors store pictures: 8 bits on the curve of sRGB, white paper white; one each 500 us.
-    let srgb = |light: f64| if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * libm::pow(light, 1.0 / 2.4) - 0.055 };
-    let codes: Vec<u8> = dn.iter().map(|dn| (255.0 * srgb((f64::from(*dn) / 331.0).min(1.0))).round() as u8).collect();
+    let srgb = |light: f64| {
+        if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * libm::pow(light, 1.0 / 2.4) - 0.055 }
+    };
+    let codes: Vec<u8> =
+        dn.iter().map(|dn| (255.0 * srgb((f64::from(*dn) / 331.0).min(1.0))).round() as u8).collect();
     let folder = bench.path("pictures");
     std::fs::create_dir(&folder).expect("a folder");
     for n in 0..60 {
-        let mut encoder = png::Encoder::new(std::fs::File::create(folder.join(format!("{n:05}.png"))).expect("a picture"), width, height);
+        let mut encoder = png::Encoder::new(
+            std::fs::File::create(folder.join(format!("{n:05}.png"))).expect("a picture"),
+            width,
+            height,
+        );
         encoder.set_color(png::ColorType::Grayscale);
         encoder.write_header().and_then(|mut writer| writer.write_image_data(&codes)).expect("its pixels");
     }
@@ -139,5 +192,9 @@ fn pictures_fill_their_row_through_the_same_manifest() {
     let [psnr, lpips] = numbers(&bench, "evunroll");
     assert!(psnr > 35.0 && lpips < 0.05, "{psnr} dB, LPIPS {lpips}");
     // Pictures end at 29.5 ms, and instants at 35 ms.
-    assert!(done.stderr.contains("frames have no picture within the tolerance and are left out"), "{}", done.stderr);
+    assert!(
+        done.stderr.contains("frames have no picture within the tolerance and are left out"),
+        "{}",
+        done.stderr
+    );
 }

@@ -12,7 +12,8 @@
 //! - `determinism`: the same bits for any number of threads, any band height, any machine.
 //! - `diagnosis`: `photocurrent diagnose`, from a recording to its report.
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
-//! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on two clocks.
+//! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on
+//!   two clocks.
 //! - `examples`: the programs of `examples/`.
 //! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
@@ -20,13 +21,15 @@
 //! - `inspect`: several files as one recording, exit codes, the form of `--json`.
 //! - `instead`: files that are no recordings, recordings with unusual conventions.
 //! - `films`: pictures as light, from files to events.
+//! - `lengths`: lines and functions that can be read next to another file.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `pairing`: pictures with the pulses of a trigger line, or with stamps, of which some are missing.
 //! - `parts`: rows made apart and merged are the bytes of one process.
 //! - `readers`: the Python and Octave readers of docs/readers against what the command writes.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `reports`: pages of finished runs, by `photocurrent report`.
-//! - `situations`: what real users met: units, sizes, pauses, strays, mirrored and shifted pictures; `disc` makes their recording.
+//! - `situations`: what real users met: units, sizes, pauses, strays, mirrored and shifted pictures; `disc`
+//!   makes their recording.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
 //! - `words`: the words of docs/vocabulary.md, and none that were retired.
@@ -50,6 +53,7 @@ mod fuzzed;
 mod inspect;
 mod instead;
 mod learned;
+mod lengths;
 mod manifests;
 mod pages;
 mod pairing;

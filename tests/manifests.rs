@@ -1,8 +1,9 @@
 //! Every mistake in a manifest gives its message: file, line, what was found, what was expected, what to do.
 //!
-//! `manifests/bad` holds one malformed manifest per family of mistakes, named after it, and next to it what `photocurrent plan` says on
-//! stderr, to the letter; `manifests/bad/parts` holds the files that they name. A changed message is a changed file here, so that messages are
-//! read when they are reviewed: `UPDATE_EXPECT=1 cargo test --test photocurrent manifests` writes them anew.
+//! `manifests/bad` holds one malformed manifest per family of mistakes, named after it, and next to it what
+//! `photocurrent plan` says on stderr, to the letter; `manifests/bad/parts` holds the files that they name. A
+//! changed message is a changed file here, so that messages are read when they are reviewed:
+//! `UPDATE_EXPECT=1 cargo test --test photocurrent manifests` writes them anew.
 
 use crate::support::{Bench, Done, root};
 use std::collections::BTreeSet;
@@ -24,11 +25,14 @@ fn updating() -> bool {
 
 /// The names of the corpus's files that end in `ending`, without it.
 fn names(ending: &str) -> BTreeSet<String> {
-    let entries = fs::read_dir(corpus()).expect("the corpus").map(|entry| entry.expect("an entry").file_name().into_string().expect("a name"));
+    let entries = fs::read_dir(corpus())
+        .expect("the corpus")
+        .map(|entry| entry.expect("an entry").file_name().into_string().expect("a name"));
     entries.filter_map(|name| name.strip_suffix(ending).map(str::to_string)).collect()
 }
 
-/// A copy of the corpus that sees `data/` where the corpus sees it, so that paths in messages are short and the same on every machine.
+/// A copy of the corpus that sees `data/` where the corpus sees it, so that paths in messages are short and
+/// the same on every machine.
 fn copied() -> Bench {
     let bench = Bench::new();
     copy(&corpus(), &bench.path("tests/manifests/bad"));
@@ -56,7 +60,11 @@ fn plan(bench: &Bench, name: &str) -> Done {
     command.current_dir(bench.path("tests/manifests/bad")).env("TMPDIR", bench.path("tmp"));
     let output = command.output().expect("the command starts");
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("messages are UTF-8");
-    Done { code: output.status.code().unwrap_or(-1), stdout: text(output.stdout), stderr: text(output.stderr) }
+    Done {
+        code: output.status.code().unwrap_or(-1),
+        stdout: text(output.stdout),
+        stderr: text(output.stderr),
+    }
 }
 
 /// What has to change in `old` to become `new`, line by line: `-` expected, `+` found.
@@ -66,7 +74,11 @@ fn difference(old: &str, new: &str) -> String {
     let mut longest = vec![vec![0usize; new.len() + 1]; old.len() + 1];
     for i in (0..old.len()).rev() {
         for j in (0..new.len()).rev() {
-            longest[i][j] = if old[i] == new[j] { 1 + longest[i + 1][j + 1] } else { longest[i + 1][j].max(longest[i][j + 1]) };
+            longest[i][j] = if old[i] == new[j] {
+                1 + longest[i + 1][j + 1]
+            } else {
+                longest[i + 1][j].max(longest[i][j + 1])
+            };
         }
     }
     let (mut i, mut j, mut text) = (0, 0, String::new());
@@ -93,7 +105,12 @@ fn every_bad_manifest_gives_its_message_to_the_letter() {
     for name in names(".toml") {
         let done = plan(&bench, &name);
         if done.code != 2 || !done.stdout.is_empty() {
-            let _ = writeln!(differences, "{name}: exit code {} (2 is right), stdout {:?} (empty is right)\n{}", done.code, done.stdout, done.stderr);
+            let _ = writeln!(
+                differences,
+                "{name}: exit code {} (2 is right), stdout {:?} (empty is \
+                                           right)\n{}",
+                done.code, done.stdout, done.stderr
+            );
         }
         let path = corpus().join(format!("{name}.stderr"));
         if update {
@@ -107,7 +124,8 @@ fn every_bad_manifest_gives_its_message_to_the_letter() {
     }
     assert!(
         differences.is_empty(),
-        "messages changed (- expected, + found):\n\n{differences}when the new ones are better: UPDATE_EXPECT=1 cargo test --test photocurrent manifests"
+        "messages changed (- expected, + found):\n\n{differences}when the new ones are better: \
+         UPDATE_EXPECT=1 cargo test --test photocurrent manifests"
     );
 }
 
@@ -116,9 +134,11 @@ fn every_bad_manifest_has_its_message_and_every_message_its_manifest() {
     let (manifests, messages) = (names(".toml"), names(".stderr"));
     assert!(manifests.len() >= FEWEST, "{} manifests, fewer than {FEWEST}", manifests.len());
     // While they are written they are not all there.
-    let lonely: Vec<&String> = if updating() { Vec::new() } else { manifests.symmetric_difference(&messages).collect() };
+    let lonely: Vec<&String> =
+        if updating() { Vec::new() } else { manifests.symmetric_difference(&messages).collect() };
     assert!(lonely.is_empty(), "without a counterpart in {}: {lonely:?}", corpus().display());
-    let named = |name: &String| name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    let named =
+        |name: &String| name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
     assert!(manifests.iter().all(named), "a manifest is named after its mistake, in snake_case");
 }
 
@@ -128,14 +148,28 @@ fn every_message_names_its_file_and_says_that_nothing_ran() {
         let message = fs::read_to_string(corpus().join(format!("{name}.stderr"))).expect("a message");
         let last = message.lines().last().unwrap_or_default();
         assert!(message.starts_with("error: "), "{name}: begins with `error: `");
-        assert!(last.ends_with("; nothing ran"), "{name}: the last line says that nothing ran, and is `{last}`");
+        assert!(
+            last.ends_with("; nothing ran"),
+            "{name}: the last line says that nothing ran, and is \
+                                                  `{last}`"
+        );
         let count = message.lines().filter(|line| line.starts_with("error: ")).count();
-        assert_eq!(last.split(' ').next(), Some(count.to_string().as_str()), "{name}: the last line counts the mistakes");
+        assert_eq!(
+            last.split(' ').next(),
+            Some(count.to_string().as_str()),
+            "{name}: the last line counts \
+                                                            the mistakes"
+        );
         assert!(!message.contains('\u{1b}'), "{name}: no colours under NO_COLOR");
         assert!(!message.contains(env!("CARGO_MANIFEST_DIR")), "{name}: names paths as the manifest does");
-        // A user without the file at hand must still know where to look. A manifest without a place of the mistake is the exception to correct.
+        // A user without the file at hand must still know where to look. A manifest without a place of the
+        // mistake is the exception to correct.
         let placed = message.lines().filter(|line| line.trim_start().starts_with("--> ")).count();
-        assert!(placed == count || message.contains(&format!("{name}.toml")), "{name}: {count} mistakes, {placed} places, and the manifest is not named");
+        assert!(
+            placed == count || message.contains(&format!("{name}.toml")),
+            "{name}: {count} mistakes, \
+                                                            {placed} places, and the manifest is not named"
+        );
     }
 }
 
@@ -182,15 +216,28 @@ fn set(sets: &[&str]) -> Done {
 fn a_mistake_in_set_is_shown_at_set() {
     let cases = [
         ("nodes.solve.params.cis_weight", "`--set` takes path=value", "--set:1:1"),
-        ("nodes.solve.params.cis_weight=\"much\"", "expected a number, found the text \"much\"", "--set:1:31"),
+        (
+            "nodes.solve.params.cis_weight=\"much\"",
+            "expected a number, found the text \"much\"",
+            "--set:1:31",
+        ),
         // The shell has eaten the quotes: the value is a text all the same.
         ("nodes.solve.params.cis_weight=much", "expected a number, found the text \"much\"", "--set:1:31"),
-        ("nodes.scene.params.duration=40", "expected a time with its unit, found the integer 40", "--set:1:29"),
+        (
+            "nodes.scene.params.duration=40",
+            "expected a time with its unit, found the integer 40",
+            "--set:1:29",
+        ),
         ("nodes.scene.params.duration=40 parsec", "unknown unit `parsec`", "--set:1:29"),
         ("nodes.solve.params.cis_wieght=2", "`cis_wieght` is not a parameter of solve/paper", "--set:1:20"),
         ("nodes.slove.params.cis_weight=2", "there is no node `slove` to change", "--set:1:7"),
         ("node.solve.params.cis_weight=2", "`node` cannot be laid over a manifest", "--set:1:1"),
-        ("nodes.solve.in.frames=scene.truth", "nodes.solve: input `frames` takes frames, and `scene.truth` is truth", "--set:1:23"),
+        (
+            "nodes.solve.in.frames=scene.truth",
+            "nodes.solve: input `frames` takes frames, and `scene.truth` \
+                                               is truth",
+            "--set:1:23",
+        ),
         ("nodes.solve.kind=solve/pixle", "there is no node kind `solve/pixle`", "--set:1:18"),
         ("pipeline.seed=-1", "`seed` must be at least 0, found -1", "--set:1:15"),
         ("nodes solve=2", "`nodes solve` is not a path of keys", "--set:1:1"),
@@ -206,7 +253,12 @@ fn a_mistake_in_set_is_shown_at_set() {
 
 #[test]
 fn mistakes_in_several_sets_are_reported_together() {
-    let said = set(&["nodes.slove.params.cis_weight=2", "nodes.solve.params.readout=slop", "nodes.scene.params.width=4"]).stderr;
+    let said = set(&[
+        "nodes.slove.params.cis_weight=2",
+        "nodes.solve.params.readout=slop",
+        "nodes.scene.params.width=4",
+    ])
+    .stderr;
     assert!(said.ends_with("3 mistakes; nothing ran\n"), "{said}");
 }
 
@@ -233,7 +285,8 @@ fn every_pipeline_passes_its_check() {
     everything(&root().join("pipelines"), &mut pipelines);
     let bench = Bench::new();
     let mut checked = 0;
-    for path in pipelines.iter().filter(|path| path.extension().is_some_and(|extension| extension == "toml")) {
+    for path in pipelines.iter().filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
+    {
         let done = bench.run(&["check", path.to_str().expect("a path in UTF-8")]);
         assert_eq!(done.code, 0, "{}:\n{}", path.display(), done.stderr);
         assert_eq!(done.stdout, "");

@@ -48,7 +48,13 @@ pub fn blocks(name: &str, text: &str) -> Vec<Block> {
         match &mut inside {
             Some(_) if is_fence => found.extend(inside.take()),
             Some(block) => block.lines.push(line.to_string()),
-            None if is_fence => inside = Some(Block { place: format!("{name}:{}", at + 1), mark: std::mem::take(&mut mark), lines: Vec::new() }),
+            None if is_fence => {
+                inside = Some(Block {
+                    place: format!("{name}:{}", at + 1),
+                    mark: std::mem::take(&mut mark),
+                    lines: Vec::new(),
+                })
+            }
             None => match line.trim().strip_prefix("<!-- ").and_then(|rest| rest.strip_suffix(" -->")) {
                 Some(text) => mark = text.trim().to_string(),
                 None if line.trim().is_empty() => {}
@@ -67,7 +73,11 @@ pub fn bench(page: &str) -> Bench {
     }
     for block in blocks(page, &read(page)) {
         if let Some(name) = block.mark.strip_prefix("file: ") {
-            assert!(Path::new(name).is_relative() && !name.contains(".."), "{}: a file is saved below the root", block.place);
+            assert!(
+                Path::new(name).is_relative() && !name.contains(".."),
+                "{}: a file is saved below the root",
+                block.place
+            );
             bench.write(name, &(block.lines.join("\n") + "\n"));
         }
     }
@@ -99,7 +109,9 @@ fn links(text: &str) -> Vec<String> {
         // What stands between single back-ticks is code.
         let line: String = line.split('`').step_by(2).collect();
         if !inside {
-            found.extend(line.split("](").skip(1).filter_map(|rest| Some(rest.split_once(')')?.0.to_string())));
+            found.extend(
+                line.split("](").skip(1).filter_map(|rest| Some(rest.split_once(')')?.0.to_string())),
+            );
         }
     }
     found
@@ -108,19 +120,35 @@ fn links(text: &str) -> Vec<String> {
 #[test]
 fn no_link_is_dead() {
     let mut pages = names();
-    pages.extend(["CHANGELOG.md", "data/README.md", "data/concealed/README.md", "data/diagnosis/README.md", "data/recordings/README.md"].map(String::from));
+    pages.extend(
+        [
+            "CHANGELOG.md",
+            "data/README.md",
+            "data/concealed/README.md",
+            "data/diagnosis/README.md",
+            "data/recordings/README.md",
+        ]
+        .map(String::from),
+    );
     let (mut dead, mut count) = (Vec::new(), 0);
     for name in &pages {
         let text = read(name);
         let folder = Path::new(name).parent().unwrap_or(Path::new(""));
-        for link in links(&text).into_iter().filter(|link| !link.contains("://") && !link.starts_with("mailto:")) {
+        for link in
+            links(&text).into_iter().filter(|link| !link.contains("://") && !link.starts_with("mailto:"))
+        {
             count += 1;
-            let (file, heading) = link.split_once('#').map_or((link.as_str(), None), |(file, heading)| (file, Some(heading)));
+            let (file, heading) =
+                link.split_once('#').map_or((link.as_str(), None), |(file, heading)| (file, Some(heading)));
             let path = root().join(folder).join(file);
             if !file.is_empty() && !path.exists() {
                 dead.push(format!("{name}: {link}: there is no such file"));
             } else if let Some(heading) = heading {
-                let target = if file.is_empty() { text.clone() } else { fs::read_to_string(&path).unwrap_or_default() };
+                let target = if file.is_empty() {
+                    text.clone()
+                } else {
+                    fs::read_to_string(&path).unwrap_or_default()
+                };
                 if !anchors(&target).contains(heading) {
                     dead.push(format!("{name}: {link}: there is no such heading"));
                 }

@@ -1,7 +1,10 @@
-//! The readers of docs/readers, run by the interpreters they are for, against what the command itself writes of the same data.
+//! The readers of docs/readers, run by the interpreters they are for, against what the command itself writes
+//! of the same data.
 //!
-//! Events are compared with the text that `convert` writes, frames with decoded PNG, and a track with the rendered frames: the mean of its photocurrent over an exposure,
-//! times gain and nominal exposure, is their DN (Eq. (5)). Where an interpreter or its library is missing, the test says so and ends; `make test` installs h5py.
+//! Events are compared with the text that `convert` writes, frames with decoded PNG, and a track with the
+//! rendered frames: the mean of its photocurrent over an exposure, times gain and nominal exposure, is their
+//! DN (Eq. (5)). Where an interpreter or its library is missing, the test says so and ends; `make test`
+//! installs h5py.
 
 use crate::support::{Bench, root, small_pipeline};
 use serde_json::Value;
@@ -48,8 +51,12 @@ fn sums_of_text(bench: &Bench) -> Vec<i64> {
     let text = std::fs::read_to_string(bench.path("events.csv")).expect("events");
     let mut lines = text.lines().skip_while(|line| !line.starts_with(|c: char| c.is_ascii_alphabetic()));
     let names: Vec<&str> = lines.next().expect("a header").split(',').collect();
-    let rows: Vec<Vec<i64>> = lines.map(|line| line.split(',').map(|cell| cell.parse().expect("a whole number")).collect()).collect();
-    let sum = |name: &str| rows.iter().map(|row| row[names.iter().position(|n| *n == name).expect("a column")]).sum::<i64>();
+    let rows: Vec<Vec<i64>> = lines
+        .map(|line| line.split(',').map(|cell| cell.parse().expect("a whole number")).collect())
+        .collect();
+    let sum = |name: &str| {
+        rows.iter().map(|row| row[names.iter().position(|n| *n == name).expect("a column")]).sum::<i64>()
+    };
     let mut sums = vec![rows.len() as i64];
     sums.extend(["x", "y", "p", "t"].map(sum));
     assert!(rows.len() > 100, "there is something to compare");
@@ -59,7 +66,8 @@ fn sums_of_text(bench: &Bench) -> Vec<i64> {
 /// DN of the pixels in the PNG of a frame.
 fn dn_of_png(bench: &Bench) -> Vec<f64> {
     let listing = std::fs::read_to_string(bench.path("out/m/frames/frames.csv")).expect("frames.csv");
-    let rows: Vec<Vec<&str>> = listing.lines().filter(|line| !line.starts_with('#')).map(|line| line.split(',').collect()).collect();
+    let rows: Vec<Vec<&str>> =
+        listing.lines().filter(|line| !line.starts_with('#')).map(|line| line.split(',').collect()).collect();
     let cell = |name: &str| rows[1 + FRAME][rows[0].iter().position(|n| *n == name).expect("a column")];
     let file = std::fs::File::open(bench.path("out/m/frames").join(cell("file"))).expect("a picture");
     let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("PNG");
@@ -74,19 +82,26 @@ fn dn_of_png(bench: &Bench) -> Vec<f64> {
 }
 
 fn near(found: &Value, expected: &[f64], relative: f64, what: &str) {
-    let found: Vec<f64> = found.as_array().expect("numbers").iter().map(|number| number.as_f64().expect("a number")).collect();
+    let found: Vec<f64> =
+        found.as_array().expect("numbers").iter().map(|number| number.as_f64().expect("a number")).collect();
     assert_eq!(found.len(), expected.len(), "{what}");
     for (a, b) in found.iter().zip(expected) {
-        assert!(*b > 10.0 && (a - b).abs() <= relative * b, "{what}: {found:?}, and the command says {expected:?}");
+        assert!(
+            *b > 10.0 && (a - b).abs() <= relative * b,
+            "{what}: {found:?}, and the command says \
+                                                            {expected:?}"
+        );
     }
 }
 
 /// Holds what a reader printed against what the command says.
 fn hold(bench: &Bench, printed: &str) {
-    let found: Value = serde_json::from_str(printed.trim()).unwrap_or_else(|error| panic!("{error}: {printed}"));
+    let found: Value =
+        serde_json::from_str(printed.trim()).unwrap_or_else(|error| panic!("{error}: {printed}"));
     assert_eq!(found["sums"], serde_json::json!(sums_of_text(bench)), "events");
     let dn = dn_of_png(bench);
-    // Both forms have codes of the same scale; the mean of a track is taken from instants 1 us apart, over an exposure of 100 us.
+    // Both forms have codes of the same scale; the mean of a track is taken from instants 1 us apart, over an
+    // exposure of 100 us.
     near(&found["dn"], &dn, 1e-6, "frames.h5");
     let expected: Vec<f64> = dn.iter().map(|dn| dn / DN_PER_PHOTOCURRENT).collect();
     near(&found["held"], &expected, 0.01, "the track that holds");
@@ -94,7 +109,12 @@ fn hold(bench: &Bench, printed: &str) {
 
 /// A Python that has h5py: the first on the path, or the system's, for which `make readers` installs it.
 fn python() -> Option<&'static str> {
-    let has_it = |name: &&str| Command::new(name).args(["-c", "import h5py, numpy"]).output().is_ok_and(|output| output.status.success());
+    let has_it = |name: &&str| {
+        Command::new(name)
+            .args(["-c", "import h5py, numpy"])
+            .output()
+            .is_ok_and(|output| output.status.success())
+    };
     let found = ["python3", "/usr/bin/python3"].into_iter().find(has_it);
     if found.is_none() {
         eprintln!("skipped: no python3 with h5py and numpy here; `make readers` installs them");
@@ -107,7 +127,14 @@ fn a_python_script_is_a_method_among_others() {
     let Some(python) = python() else { return };
     let bench = Bench::new();
     let manifest = root().join("pipelines/python/integrate.toml").display().to_string();
-    let done = bench.run(&["run", &manifest, "--to", "table", "--set", &format!("nodes.mine.params.command=[\"{python}\", \"{{file0}}\", \"{{file1}}\"]")]);
+    let done = bench.run(&[
+        "run",
+        &manifest,
+        "--to",
+        "table",
+        "--set",
+        &format!("nodes.mine.params.command=[\"{python}\", \"{{file0}}\", \"{{file1}}\"]"),
+    ]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     // The how-to shows what it prints; events say more than repeating a frame, and less than the whole model.
     let page = std::fs::read_to_string(root().join("docs/own-method.md")).expect("docs/own-method.md");
@@ -149,12 +176,23 @@ print(json.dumps({{
 "#
     );
     // The list of pixels is Python as it is Rust.
-    let done = Command::new(python).arg("-c").arg(script).arg(root().join("docs/readers")).current_dir(bench.path("")).output().expect("python");
+    let done = Command::new(python)
+        .arg("-c")
+        .arg(script)
+        .arg(root().join("docs/readers"))
+        .current_dir(bench.path(""))
+        .output()
+        .expect("python");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let printed = String::from_utf8_lossy(&done.stdout);
     hold(&bench, &printed);
     let found: Value = serde_json::from_str(&printed).expect("JSON");
-    let by_map: Vec<f64> = found["dn_map"].as_array().expect("numbers").iter().map(|dn| dn.as_f64().expect("a number") / DN_PER_PHOTOCURRENT).collect();
+    let by_map: Vec<f64> = found["dn_map"]
+        .as_array()
+        .expect("numbers")
+        .iter()
+        .map(|dn| dn.as_f64().expect("a number") / DN_PER_PHOTOCURRENT)
+        .collect();
     near(&found["linear"], &by_map, 0.002, "the log-linear track");
 }
 
@@ -166,7 +204,13 @@ fn the_octave_reader_reads_what_the_command_writes() {
     }
     let bench = finished();
     let listing = std::fs::read_to_string(bench.path("out/m/frames/frames.csv")).expect("frames.csv");
-    let row: Vec<&str> = listing.lines().filter(|line| !line.starts_with('#')).nth(1 + FRAME).expect("a frame").split(',').collect();
+    let row: Vec<&str> = listing
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .nth(1 + FRAME)
+        .expect("a frame")
+        .split(',')
+        .collect();
     let script = format!(
         r#"
 addpath ("{readers}");
@@ -193,7 +237,8 @@ printf ("{{\"sums\": [%d, %d, %d, %d, %d], \"dn\": [%.17g, %.17g, %.17g], \"held
         scale = row[6],
     );
     bench.write("read.m", &script);
-    let done = Command::new("octave-cli").arg("read.m").current_dir(bench.path("")).output().expect("octave-cli");
+    let done =
+        Command::new("octave-cli").arg("read.m").current_dir(bench.path("")).output().expect("octave-cli");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     hold(&bench, &String::from_utf8_lossy(&done.stdout));
 }

@@ -1,7 +1,9 @@
-//! Input data that are empty, odd, damaged or wrong: each state has an outcome that is stated here, in exit code and words, and none is a panic.
+//! Input data that are empty, odd, damaged or wrong: each state has an outcome that is stated here, in exit
+//! code and words, and none is a panic.
 //!
-//! Exit code 2: the planner found it, nothing ran. Exit code 3: it came up while reading. Recordings are written by the store or damaged byte
-//! by byte; what the store's writer cannot be made to write (columns of wrong type or length, a missing unit) is tested with its reader.
+//! Exit code 2: the planner found it, nothing ran. Exit code 3: it came up while reading. Recordings are
+//! written by the store or damaged byte by byte; what the store's writer cannot be made to write (columns of
+//! wrong type or length, a missing unit) is tested with its reader.
 
 use crate::support::{self, Bench, Done};
 use photocurrent_core::events::{Event, Polarity};
@@ -53,7 +55,8 @@ pub fn frames(count: i64) -> FrameSequence {
 /// Up and down again in every pixel of row 2, between the first and the second frame.
 pub fn pulses() -> Vec<Event> {
     let pulse = |x: u16| {
-        let event = |polarity, t_in| Event { x, y: 2, polarity, t: t_in + 1_000 + i64::from(x), t_in: Some(t_in) };
+        let event =
+            |polarity, t_in| Event { x, y: 2, polarity, t: t_in + 1_000 + i64::from(x), t_in: Some(t_in) };
         [event(Polarity::On, 5_000_000), event(Polarity::Off, 7_000_000)]
     };
     (0..EXTENT.width as u16).flat_map(pulse).collect()
@@ -63,8 +66,8 @@ pub fn events() -> EventStream {
     testing::stream(EXTENT, pulses())
 }
 
-/// Writes a recording. The library locks the file it writes, and a command that another test starts just then inherits the open file with its
-/// lock for as long as it lives: so what the commands read is a copy.
+/// Writes a recording. The library locks the file it writes, and a command that another test starts just then
+/// inherits the open file with its lock for as long as it lives: so what the commands read is a copy.
 pub fn write_content(path: &Path, content: &RecordingContent) {
     let original = path.with_extension("original");
     write_recording(&original, content).expect("the store writes it");
@@ -80,7 +83,15 @@ pub fn write(path: &Path, events: Option<&EventStream>, frames: Option<&FrameSeq
 pub fn write_with_truth(path: &Path, events: &EventStream) {
     let instants = (0..20).map(|t| Exposure::new(t * 1_000_000, t * 1_000_000 + 1)).collect();
     let truth = Truth(testing::captured(EXTENT, instants, 0, |_, x, _| dn(x)));
-    write_content(path, &RecordingContent { events: Some(events), frames: Some(&frames(3)), truth: Some(&truth), ..RecordingContent::empty(EXTENT) });
+    write_content(
+        path,
+        &RecordingContent {
+            events: Some(events),
+            frames: Some(&frames(3)),
+            truth: Some(&truth),
+            ..RecordingContent::empty(EXTENT)
+        },
+    );
 }
 
 fn bench(events: Option<&EventStream>, frames: Option<&FrameSequence>) -> Bench {
@@ -133,7 +144,12 @@ fn renders(bench: &Bench) -> Rendered {
     let outcome: serde_json::Value = serde_json::from_str(&done.stdout).expect("JSON");
     let notes = outcome["tasks"].as_array().expect("tasks").iter().flat_map(|task| {
         let node = task["node"].as_str().expect("a name");
-        task["notes"].as_array().expect("notes").iter().map(move |note| format!("{node}: {}", note.as_str().expect("a text"))).collect::<Vec<_>>()
+        task["notes"]
+            .as_array()
+            .expect("notes")
+            .iter()
+            .map(move |note| format!("{node}: {}", note.as_str().expect("a text")))
+            .collect::<Vec<_>>()
     });
     let notes: Vec<String> = notes.collect();
     // What the command says to a person must be what it says to a program.
@@ -148,7 +164,10 @@ fn renders(bench: &Bench) -> Rendered {
 /// The light of the frames, to within what the weights let the solution deviate.
 fn assert_is_the_light(row: &[f32], what: &str) {
     let light = (0..EXTENT.width).map(dn);
-    assert!(row.iter().zip(light).all(|(found, light)| (found / light - 1.0).abs() < 1e-3), "{what}: {row:?}");
+    assert!(
+        row.iter().zip(light).all(|(found, light)| (found / light - 1.0).abs() < 1e-3),
+        "{what}: {row:?}"
+    );
 }
 
 #[test]
@@ -159,8 +178,10 @@ fn a_good_recording_gives_the_light_it_was_made_of() {
     assert_eq!(rendered.frames, 25);
     assert_is_the_light(rendered.row(6, 3), "a row without events");
     assert_is_the_light(rendered.row(1, 2), "before the pulse");
-    // One ON event is a step of the ON threshold, 0.20: the light is up by exp(0.20) = 1.2214 while the pulse lasts.
-    let ratios: Vec<f32> = rendered.row(6, 2).iter().zip(rendered.row(1, 2)).map(|(during, before)| during / before).collect();
+    // One ON event is a step of the ON threshold, 0.20: the light is up by exp(0.20) = 1.2214 while the pulse
+    // lasts.
+    let ratios: Vec<f32> =
+        rendered.row(6, 2).iter().zip(rendered.row(1, 2)).map(|(during, before)| during / before).collect();
     assert!(ratios.iter().all(|ratio| (ratio - 1.2214).abs() < 0.01), "{ratios:?}");
 }
 
@@ -185,16 +206,37 @@ fn missing_streams_are_reported_before_anything_runs() {
     refuses(
         &bench(None, Some(&frames(3))),
         2,
-        &["nodes.solve: input `events` needs events, and `recording.events` has none", "rec.h5 has no /events", "m.toml:"],
+        &[
+            "nodes.solve: input `events` needs events, and `recording.events` has none",
+            "rec.h5 has no /events",
+            "m.toml:",
+        ],
     );
-    refuses(&bench(Some(&events()), None), 2, &["nodes.solve: input `frames` needs frames, and `recording.frames` has none", "rec.h5 has no /frames"]);
-    refuses(&bench(Some(&events()), Some(&frames(0))), 2, &["input `frames` needs frames", "/frames of rec.h5 holds no frame"]);
+    refuses(
+        &bench(Some(&events()), None),
+        2,
+        &[
+            "nodes.solve: input `frames` needs frames, and \
+                                                 `recording.frames` has none",
+            "rec.h5 has no /frames",
+        ],
+    );
+    refuses(
+        &bench(Some(&events()), Some(&frames(0))),
+        2,
+        &["input `frames` needs frames", "/frames of rec.h5 holds no frame"],
+    );
 }
 
 #[test]
 fn what_nobody_takes_may_be_missing() {
     let bench = bench(None, Some(&frames(3)));
-    bench.write("m.toml", "format = 1\n[nodes.recording]\nkind = \"read/recording\"\nparams.path = \"rec.h5\"\n[nodes.frames]\nkind = \"write/frames\"\nin.frames = \"recording.frames\"\n");
+    bench.write(
+        "m.toml",
+        "format = 1\n[nodes.recording]\nkind = \"read/recording\"\nparams.path = \
+                           \"rec.h5\"\n[nodes.frames]\nkind = \"write/frames\"\nin.frames = \
+                           \"recording.frames\"\n",
+    );
     assert_says(&bench.run(&["run", "m.toml"]), 0, &[]);
     assert!(bench.path("out/m/frames/000002.png").is_file());
 }
@@ -210,30 +252,61 @@ fn a_model_that_needs_in_pixel_times_refuses_a_recording_without_them() {
 
 #[test]
 fn a_dead_pixel_is_dark_and_its_neighbours_are_not() {
-    let dead = testing::captured(EXTENT, exposures(3), 30_000, |_, x, y| if (x, y) == (4, 2) { 0.0 } else { dn(x) });
+    let dead =
+        testing::captured(EXTENT, exposures(3), 30_000, |_, x, y| if (x, y) == (4, 2) { 0.0 } else { dn(x) });
     let rendered = renders(&bench(Some(&events()), Some(&dead)));
     let row = rendered.row(12, 2);
     assert!(row[4].abs() < 1e-3, "{row:?}");
     assert!([3, 5].iter().all(|&x| (row[x] / dn(x as u32) - 1.0).abs() < 0.02), "{row:?}");
-    assert_eq!(rendered.notes, ["solve: 1 pixels did not converge in some window and fell back to the double-integral estimate there"]);
+    assert_eq!(
+        rendered.notes,
+        ["solve: 1 pixels did not converge in some window and fell back to the \
+                                 double-integral estimate there"]
+    );
 }
 
 #[test]
 fn values_that_are_not_known_stay_unknown_and_are_counted() {
-    let unknown = testing::captured(EXTENT, exposures(3), 30_000, |_, x, y| if (x, y) == (4, 2) { f32::NAN } else { dn(x) });
+    let unknown =
+        testing::captured(
+            EXTENT,
+            exposures(3),
+            30_000,
+            |_, x, y| if (x, y) == (4, 2) { f32::NAN } else { dn(x) },
+        );
     let rendered = renders(&bench(Some(&events()), Some(&unknown)));
     let nan = rendered.dn.iter().filter(|dn| dn.is_nan()).count();
     assert_eq!(nan, rendered.frames);
     assert!(rendered.row(12, 2)[4].is_nan());
-    let solved = "solve: 1 pixels had no usable frame value in some window (NaN): they hold their last known light there";
-    assert_eq!(rendered.notes, [solved.to_string(), format!("frames: {nan} values are not known (NaN) and were written as code 0")]);
+    let solved = "solve: 1 pixels had no usable frame value in some window (NaN): they hold their last \
+                  known light there";
+    assert_eq!(
+        rendered.notes,
+        [
+            solved.to_string(),
+            format!(
+                "frames: {nan} values are not known (NaN) and \
+                                                            were written as code 0"
+            )
+        ]
+    );
 }
 
 #[test]
 fn a_pixel_that_is_always_saturated_is_a_lower_bound_and_counted() {
-    let bright = testing::captured(EXTENT, exposures(3), 30_000, |_, x, y| if (x, y) == (4, 3) { 1023.0 } else { dn(x) });
+    let bright =
+        testing::captured(
+            EXTENT,
+            exposures(3),
+            30_000,
+            |_, x, y| if (x, y) == (4, 3) { 1023.0 } else { dn(x) },
+        );
     let rendered = renders(&bench(Some(&events()), Some(&bright)));
-    assert_eq!(rendered.notes, ["solve: 1 pixels were saturated in every frame of some window: their light is a lower bound there"]);
+    assert_eq!(
+        rendered.notes,
+        ["solve: 1 pixels were saturated in every frame of some window: their light \
+                                 is a lower bound there"]
+    );
     // Row 3 has no events: the bound is the saturation itself.
     assert!((rendered.row(12, 3)[4] / 1023.0 - 1.0).abs() < 1e-3, "{:?}", rendered.row(12, 3));
     assert!((rendered.row(12, 3)[5] / dn(5) - 1.0).abs() < 1e-3);
@@ -295,7 +368,8 @@ fn good_bytes(bench: &Bench) -> (PathBuf, Vec<u8>) {
 }
 
 fn position(bytes: &[u8], part: &[u8]) -> usize {
-    let found: Vec<usize> = (0..bytes.len().saturating_sub(part.len())).filter(|&at| bytes[at..].starts_with(part)).collect();
+    let found: Vec<usize> =
+        (0..bytes.len().saturating_sub(part.len())).filter(|&at| bytes[at..].starts_with(part)).collect();
     assert_eq!(found.len(), 1, "{part:?} stands in the file {} times", found.len());
     found[0]
 }
@@ -307,7 +381,16 @@ fn another_format_is_named() {
     let at = position(&bytes, b"photocurrent-recording/1") + b"photocurrent-recording/".len();
     bytes[at] = b'7';
     std::fs::write(path, bytes).expect("written");
-    refuses(&bench, 2, &["rec.h5", "found format = \"photocurrent-recording/7\", expected format = \"photocurrent-recording/1\"", "m.toml:"]);
+    refuses(
+        &bench,
+        2,
+        &[
+            "rec.h5",
+            "found format = \"photocurrent-recording/7\", expected format = \
+                                    \"photocurrent-recording/1\"",
+            "m.toml:",
+        ],
+    );
 }
 
 #[test]
@@ -319,22 +402,45 @@ fn frames_of_another_size_than_the_sensor_are_reported() {
     let value = name + position(&bytes[name..name + 128], &12i64.to_le_bytes());
     bytes[value] = 13;
     std::fs::write(path, bytes).expect("written");
-    refuses(&bench, 2, &["rec.h5", "/frames/dn: found frames of 12 x 10 pixels, expected 13 x 10", "crop or bin the frames to the pixels of the event sensor"]);
+    refuses(
+        &bench,
+        2,
+        &[
+            "rec.h5",
+            "/frames/dn: found frames of 12 x 10 pixels, expected 13 x 10",
+            "crop or bin the frames to the pixels of the event sensor",
+        ],
+    );
 }
 
 #[test]
 fn unsorted_events_are_reported() {
-    // Two stamps of eight bytes without a pattern: a column that does not shrink is stored as it is, the lowest bytes of all numbers
-    // first, then the next ones. So the swap of two bytes swaps the order.
+    // Two stamps of eight bytes without a pattern: a column that does not shrink is stored as it is, the
+    // lowest bytes of all numbers first, then the next ones. So the swap of two bytes swaps the order.
     let late = 0x1122_3344_5566_7700_i64;
-    let two = [(0x40, Polarity::On), (0x51, Polarity::Off)].map(|(after, polarity)| Event { x: 1, y: 2, polarity, t: late + after, t_in: None });
+    let two = [(0x40, Polarity::On), (0x51, Polarity::Off)].map(|(after, polarity)| Event {
+        x: 1,
+        y: 2,
+        polarity,
+        t: late + after,
+        t_in: None,
+    });
     let bench = bench(Some(&testing::stream(EXTENT, two.to_vec())), Some(&frames(3)));
     let (path, mut bytes) = good_bytes(&bench);
     let at = position(&bytes, &[0x40, 0x51, 0x77, 0x77, 0x66, 0x66, 0x55, 0x55]);
     bytes.swap(at, at + 1);
     std::fs::write(path, bytes).expect("written");
     let done = bench.run(&["run", "m.toml", "--to", "recording"]);
-    assert_says(&done, 3, &["rec.h5", "/events/t: found 1 event earlier than the event ahead, the first at index 1", "hint: sort the events by t"]);
+    assert_says(
+        &done,
+        3,
+        &[
+            "rec.h5",
+            "/events/t: found 1 event earlier than the event ahead, the first at \
+                                       index 1",
+            "hint: sort the events by t",
+        ],
+    );
 }
 
 #[test]
@@ -354,7 +460,15 @@ fn what_is_no_recording_at_all_is_named() {
     let bench = bench(Some(&events()), Some(&frames(3)));
     let path = bench.path("rec.h5");
     std::fs::write(&path, "").expect("written");
-    refuses(&bench, 2, &["rec.h5: the file is empty, so it is no HDF5 file", "give an HDF5 recording; AEDAT4 files are read by the node read/aedat4"]);
+    refuses(
+        &bench,
+        2,
+        &[
+            "rec.h5: the file is empty, so it is no HDF5 file",
+            "give an HDF5 recording; \
+                                                            AEDAT4 files are read by the node read/aedat4",
+        ],
+    );
     std::fs::write(&path, "t,x,y,p\n1,2,3,1\n").expect("written");
     refuses(
         &bench,
@@ -365,7 +479,11 @@ fn what_is_no_recording_at_all_is_named() {
         ],
     );
     std::fs::remove_file(&path).expect("removed");
-    refuses(&bench, 2, &["rec.h5: there is no such file", "paths are relative to the manifest that names them"]);
+    refuses(
+        &bench,
+        2,
+        &["rec.h5: there is no such file", "paths are relative to the manifest that names them"],
+    );
     std::fs::create_dir(&path).expect("a folder");
     refuses(&bench, 2, &["rec.h5: this is no regular file"]);
 }
@@ -381,7 +499,11 @@ fn a_byte_turned_over_anywhere_is_no_panic_and_names_the_file() {
         std::fs::write(&path, &damaged).expect("written");
         let done = bench.run(&["run", "m.toml"]);
         assert!([0, 1, 2, 3].contains(&done.code), "byte {at}: {} {}", done.code, done.stderr);
-        assert!(!done.stderr.contains("panic") && !done.stderr.contains("broke off"), "byte {at}: {}", done.stderr);
+        assert!(
+            !done.stderr.contains("panic") && !done.stderr.contains("broke off"),
+            "byte {at}: {}",
+            done.stderr
+        );
         assert!(done.code == 0 || done.stderr.contains("rec.h5"), "byte {at}: {}", done.stderr);
     }
 }
@@ -393,13 +515,19 @@ fn is_png(entry: &std::io::Result<std::fs::DirEntry>) -> bool {
 #[test]
 fn an_aedat4_file_cut_short_gives_its_whole_packets_and_says_what_is_lost() {
     let bench = Bench::new();
-    let whole = std::fs::read(support::root().join("data/recordings/davis346_traffic.aedat4")).expect("the recording");
-    let manifest = "format = 1\n[nodes.recording]\nkind = \"read/aedat4\"\nparams.path = \"cut.aedat4\"\n[nodes.frames]\nkind = \"write/frames\"\nin.frames = \"recording.frames\"\n";
+    let whole = std::fs::read(support::root().join("data/recordings/davis346_traffic.aedat4"))
+        .expect("the recording");
+    let manifest = "format = 1\n[nodes.recording]\nkind = \"read/aedat4\"\nparams.path = \
+                    \"cut.aedat4\"\n[nodes.frames]\nkind = \"write/frames\"\nin.frames = \
+                    \"recording.frames\"\n";
     bench.write("m.toml", manifest);
     let cut = |length: usize| std::fs::write(bench.path("cut.aedat4"), &whole[..length]).expect("written");
     let frames = || std::fs::read_dir(bench.path("out/m/frames")).expect("frames").filter(is_png).count();
-    // 59 frames follow each other through the file; the data table behind them is for seeking, without it every packet is still there.
-    for (length, least, most) in [(whole.len() * 9 / 10, 50, 56), (whole.len() / 2 + 1, 25, 33), (whole.len() - 1, 59, 59)] {
+    // 59 frames follow each other through the file; the data table behind them is for seeking, without it
+    // every packet is still there.
+    for (length, least, most) in
+        [(whole.len() * 9 / 10, 50, 56), (whole.len() / 2 + 1, 25, 33), (whole.len() - 1, 59, 59)]
+    {
         cut(length);
         assert_says(&bench.run(&["run", "m.toml"]), 3, &["data lost: cut.aedat4"]);
         assert!((least..=most).contains(&frames()), "{} frames of {length} bytes", frames());

@@ -5,7 +5,9 @@ use serde_json::Value;
 
 fn says(done: &Done, code: i32, parts: &[&str]) {
     assert_eq!(done.code, code, "{}", done.stderr);
-    parts.iter().for_each(|part| assert!(done.stderr.contains(part), "`{part}` is missing from\n{}", done.stderr));
+    parts
+        .iter()
+        .for_each(|part| assert!(done.stderr.contains(part), "`{part}` is missing from\n{}", done.stderr));
 }
 
 /// The page of a run, and what its scripts read.
@@ -13,13 +15,19 @@ fn report(bench: &Bench, arguments: &[&str]) -> (String, Value) {
     let done = bench.run(&[&["report", "m.toml", "-o", "page.html"], arguments].concat());
     assert_eq!((done.code, done.stdout.as_str()), (0, "page.html\n"), "{}", done.stderr);
     let html = std::fs::read_to_string(bench.path("page.html")).expect("the page");
-    let data = html.split("id=\"page-data\">").nth(1).and_then(|rest| rest.split("</script>").next()).expect("data");
+    let data =
+        html.split("id=\"page-data\">").nth(1).and_then(|rest| rest.split("</script>").next()).expect("data");
     let data = serde_json::from_str(data).expect("JSON");
     (html, data)
 }
 
 fn labels(data: &Value) -> Vec<String> {
-    data["groups"][0]["sequences"].as_array().into_iter().flatten().map(|one| one["label"].as_str().unwrap_or_default().to_string()).collect()
+    data["groups"][0]["sequences"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|one| one["label"].as_str().unwrap_or_default().to_string())
+        .collect()
 }
 
 #[test]
@@ -39,8 +47,15 @@ in = { frames = \"mine\", truth = \"scene.truth\", sensor = \"sensor\" }
     assert_eq!(done.code, 1, "{}", done.stderr);
     let (html, data) = report(&bench, &[]);
     assert!(html.contains("class=\"number none\"") && html.contains(">no result</td>"), "the cell");
-    assert!(html.contains("mine (baseline/exec) failed") && html.contains("psnr_mine was skipped: it needs mine"), "the reasons");
-    assert!(labels(&data).contains(&"truth".to_string()) && !labels(&data).contains(&"mine".to_string()), "{:?}", labels(&data));
+    assert!(
+        html.contains("mine (baseline/exec) failed") && html.contains("psnr_mine was skipped: it needs mine"),
+        "the reasons"
+    );
+    assert!(
+        labels(&data).contains(&"truth".to_string()) && !labels(&data).contains(&"mine".to_string()),
+        "{:?}",
+        labels(&data)
+    );
     // `table` shows the cell too, and `check` takes the file.
     let table = bench.run(&["table", "m.toml"]);
     assert!(table.stdout.contains("| mine | no result |"), "{}", table.stdout);
@@ -54,7 +69,10 @@ fn what_the_cache_lost_is_said_with_the_command_that_makes_it() {
     assert_eq!(bench.run(&["run", "m.toml", "--quiet"]).code, 0);
     std::fs::remove_dir_all(bench.path(".photocurrent")).expect("a cache");
     let (html, data) = report(&bench, &[]);
-    assert!(html.contains("photocurrent run m.toml</code> makes it again") && html.contains("psnr_db"), "scores stay, pictures are named");
+    assert!(
+        html.contains("photocurrent run m.toml</code> makes it again") && html.contains("psnr_db"),
+        "scores stay, pictures are named"
+    );
     assert_eq!(labels(&data), [""; 0]);
     assert!(!bench.path(".photocurrent").exists(), "looking makes no folder");
 }
@@ -65,8 +83,12 @@ fn a_page_keeps_its_size_and_follows_the_pixels_asked_for() {
     bench.write("m.toml", &small_pipeline());
     assert_eq!(bench.run(&["run", "m.toml", "--quiet"]).code, 0);
     let (whole, data) = report(&bench, &["--pixel", "3,2", "--pixel", "0,0"]);
-    let places: Vec<(i64, i64)> =
-        data["pixels"].as_array().expect("pixels").iter().map(|pixel| (pixel["x"].as_i64().unwrap_or(-1), pixel["y"].as_i64().unwrap_or(-1))).collect();
+    let places: Vec<(i64, i64)> = data["pixels"]
+        .as_array()
+        .expect("pixels")
+        .iter()
+        .map(|pixel| (pixel["x"].as_i64().unwrap_or(-1), pixel["y"].as_i64().unwrap_or(-1)))
+        .collect();
     assert_eq!(places, [(3, 2), (0, 0)]);
     assert!(data["pixels"][0]["solved"][0]["knots"].as_array().is_some_and(|knots| knots.len() > 1));
     let all = data["groups"][0]["instants_ns"].as_array().expect("instants").len();
@@ -79,7 +101,11 @@ fn a_page_keeps_its_size_and_follows_the_pixels_asked_for() {
     assert!(small.contains("instants are embedded"), "and says so");
     // The same run gives the same page.
     assert_eq!(report(&bench, &["--pixel", "3,2", "--pixel", "0,0"]).0, whole);
-    says(&bench.run(&["report", "m.toml", "--max-size", "10kB"]), 2, &["cannot be made as small as", "--max-size"]);
+    says(
+        &bench.run(&["report", "m.toml", "--max-size", "10kB"]),
+        2,
+        &["cannot be made as small as", "--max-size"],
+    );
 }
 
 #[test]
@@ -89,10 +115,19 @@ fn what_is_no_run_is_refused_with_what_to_do() {
     says(&bench.run(&["report", "m.toml"]), 2, &["out/m/run.json is not there", "photocurrent run m.toml"]);
     says(&bench.run(&["report", "nowhere"]), 2, &["nowhere/run.json is not there"]);
     bench.write("notes.txt", "Dear reader,\n");
-    says(&bench.run(&["report", "notes.txt"]), 2, &["`report` takes a manifest that was run, or the folder that a run wrote to"]);
+    says(
+        &bench.run(&["report", "notes.txt"]),
+        2,
+        &["`report` takes a manifest that was run, or the folder \
+                                                     that a run wrote to"],
+    );
     bench.write("old/run.json", "{\"schema\": \"photocurrent-run/0\"}");
     says(&bench.run(&["report", "old"]), 2, &["the form is `photocurrent-run/0`"]);
     assert_eq!(bench.run(&["run", "m.toml", "--quiet"]).code, 0);
     says(&bench.run(&["report", "m.toml", "--pixel", "900,0"]), 2, &["--pixel 900,0: the pixel is outside"]);
-    says(&bench.run(&["report", "m.toml", "--variant", "x=1"]), 2, &["no variant of m has this in its name", "base"]);
+    says(
+        &bench.run(&["report", "m.toml", "--variant", "x=1"]),
+        2,
+        &["no variant of m has this in its name", "base"],
+    );
 }

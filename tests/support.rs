@@ -17,7 +17,10 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             if path.is_dir() {
                 walk(top, &path, found);
             } else {
-                found.insert(path.strip_prefix(top).expect("below").to_path_buf(), std::fs::read(&path).expect("a file"));
+                found.insert(
+                    path.strip_prefix(top).expect("below").to_path_buf(),
+                    std::fs::read(&path).expect("a file"),
+                );
             }
         }
     }
@@ -81,7 +84,8 @@ impl Bench {
         Done { code: status.code().unwrap_or(-1), stdout: text(stdout), stderr: text(stderr) }
     }
 
-    /// Runs the command with an address space of so many bytes at most: what it takes more of, it does not get.
+    /// Runs the command with an address space of so many bytes at most: what it takes more of, it does not
+    /// get.
     pub fn run_within(&self, bytes: u64, arguments: &[&str]) -> Done {
         use std::os::unix::process::CommandExt;
         let mut command = self.command(arguments);
@@ -90,7 +94,13 @@ impl Bench {
         let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
         // SAFETY: between fork and exec only setrlimit is called, which is safe there.
         unsafe {
-            command.pre_exec(move || if libc::setrlimit(libc::RLIMIT_AS, &limit) == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) });
+            command.pre_exec(move || {
+                if libc::setrlimit(libc::RLIMIT_AS, &limit) == 0 {
+                    Ok(())
+                } else {
+                    Err(std::io::Error::last_os_error())
+                }
+            });
         }
         let Output { status, stdout, stderr } = command.output().expect("the command starts");
         let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
@@ -110,7 +120,11 @@ impl Bench {
 /// The names of the nodes that ran, in alphabetical order.
 pub fn executed(outcome: &serde_json::Value) -> Vec<String> {
     let tasks = outcome["tasks"].as_array().expect("tasks");
-    let mut names: Vec<String> = tasks.iter().filter(|task| task["end"] == "executed").map(|task| task["node"].as_str().expect("a name").to_string()).collect();
+    let mut names: Vec<String> = tasks
+        .iter()
+        .filter(|task| task["end"] == "executed")
+        .map(|task| task["node"].as_str().expect("a name").to_string())
+        .collect();
     names.sort();
     names
 }
@@ -121,12 +135,15 @@ pub fn digests(outcome: &serde_json::Value) -> std::collections::BTreeMap<String
     let of = |task: &serde_json::Value| {
         let outputs = task["outputs"].as_object().expect("outputs").clone();
         let node = task["node"].as_str().expect("a name").to_string();
-        outputs.into_iter().map(move |(port, output)| (format!("{node}.{port}"), output["digest"].as_str().expect("a digest").to_string()))
+        outputs.into_iter().map(move |(port, output)| {
+            (format!("{node}.{port}"), output["digest"].as_str().expect("a digest").to_string())
+        })
     };
     tasks.iter().flat_map(of).collect()
 }
 
-/// A small pipeline that has every family: simulated, split, solved, rendered, scored, written. Takes under a second.
+/// A small pipeline that has every family: simulated, split, solved, rendered, scored, written. Takes under a
+/// second.
 pub fn small_pipeline() -> String {
     let sensor = root().join("data/sensors/hybrid.toml");
     format!(

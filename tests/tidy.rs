@@ -1,8 +1,9 @@
-//! The invariants of docs/architecture.md, executed: who may know whom, what makes results reproducible, and that files are where they belong.
+//! The invariants of docs/architecture.md, executed: who may know whom, what makes results reproducible, and
+//! that files are where they belong.
 //!
-//! Text is searched with comments taken out, and mostly without the unit tests at the end of a file; each failure says what to do.
-//! The compiler and clippy see more than a search does (`clippy.toml` refuses the platform's functions by type); a search also
-//! sees what is not compiled on this machine.
+//! Text is searched with comments taken out, and mostly without the unit tests at the end of a file; each
+//! failure says what to do. The compiler and clippy see more than a search does (`clippy.toml` refuses the
+//! platform's functions by type); a search also sees what is not compiled on this machine.
 
 use crate::support::{Bench, root};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,11 +21,29 @@ pub const DIRECTION: [(&str, &str, &[&str]); 11] = [
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/scene", "photocurrent-scene", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/page", "photocurrent-page", &[]),
-    ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor", "photocurrent-solve", "photocurrent-scene", "photocurrent-page"]),
+    (
+        "src/diagnosis",
+        "photocurrent-diagnosis",
+        &[
+            "photocurrent-core",
+            "photocurrent-sensor",
+            "photocurrent-solve",
+            "photocurrent-scene",
+            "photocurrent-page",
+        ],
+    ),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
-    ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
+    (
+        "src/formats",
+        "photocurrent-formats",
+        &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"],
+    ),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
-    ("src/calibrate", "photocurrent-calibrate", &["photocurrent-core", "photocurrent-scene", "photocurrent-diagnosis"]),
+    (
+        "src/calibrate",
+        "photocurrent-calibrate",
+        &["photocurrent-core", "photocurrent-scene", "photocurrent-diagnosis"],
+    ),
     (
         "nodes",
         "photocurrent-nodes",
@@ -40,16 +59,22 @@ pub const DIRECTION: [(&str, &str, &[&str]); 11] = [
     ),
 ];
 
-/// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can examine them.
+/// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can
+/// examine them.
 const OUTSIDE: &str = "data/concealed/generator";
 
 /// The files of the project, relative to its root: what git has or would take; without git, what lies there.
 pub fn files() -> BTreeSet<String> {
-    let git = Command::new("git").args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"]).current_dir(root()).output();
+    let git = Command::new("git")
+        .args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"])
+        .current_dir(root())
+        .output();
     let mut found: BTreeSet<String> = match git {
-        Ok(output) if output.status.success() => {
-            String::from_utf8_lossy(&output.stdout).split('\0').filter(|name| !name.is_empty()).map(String::from).collect()
-        }
+        Ok(output) if output.status.success() => String::from_utf8_lossy(&output.stdout)
+            .split('\0')
+            .filter(|name| !name.is_empty())
+            .map(String::from)
+            .collect(),
         _ => BTreeSet::new(),
     };
     if found.is_empty() {
@@ -83,12 +108,18 @@ fn rust_files() -> impl Iterator<Item = String> {
 }
 
 fn is_under(name: &str, folders: &[&str]) -> bool {
-    folders.iter().any(|folder| name == *folder || name.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/')))
+    folders
+        .iter()
+        .any(|folder| name == *folder || name.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/')))
 }
 
 /// Is a file there for tests only?
 pub fn is_test_file(name: &str) -> bool {
-    name.starts_with("tests/") || name.contains("/tests/") || name.contains("/benches/") || name.ends_with("tests.rs") || name.ends_with("/testing.rs")
+    name.starts_with("tests/")
+        || name.contains("/tests/")
+        || name.contains("/benches/")
+        || name.ends_with("tests.rs")
+        || name.ends_with("/testing.rs")
 }
 
 /// The code of a file: comments blanked, line by line; strings stay.
@@ -115,11 +146,16 @@ fn code(text: &str) -> String {
             end.map_or(rest.len(), |end| end + 2)
         } else if rest.starts_with("r\"") || rest.starts_with("r#") {
             let hashes = rest[1..].chars().take_while(|c| *c == '#').count();
-            match rest[1 + hashes..].strip_prefix('"').and_then(|body| body.find(&format!("\"{}", "#".repeat(hashes)))) {
+            match rest[1 + hashes..]
+                .strip_prefix('"')
+                .and_then(|body| body.find(&format!("\"{}", "#".repeat(hashes))))
+            {
                 Some(end) => 1 + hashes + 1 + end + 1 + hashes,
                 None => 1,
             }
-        } else if let Some(literal) = ["'\"'", "'\\\"'", "'/'"].into_iter().find(|literal| rest.starts_with(literal)) {
+        } else if let Some(literal) =
+            ["'\"'", "'\\\"'", "'/'"].into_iter().find(|literal| rest.starts_with(literal))
+        {
             literal.len()
         } else {
             next.len_utf8()
@@ -133,7 +169,9 @@ fn code(text: &str) -> String {
 /// The code without the unit tests that stand at a file's end.
 pub fn working_code(name: &str) -> String {
     let code = code(&read(name));
-    let tests = code.match_indices("#[cfg(test)]\nmod ").find(|(at, _)| code[at + 13..].lines().next().is_some_and(|line| line.trim_end().ends_with('{')));
+    let tests = code
+        .match_indices("#[cfg(test)]\nmod ")
+        .find(|(at, _)| code[at + 13..].lines().next().is_some_and(|line| line.trim_end().ends_with('{')));
     tests.map_or(code.clone(), |(at, _)| code[..at].to_string())
 }
 
@@ -142,19 +180,29 @@ fn lines_with(code: &str, word: &str) -> Vec<usize> {
     let is_word = |c: char| c.is_alphanumeric() || c == '_';
     let stands_alone = |line: &str, at: usize| {
         let before = line[..at].chars().next_back().is_some_and(|c| is_word(c) && word.starts_with(is_word));
-        let after = line[at + word.len()..].chars().next().is_some_and(|c| is_word(c) && word.ends_with(is_word));
+        let after =
+            line[at + word.len()..].chars().next().is_some_and(|c| is_word(c) && word.ends_with(is_word));
         !before && !after
     };
-    let lines = code.lines().enumerate().filter(|(_, line)| line.match_indices(word).any(|(at, _)| stands_alone(line, at)));
+    let lines = code
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| line.match_indices(word).any(|(at, _)| stands_alone(line, at)));
     lines.map(|(at, _)| at + 1).collect()
 }
 
-/// Complains about every line of working code of `folders` that has one of `words`, unless `allowed` says that the file may.
+/// Complains about every line of working code of `folders` that has one of `words`, unless `allowed` says
+/// that the file may.
 fn refuse(words: &[&str], folders: &[&str], allowed: impl Fn(&str) -> bool, what_to_do: &str) {
     let mut found = Vec::new();
     for name in rust_files().filter(|name| is_under(name, folders) && !is_test_file(name) && !allowed(name)) {
         let code = working_code(&name);
-        found.extend(words.iter().flat_map(|word| lines_with(&code, word).into_iter().map(|line| format!("{name}:{line}: `{word}`")).collect::<Vec<_>>()));
+        found.extend(words.iter().flat_map(|word| {
+            lines_with(&code, word)
+                .into_iter()
+                .map(|line| format!("{name}:{line}: `{word}`"))
+                .collect::<Vec<_>>()
+        }));
     }
     assert!(found.is_empty(), "{what_to_do}\n{}\n", found.join("\n"));
 }
@@ -176,9 +224,12 @@ fn dependencies(manifest: &toml::Table) -> BTreeSet<String> {
                     found.extend(how.get("package").and_then(toml::Value::as_str).map(String::from));
                 }
             }
-            "target" => {
-                value.as_table().into_iter().flatten().filter_map(|(_, target)| target.as_table()).for_each(|target| found.extend(dependencies(target)))
-            }
+            "target" => value
+                .as_table()
+                .into_iter()
+                .flatten()
+                .filter_map(|(_, target)| target.as_table())
+                .for_each(|target| found.extend(dependencies(target))),
             _ => {}
         }
     }
@@ -187,15 +238,24 @@ fn dependencies(manifest: &toml::Table) -> BTreeSet<String> {
 
 /// Every package's folder ("" is the root) and dependencies.
 fn packages() -> BTreeMap<String, BTreeSet<String>> {
-    let folders = files().into_iter().filter_map(|name| Some(name.strip_suffix("Cargo.toml")?.trim_end_matches('/').to_string()));
-    folders.filter(|folder| folder != OUTSIDE).map(|folder| (folder.clone(), dependencies(&manifest(&folder)))).collect()
+    let folders = files()
+        .into_iter()
+        .filter_map(|name| Some(name.strip_suffix("Cargo.toml")?.trim_end_matches('/').to_string()));
+    folders
+        .filter(|folder| folder != OUTSIDE)
+        .map(|folder| (folder.clone(), dependencies(&manifest(&folder))))
+        .collect()
 }
 
 /// Complains about packages other than `allowed` that depend on something that begins with `name`.
 fn only_in(name: &str, allowed: &[&str]) {
     for (folder, dependencies) in packages() {
         let has = dependencies.iter().any(|d| d == name || d.starts_with(&format!("{name}-")));
-        assert!(!has || allowed.contains(&folder.as_str()), "{folder}/Cargo.toml depends on {name}: only {allowed:?} may; ask them for what you need");
+        assert!(
+            !has || allowed.contains(&folder.as_str()),
+            "{folder}/Cargo.toml depends on {name}: only \
+                                                            {allowed:?} may; ask them for what you need"
+        );
     }
 }
 
@@ -203,9 +263,17 @@ fn only_in(name: &str, allowed: &[&str]) {
 fn dependencies_among_our_crates_point_down() {
     let packages = packages();
     for (folder, _, allowed) in DIRECTION {
-        let ours = packages.get(folder).unwrap_or_else(|| panic!("{folder} is a package")).iter().filter(|name| name.starts_with("photocurrent"));
+        let ours = packages
+            .get(folder)
+            .unwrap_or_else(|| panic!("{folder} is a package"))
+            .iter()
+            .filter(|name| name.starts_with("photocurrent"));
         let wrong: Vec<&String> = ours.filter(|name| !allowed.contains(&name.as_str())).collect();
-        assert!(wrong.is_empty(), "{folder} depends on {wrong:?}, and may depend on {allowed:?} only: move what is shared down, or pass it in as an argument");
+        assert!(
+            wrong.is_empty(),
+            "{folder} depends on {wrong:?}, and may depend on {allowed:?} only: move \
+                                   what is shared down, or pass it in as an argument"
+        );
     }
 }
 
@@ -214,44 +282,87 @@ fn the_direction_of_every_crate_is_stated_here() {
     let stated: BTreeMap<&str, &str> = DIRECTION.iter().map(|(folder, name, _)| (*folder, *name)).collect();
     for folder in packages().keys().filter(|folder| !folder.is_empty()) {
         let name = manifest(folder)["package"]["name"].as_str().expect("a name").to_string();
-        assert_eq!(stated.get(folder.as_str()), Some(&name.as_str()), "{folder} is a new package: state in DIRECTION of tests/tidy.rs what it may depend on");
+        assert_eq!(
+            stated.get(folder.as_str()),
+            Some(&name.as_str()),
+            "{folder} is a new package: state in \
+                                                            DIRECTION of tests/tidy.rs what it may depend \
+                                                            on"
+        );
     }
 }
 
 #[test]
 fn the_physics_builds_without_the_engine_and_its_texts() {
     let tree = |package: &str| {
-        let options = ["tree", "--offline", "--no-default-features", "-e", "normal", "--prefix", "none", "--no-dedupe", "-f", "{p}", "-p", package];
-        let output = Command::new(std::env::var("CARGO").unwrap_or("cargo".into())).args(options).current_dir(root()).output().expect("cargo runs");
+        let options = [
+            "tree",
+            "--offline",
+            "--no-default-features",
+            "-e",
+            "normal",
+            "--prefix",
+            "none",
+            "--no-dedupe",
+            "-f",
+            "{p}",
+            "-p",
+            package,
+        ];
+        let output = Command::new(std::env::var("CARGO").unwrap_or("cargo".into()))
+            .args(options)
+            .current_dir(root())
+            .output()
+            .expect("cargo runs");
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         text.lines().filter_map(|line| line.split(' ').next()).map(String::from).collect::<BTreeSet<String>>()
     };
     for (package, most) in [("photocurrent-sensor", 40), ("photocurrent-solve", 52)] {
         let crates = tree(package);
-        assert!(crates.len() <= most, "{package} builds {} crates, at most {most} are meant: {crates:?}", crates.len());
+        assert!(
+            crates.len() <= most,
+            "{package} builds {} crates, at most {most} are meant: {crates:?}",
+            crates.len()
+        );
         for heavy in ["toml", "schemars", "hdf5-metno", "photocurrent-engine", "photocurrent-store"] {
-            assert!(!crates.contains(heavy), "{package} builds {heavy}: put what needs it behind a feature of photocurrent-core");
+            assert!(
+                !crates.contains(heavy),
+                "{package} builds {heavy}: put what needs it behind a feature \
+                                              of photocurrent-core"
+            );
         }
     }
 }
 
-/// The modules that a table of the code map names: what stands between backticks in the first cell of each row.
+/// The modules that a table of the code map names: what stands between backticks in the first cell of each
+/// row.
 fn modules_of(table: &str) -> Vec<String> {
     let cells = table.lines().filter_map(|line| line.strip_prefix("| ")?.split(" | ").next());
     cells.flat_map(|cell| cell.split('`').skip(1).step_by(2)).map(String::from).collect()
 }
 
-/// What of a crate's folder the code map has to name: its modules and folders, without the root of the crate and without what is there for tests only.
+/// What of a crate's folder the code map has to name: its modules and folders, without the root of the crate
+/// and without what is there for tests only.
 fn modules_in(folder: &str, files: &BTreeSet<String>) -> BTreeSet<String> {
-    let inside = files.iter().filter(|name| !is_test_file(name)).filter_map(|name| name.strip_prefix(&format!("{folder}/")));
-    let top = inside.map(|rest| rest.split_once('/').map_or_else(|| rest.strip_suffix(".rs").unwrap_or(rest), |(first, _)| first).to_string());
+    let inside = files
+        .iter()
+        .filter(|name| !is_test_file(name))
+        .filter_map(|name| name.strip_prefix(&format!("{folder}/")));
+    let top = inside.map(|rest| {
+        rest.split_once('/')
+            .map_or_else(|| rest.strip_suffix(".rs").unwrap_or(rest), |(first, _)| first)
+            .to_string()
+    });
     top.filter(|name| !["lib", "Cargo.toml"].contains(&name.as_str())).collect()
 }
 
 /// What is wrong with the code map, in words: modules that do not exist, and modules that it does not name.
 fn faults_of_code_map(page: &str, files: &BTreeSet<String>) -> Vec<String> {
-    let map = page.split_once("\n## Code map\n").and_then(|(_, rest)| rest.split("\n## ").next()).unwrap_or_default();
+    let map = page
+        .split_once("\n## Code map\n")
+        .and_then(|(_, rest)| rest.split("\n## ").next())
+        .unwrap_or_default();
     let folders: Vec<&str> = DIRECTION.iter().map(|(folder, ..)| *folder).chain(["src/cli"]).collect();
     let mut faults = Vec::new();
     for folder in &folders {
@@ -259,14 +370,30 @@ fn faults_of_code_map(page: &str, files: &BTreeSet<String>) -> Vec<String> {
             faults.push(format!("no table for {folder}"));
             continue;
         };
-        let end = folders.iter().filter_map(|other| rest.find(&format!("\n`{other}`, "))).min().unwrap_or(rest.len());
+        let end = folders
+            .iter()
+            .filter_map(|other| rest.find(&format!("\n`{other}`, ")))
+            .min()
+            .unwrap_or(rest.len());
         let named = modules_of(&rest[..end]);
         let exists = |module: &str| {
             let path = format!("{folder}/{module}");
-            files.contains(&path) || files.contains(&format!("{path}.rs")) || files.iter().any(|name| is_under(name, &[&path]))
+            files.contains(&path)
+                || files.contains(&format!("{path}.rs"))
+                || files.iter().any(|name| is_under(name, &[&path]))
         };
-        faults.extend(named.iter().filter(|module| !exists(module)).map(|module| format!("{folder}/{module} does not exist")));
-        faults.extend(modules_in(folder, files).into_iter().filter(|module| !named.contains(module)).map(|module| format!("{folder}/{module} is not named")));
+        faults.extend(named.iter().filter(|module| !exists(module)).map(|module| {
+            format!(
+                "{folder}/{module} \
+                                                            does not exist"
+            )
+        }));
+        faults.extend(
+            modules_in(folder, files)
+                .into_iter()
+                .filter(|module| !named.contains(module))
+                .map(|module| format!("{folder}/{module} is not named")),
+        );
     }
     faults
 }
@@ -274,41 +401,80 @@ fn faults_of_code_map(page: &str, files: &BTreeSet<String>) -> Vec<String> {
 #[test]
 fn the_code_map_names_what_there_is() {
     let faults = faults_of_code_map(&read("docs/architecture.md"), &files());
-    assert!(faults.is_empty(), "the first column of a table in the code map of docs/architecture.md names the modules of a crate:\n{}\n", faults.join("\n"));
+    assert!(
+        faults.is_empty(),
+        "the first column of a table in the code map of docs/architecture.md names \
+                                the modules of a crate:\n{}\n",
+        faults.join("\n")
+    );
 }
 
 #[test]
 fn a_wrong_name_in_the_code_map_is_found() {
     let (page, files) = (read("docs/architecture.md"), files());
     let with = |from: &str, to: &str| faults_of_code_map(&page.replacen(from, to, 1), &files);
-    assert_eq!(with("`front_end`, ", "`front_door`, "), ["src/sensor/front_door does not exist", "src/sensor/front_end is not named"]);
+    assert_eq!(
+        with("`front_end`, ", "`front_door`, "),
+        ["src/sensor/front_door does not exist", "src/sensor/front_end is not named"]
+    );
     assert_eq!(with("`map/group`", "`map/groups`"), ["src/sensor/map/groups does not exist"]);
     assert_eq!(with("| `split` |", "| |"), ["nodes/split is not named"]);
-    assert_eq!(with("\n`src/page`, ", "\nPages, ").first().map(String::as_str), Some("no table for src/page"));
+    assert_eq!(
+        with("\n`src/page`, ", "\nPages, ").first().map(String::as_str),
+        Some("no table for src/page")
+    );
 }
 
 #[test]
 fn the_workspace_lists_its_members_one_by_one() {
     let workspace = &manifest("")["workspace"];
-    let list = |key: &str| workspace[key].as_array().expect("a list").iter().map(|name| name.as_str().expect("a path").to_string()).collect::<BTreeSet<_>>();
+    let list = |key: &str| {
+        workspace[key]
+            .as_array()
+            .expect("a list")
+            .iter()
+            .map(|name| name.as_str().expect("a path").to_string())
+            .collect::<BTreeSet<_>>()
+    };
     let members = list("members");
     let folders: BTreeSet<String> = packages().into_keys().filter(|folder| !folder.is_empty()).collect();
-    assert!(members.iter().all(|member| !member.contains('*')), "members are listed one by one: a glob over src/ meets src/cli, which is no package");
+    assert!(
+        members.iter().all(|member| !member.contains('*')),
+        "members are listed one by one: a glob over \
+                                                            src/ meets src/cli, which is no package"
+    );
     assert_eq!(members, folders, "the packages that there are (right) are the workspace's members (left)");
     let tested = list("default-members");
-    assert!(members.is_subset(&tested) && tested.contains("."), "default-members has the root and every member, so that a bare `cargo test` runs all");
+    assert!(
+        members.is_subset(&tested) && tested.contains("."),
+        "default-members has the root and every \
+                                                            member, so that a bare `cargo test` runs all"
+    );
 }
 
 #[test]
 fn the_maker_of_concealed_recordings_shares_nothing_with_the_engine() {
     let outside = manifest(OUTSIDE);
-    assert!(outside.contains_key("workspace"), "{OUTSIDE}/Cargo.toml has an empty [workspace] table: it belongs to no other");
-    let ours: Vec<String> = dependencies(&outside).into_iter().filter(|name| name.starts_with("photocurrent")).collect();
-    assert!(ours.is_empty(), "{OUTSIDE}/Cargo.toml depends on {ours:?}: who makes the recordings that examine the engine may not use it");
+    assert!(
+        outside.contains_key("workspace"),
+        "{OUTSIDE}/Cargo.toml has an empty [workspace] table: it \
+                                                belongs to no other"
+    );
+    let ours: Vec<String> =
+        dependencies(&outside).into_iter().filter(|name| name.starts_with("photocurrent")).collect();
+    assert!(
+        ours.is_empty(),
+        "{OUTSIDE}/Cargo.toml depends on {ours:?}: who makes the recordings that \
+                              examine the engine may not use it"
+    );
     for name in rust_files().filter(|name| is_under(name, &[OUTSIDE])) {
         let code = code(&read(&name));
         for word in [concat!("photocurrent", "_"), "#[path", "include!"] {
-            assert!(!code.contains(word), "{name} has `{word}`: write it anew; who makes the recordings that examine the engine may not use it");
+            assert!(
+                !code.contains(word),
+                "{name} has `{word}`: write it anew; who makes the recordings \
+                                           that examine the engine may not use it"
+            );
         }
     }
 }
@@ -320,7 +486,11 @@ fn hdf5_is_known_to_the_store_alone() {
     for name in rust_files().filter(known) {
         let code = code(&read(&name));
         for word in [concat!("hdf5", "::"), concat!("hdf5_", "sys")] {
-            assert!(lines_with(&code, word).is_empty(), "{name} names {word}: files are opened, read and written through photocurrent-store");
+            assert!(
+                lines_with(&code, word).is_empty(),
+                "{name} names {word}: files are opened, read and \
+                                                         written through photocurrent-store"
+            );
         }
     }
 }
@@ -330,7 +500,13 @@ fn networks_are_run_in_one_place() {
     for name in ["ort", "rten"] {
         only_in(name, &["nodes", "nodes/onnx"]);
         let path = format!("{name}::");
-        refuse(&[&path], &["src", "nodes"], |file| is_under(file, &["nodes/onnx"]), "networks are run through the one trait of nodes/onnx");
+        refuse(
+            &[&path],
+            &["src", "nodes"],
+            |file| is_under(file, &["nodes/onnx"]),
+            "networks are run \
+                                                            through the one trait of nodes/onnx",
+        );
     }
 }
 
@@ -349,34 +525,87 @@ fn arguments_are_parsed_in_the_command_alone() {
 #[test]
 fn only_readers_and_writers_open_recordings() {
     let allowed = |name: &str| is_under(name, &["nodes/read", "nodes/write"]);
-    refuse(&["photocurrent_store"], &["nodes"], allowed, "nodes get values at their inputs; files are for nodes/read and nodes/write");
+    refuse(
+        &["photocurrent_store"],
+        &["nodes"],
+        allowed,
+        "nodes get values at their inputs; files are for \
+                                                          nodes/read and nodes/write",
+    );
 }
 
 #[test]
 fn the_command_calculates_nothing() {
     let manifest = manifest("");
-    let of = |key: &str| manifest.get(key).and_then(toml::Value::as_table).into_iter().flatten().map(|(name, _)| name.clone()).collect::<Vec<_>>();
-    assert!(!of("dependencies").contains(&"photocurrent-sensor".to_string()), "src/cli has no business with the sensor's equations: make a node");
+    let of = |key: &str| {
+        manifest
+            .get(key)
+            .and_then(toml::Value::as_table)
+            .into_iter()
+            .flatten()
+            .map(|(name, _)| name.clone())
+            .collect::<Vec<_>>()
+    };
+    assert!(
+        !of("dependencies").contains(&"photocurrent-sensor".to_string()),
+        "src/cli has no business with \
+                                                            the sensor's equations: make a node"
+    );
 }
 
 #[test]
 fn results_depend_on_no_clock_environment_or_thread() {
-    let words = ["SystemTime", "Instant", "std::env", "env::var", "thread_rng", "thread_local!", "available_parallelism", "current_num_threads"];
+    let words = [
+        "SystemTime",
+        "Instant",
+        "std::env",
+        "env::var",
+        "thread_rng",
+        "thread_local!",
+        "available_parallelism",
+        "current_num_threads",
+    ];
     refuse(
         &words,
         &["src/core", "src/sensor", "src/solve", "src/scene", "src/diagnosis", "nodes"],
         |_| false,
-        "a result is a function of inputs, parameters, declared files and seed: take what you need as a parameter, or draw from photocurrent_core::random",
+        "a result is a function of inputs, parameters, declared files and seed: take what you need as a \
+         parameter, or draw from photocurrent_core::random",
     );
 }
 
 #[test]
 fn numbers_come_from_libm() {
-    // Generic over `Scalar`, or on lanes: `exp` and `ln` are the project's own there for every type that there is.
+    // Generic over `Scalar`, or on lanes: `exp` and `ln` are the project's own there for every type that
+    // there is.
     let generic = ["src/sensor/scalar.rs", "src/sensor/front_end.rs", "src/sensor/inverse/lanes.rs"];
-    let exact = [".mul_add(", ".powf(", ".powi(", ".sin(", ".cos(", ".tan(", ".atan2(", ".tanh(", ".hypot(", ".cbrt(", ".log2(", ".log10(", ".ln_1p("];
-    let what_to_do = "the platform's functions round differently from machine to machine: use libm's (libm::exp, libm::log, libm::pow)";
-    let folders = ["src/core", "src/sensor", "src/solve", "src/scene", "src/diagnosis", "src/engine", "src/store", "nodes"];
+    let exact = [
+        ".mul_add(",
+        ".powf(",
+        ".powi(",
+        ".sin(",
+        ".cos(",
+        ".tan(",
+        ".atan2(",
+        ".tanh(",
+        ".hypot(",
+        ".cbrt(",
+        ".log2(",
+        ".log10(",
+        ".ln_1p(",
+    ];
+    let what_to_do = "the platform's functions round differently from machine to machine: use libm's \
+                      (libm::exp, libm::log, libm::pow)";
+    let folders = [
+        "src/core",
+        "src/sensor",
+        "src/solve",
+        "src/scene",
+        "src/diagnosis",
+        "src/engine",
+        "src/store",
+        "nodes",
+    ];
     refuse(&exact, &folders, |_| false, what_to_do);
     let allowed = |name: &str| generic.contains(&name);
     refuse(&[".exp()", ".ln()", ".exp_m1()"], &folders, allowed, what_to_do);
@@ -386,18 +615,45 @@ fn numbers_come_from_libm() {
 fn clippy_refuses_the_platforms_functions() {
     let clippy: toml::Table = read("clippy.toml").parse().expect("clippy.toml is TOML");
     let methods = clippy["disallowed-methods"].as_array().expect("a list of disallowed methods");
-    for method in ["f64::exp", "f64::ln", "f64::powf", "f64::mul_add", "f32::exp", "f32::ln", "f32::powf", "f32::mul_add"] {
-        let listed = methods.iter().any(|entry| entry.get("path").and_then(toml::Value::as_str) == Some(method));
-        assert!(listed, "clippy.toml disallows {method}: put it back, or results differ from machine to machine");
+    for method in [
+        "f64::exp",
+        "f64::ln",
+        "f64::powf",
+        "f64::mul_add",
+        "f32::exp",
+        "f32::ln",
+        "f32::powf",
+        "f32::mul_add",
+    ] {
+        let listed =
+            methods.iter().any(|entry| entry.get("path").and_then(toml::Value::as_str) == Some(method));
+        assert!(
+            listed,
+            "clippy.toml disallows {method}: put it back, or results differ from machine to \
+                         machine"
+        );
     }
 }
 
 #[test]
 fn truth_is_seen_by_scorers_and_by_those_who_make_show_and_store_it() {
-    let makes_or_shows = ["nodes/score", "nodes/show", "nodes/simulate", "nodes/read/recording.rs", "nodes/write/recording.rs", "nodes/write/contact_sheet.rs"];
+    let makes_or_shows = [
+        "nodes/score",
+        "nodes/show",
+        "nodes/simulate",
+        "nodes/read/recording.rs",
+        "nodes/write/recording.rs",
+        "nodes/write/contact_sheet.rs",
+    ];
     let carries = ["src/core", "src/store", "src/engine"];
     let allowed = |name: &str| is_under(name, &makes_or_shows) || is_under(name, &carries);
-    refuse(&["Truth"], &["src", "nodes"], allowed, "a method that sees the truth proves nothing: only scorers compare with it");
+    refuse(
+        &["Truth"],
+        &["src", "nodes"],
+        allowed,
+        "a method that sees the truth proves nothing: only \
+                                                    scorers compare with it",
+    );
 }
 
 #[test]
@@ -411,27 +667,42 @@ fn no_code_knows_where_answers_are_kept() {
                 let mut places = line.match_indices(prefix);
                 places.any(|(at, _)| matches!(line[..at].chars().next_back(), Some('"' | '/' | '`')))
             });
-            assert!(!names, "{name}:{}: names a file of answers; the code under test must not know them", at + 1);
+            assert!(
+                !names,
+                "{name}:{}: names a file of answers; the code under test must not know them",
+                at + 1
+            );
         }
     }
     // What the concealed recordings conceal: no file of the tool names it, be it code, a comment or data.
     for name in files().into_iter().filter(|name| is_under(name, &["src", "nodes"])) {
         let bytes = fs::read(root().join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
         let text = String::from_utf8_lossy(&bytes);
-        assert!(!text.contains("answers.json"), "{name}: names the answers to the concealed recordings; the code under test must not know them");
+        assert!(
+            !text.contains("answers.json"),
+            "{name}: names the answers to the concealed recordings; the \
+                                                 code under test must not know them"
+        );
     }
 }
 
 #[test]
 fn every_source_file_says_what_it_is() {
     let silent: Vec<String> = rust_files().filter(|name| !read(name).starts_with("//! ")).collect();
-    assert!(silent.is_empty(), "the first line is `//! ` and what the file is, in a newcomer's words: {silent:?}");
+    assert!(
+        silent.is_empty(),
+        "the first line is `//! ` and what the file is, in a newcomer's words: \
+                                {silent:?}"
+    );
 }
 
 #[test]
 fn no_source_file_is_too_long_to_read_in_one_sitting() {
-    let long: Vec<String> =
-        rust_files().map(|name| (read(&name).lines().count(), name)).filter(|(n, _)| *n > MOST_LINES).map(|(n, name)| format!("{name}: {n}")).collect();
+    let long: Vec<String> = rust_files()
+        .map(|name| (read(&name).lines().count(), name))
+        .filter(|(n, _)| *n > MOST_LINES)
+        .map(|(n, name)| format!("{name}: {n}"))
+        .collect();
     assert!(long.is_empty(), "more than {MOST_LINES} lines, split by what the parts are about: {long:?}");
 }
 
@@ -449,17 +720,29 @@ fn no_file_names_a_place_on_one_machine() {
             }
         }
     }
-    assert!(found.is_empty(), "paths are relative to the project, or temporary ones made by the program:\n{}\n", found.join("\n"));
+    assert!(
+        found.is_empty(),
+        "paths are relative to the project, or temporary ones made by the \
+                               program:\n{}\n",
+        found.join("\n")
+    );
 }
 
 #[test]
 fn every_pipeline_begins_with_what_it_is_for() {
-    let pipelines: Vec<String> = files().into_iter().filter(|name| name.starts_with("pipelines/") && name.ends_with(".toml")).collect();
+    let pipelines: Vec<String> = files()
+        .into_iter()
+        .filter(|name| name.starts_with("pipelines/") && name.ends_with(".toml"))
+        .collect();
     assert!(!pipelines.is_empty(), "there are pipelines");
     for name in pipelines {
         let text = read(&name);
         let first = text.lines().next().unwrap_or_default();
-        assert!(first.starts_with("# ") && first.len() > 20, "{name}: the first line is a comment that says what the pipeline is for");
+        assert!(
+            first.starts_with("# ") && first.len() > 20,
+            "{name}: the first line is a comment that says \
+                                                            what the pipeline is for"
+        );
     }
 }
 
@@ -470,24 +753,48 @@ fn every_data_file_is_named_in_a_readme() {
     for name in all.iter().filter(|name| name.starts_with("data/") && !name.ends_with("README.md")) {
         let path = Path::new(name);
         let file = path.file_name().expect("a name").to_string_lossy();
-        let readmes =
-            path.ancestors().skip(1).map(|folder| folder.join("README.md").to_string_lossy().into_owned()).filter(|readme| readme.starts_with("data/"));
-        if !readmes.filter(|readme| all.contains(readme)).any(|readme| read(&readme).contains(file.as_ref())) {
+        let readmes = path
+            .ancestors()
+            .skip(1)
+            .map(|folder| folder.join("README.md").to_string_lossy().into_owned())
+            .filter(|readme| readme.starts_with("data/"));
+        if !readmes.filter(|readme| all.contains(readme)).any(|readme| read(&readme).contains(file.as_ref()))
+        {
             missing.push(name);
         }
     }
-    assert!(missing.is_empty(), "a README.md next to it or above it in data/ says what it is, where it comes from and under which licence: {missing:?}");
+    assert!(
+        missing.is_empty(),
+        "a README.md next to it or above it in data/ says what it is, where it \
+                                 comes from and under which licence: {missing:?}"
+    );
 }
 
 #[test]
 fn decisions_are_numbered() {
-    let decisions: Vec<String> =
-        files().into_iter().filter_map(|name| Some(name.strip_prefix("docs/decisions/")?.to_string())).filter(|n| n != "README.md").collect();
-    assert!(!decisions.is_empty(), "docs/decisions has a page for each decision that was hard, such as 0001-one-binary.md");
+    let decisions: Vec<String> = files()
+        .into_iter()
+        .filter_map(|name| Some(name.strip_prefix("docs/decisions/")?.to_string()))
+        .filter(|n| n != "README.md")
+        .collect();
+    assert!(
+        !decisions.is_empty(),
+        "docs/decisions has a page for each decision that was hard, such as \
+                                    0001-one-binary.md"
+    );
     let mut numbers = BTreeSet::new();
     for name in decisions {
-        let number = name.split('-').next().filter(|number| number.len() >= 2 && number.chars().all(|c| c.is_ascii_digit()) && name.ends_with(".md"));
-        let number = number.unwrap_or_else(|| panic!("docs/decisions/{name}: is called number-what-was-decided.md")).to_string();
+        let number = name.split('-').next().filter(|number| {
+            number.len() >= 2 && number.chars().all(|c| c.is_ascii_digit()) && name.ends_with(".md")
+        });
+        let number = number
+            .unwrap_or_else(|| {
+                panic!(
+                    "docs/decisions/{name}: is called \
+                                                      number-what-was-decided.md"
+                )
+            })
+            .to_string();
         assert!(numbers.insert(number), "docs/decisions/{name}: its number is taken");
     }
 }
@@ -507,24 +814,48 @@ fn code_lines(text: &str) -> Vec<&str> {
 fn the_readmes_commands_exist() {
     let readme = read("README.md");
     let makefile = read("Makefile");
-    let targets: BTreeSet<&str> =
-        makefile.lines().filter(|line| !line.starts_with([' ', '\t', '#', '.'])).filter_map(|line| line.split_once(':')).map(|(name, _)| name.trim()).collect();
+    let targets: BTreeSet<&str> = makefile
+        .lines()
+        .filter(|line| !line.starts_with([' ', '\t', '#', '.']))
+        .filter_map(|line| line.split_once(':'))
+        .map(|(name, _)| name.trim())
+        .collect();
     let help = Bench::new().run(&["--help"]).stdout;
     let mut commands = 0;
     for line in code_lines(&readme) {
         let words: Vec<&str> = line.split_whitespace().collect();
         match words[..] {
             ["make", ref named @ ..] => {
-                for target in named.iter().take_while(|word| !word.starts_with('#')).filter(|word| !word.contains('=') && !word.starts_with('-')) {
-                    assert!(targets.contains(target), "README.md says `{line}`, and the Makefile has no target `{target}`: it has {targets:?}");
+                for target in named
+                    .iter()
+                    .take_while(|word| !word.starts_with('#'))
+                    .filter(|word| !word.contains('=') && !word.starts_with('-'))
+                {
+                    assert!(
+                        targets.contains(target),
+                        "README.md says `{line}`, and the Makefile has no \
+                                                       target `{target}`: it has {targets:?}"
+                    );
                 }
                 commands += 1;
             }
             [program, subcommand, ..] if program == "photocurrent" || program.ends_with("/photocurrent") => {
-                let known = subcommand.starts_with('-') || help.lines().any(|l| l.get(15..).is_some_and(|l| l.split(' ').next() == Some(subcommand)));
+                let known = subcommand.starts_with('-')
+                    || help
+                        .lines()
+                        .any(|l| l.get(15..).is_some_and(|l| l.split(' ').next() == Some(subcommand)));
                 assert!(known, "README.md says `{line}`, and there is no command `{subcommand}`");
-                let named = words.iter().take_while(|word| !word.starts_with('#')).filter(|word| word.starts_with("pipelines/") || word.starts_with("data/"));
-                named.for_each(|path| assert!(root().join(path).exists(), "README.md says `{line}`, and {path} does not exist"));
+                let named = words
+                    .iter()
+                    .take_while(|word| !word.starts_with('#'))
+                    .filter(|word| word.starts_with("pipelines/") || word.starts_with("data/"));
+                named.for_each(|path| {
+                    assert!(
+                        root().join(path).exists(),
+                        "README.md says `{line}`, and \
+                                                            {path} does not exist"
+                    )
+                });
                 commands += 1;
             }
             _ => {}
@@ -537,15 +868,21 @@ fn the_readmes_commands_exist() {
 fn the_changelog_begins_with_what_is_not_released_yet() {
     let changelog = read("CHANGELOG.md");
     let head = changelog.lines().find(|line| line.starts_with("## ")).unwrap_or_default();
-    assert!(head.to_lowercase().contains("unreleased"), "the first heading of CHANGELOG.md is `## Unreleased`, and is `{head}`");
+    assert!(
+        head.to_lowercase().contains("unreleased"),
+        "the first heading of CHANGELOG.md is `## \
+                                                         Unreleased`, and is `{head}`"
+    );
 }
 
 #[test]
 fn comments_are_separated_from_code() {
-    let text = "let a = \"// no comment\"; // a comment, \"quoted\"\n/* two\nlines */ let b = 'x'; let c = r#\"raw \" // text\"#;\nlet d: &'static str = \"\\\"//\"; let e = ['\"', '\\\"']; // end\n";
+    let text = "let a = \"// no comment\"; // a comment, \"quoted\"\n/* two\nlines */ let b = 'x'; let c = \
+                r#\"raw \" // text\"#;\nlet d: &'static str = \"\\\"//\"; let e = ['\"', '\\\"']; // end\n";
     assert_eq!(
         code(text),
-        "let a = \"// no comment\"; \n\n let b = 'x'; let c = r#\"raw \" // text\"#;\nlet d: &'static str = \"\\\"//\"; let e = ['\"', '\\\"']; \n"
+        "let a = \"// no comment\"; \n\n let b = 'x'; let c = r#\"raw \" // text\"#;\nlet d: &'static str = \
+         \"\\\"//\"; let e = ['\"', '\\\"']; \n"
     );
     assert_eq!(lines_with("Instant\ninstant\nInstants\nstd::time::Instant::now()\n", "Instant"), [1, 4]);
 }

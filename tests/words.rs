@@ -1,7 +1,9 @@
-//! Code, messages, manifests, pages and docs use the field's words (docs/vocabulary.md); those of a private language do not come back.
+//! Code, messages, manifests, pages and docs use the field's words (docs/vocabulary.md); those of a private
+//! language do not come back.
 //!
-//! A text is searched in lower case, with `snake_case` and `CamelCase` taken apart, so that an identifier is read as its words. What can only be judged by its meaning
-//! (`light` for the photocurrent, `hint` for a pseudo-measurement, `floor` of a null distribution) is not searched for.
+//! A text is searched in lower case, with `snake_case` and `CamelCase` taken apart, so that an identifier is
+//! read as its words. What can only be judged by its meaning (`light` for the photocurrent, `hint` for a
+//! pseudo-measurement, `floor` of a null distribution) is not searched for.
 
 use crate::support::root;
 use std::process::Command;
@@ -10,7 +12,11 @@ use std::process::Command;
 const RETIRED: [(&[&str], &str); 24] = [
     (&["most probable light"], "MAP estimate (of the photocurrent)"),
     (&["told", "tell", "tells", "telling"], "reported, stated, given, distinguished"),
-    (&["believe", "believes", "believed", "believing", "belief", "beliefs"], "assumed standard deviation; posterior probability; trusted"),
+    (
+        &["believe", "believes", "believed", "believing", "belief", "beliefs"],
+        "assumed standard deviation; \
+                                                            posterior probability; trusted",
+    ),
     (&["foretell", "foretells", "foretold"], "predict, predicted"),
     (&["kept back", "keep back", "keeps back", "keeping back"], "held out"),
     (&["description as stated", "noise as stated", "as fitted"], "nominal; fitted"),
@@ -26,7 +32,10 @@ const RETIRED: [(&[&str], &str); 24] = [
     (&["alarm", "alarms"], "detection threshold"),
     (&["says nothing", "say nothing"], "is not identifiable from it; does not constrain; decides nothing"),
     (&["safe estimate"], "double-integral estimate"),
-    (&["put on", "puts on", "take off", "takes off", "taken off", "take away", "takes away", "taken away"], "apply; remove, undo, subtract"),
+    (
+        &["put on", "puts on", "take off", "takes off", "taken off", "take away", "takes away", "taken away"],
+        "apply; remove, undo, subtract",
+    ),
     (&["mend", "mends", "mended"], "correct, corrected, repaired"),
     (&["put back", "puts back"], "recovered, restored"),
     (&["beside"], "with, in addition to; next to"),
@@ -68,19 +77,26 @@ fn plain(line: &str) -> String {
 
 /// The retired words of a line.
 fn retired(line: &str) -> Vec<&'static str> {
-    let line = ORDINARY
-        .iter()
-        .fold(line.replace("False alarm", "false alarm").replace("false_alarms", "").replace("false_alarm", ""), |line, (around, _)| line.replace(around, " "));
+    let line = ORDINARY.iter().fold(
+        line.replace("False alarm", "false alarm").replace("false_alarms", "").replace("false_alarm", ""),
+        |line, (around, _)| line.replace(around, " "),
+    );
     let text = plain(&line);
     let is_word = |c: Option<char>| c.is_some_and(char::is_alphanumeric);
-    let stands =
-        |word: &str| text.match_indices(word).any(|(at, _)| !is_word(text[..at].chars().next_back()) && !is_word(text[at + word.len()..].chars().next()));
+    let stands = |word: &str| {
+        text.match_indices(word).any(|(at, _)| {
+            !is_word(text[..at].chars().next_back()) && !is_word(text[at + word.len()..].chars().next())
+        })
+    };
     RETIRED.iter().flat_map(|(words, _)| words.iter()).copied().filter(|word| stands(word)).collect()
 }
 
 #[test]
 fn retired_words_do_not_come_back() {
-    let git = Command::new("git").args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"]).current_dir(root()).output();
+    let git = Command::new("git")
+        .args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"])
+        .current_dir(root())
+        .output();
     let Some(listed) = git.ok().filter(|output| output.status.success()) else {
         println!("skipped: no git here to list the project's files");
         return;
@@ -88,17 +104,30 @@ fn retired_words_do_not_come_back() {
     let endings = ["rs", "md", "toml", "py", "js", "css", "html", "m", "sh", "form", "stderr"];
     let mut found = Vec::new();
     for name in String::from_utf8_lossy(&listed.stdout).split('\0') {
-        let is_text = name.rsplit_once('.').is_some_and(|(_, ending)| endings.contains(&ending)) || ["Makefile", "pipelines/cluster/Snakefile"].contains(&name);
+        let is_text = name.rsplit_once('.').is_some_and(|(_, ending)| endings.contains(&ending))
+            || ["Makefile", "pipelines/cluster/Snakefile"].contains(&name);
         if !is_text || name == "tests/words.rs" || OTHERS.iter().any(|folder| name.starts_with(folder)) {
             continue;
         }
         let Ok(text) = std::fs::read_to_string(root().join(name)) else { continue };
         for (at, line) in text.lines().enumerate() {
-            found.extend(retired(line).into_iter().map(|word| format!("{name}:{}: `{word}` in: {}", at + 1, line.trim())));
+            found.extend(
+                retired(line)
+                    .into_iter()
+                    .map(|word| format!("{name}:{}: `{word}` in: {}", at + 1, line.trim())),
+            );
         }
     }
-    let instead = RETIRED.iter().map(|(words, instead)| format!("  {}: {instead}\n", words.join(", "))).collect::<String>();
-    assert!(found.is_empty(), "the field has words for these (docs/vocabulary.md):\n{}\n\nsay instead\n{instead}", found.join("\n"));
+    let instead = RETIRED
+        .iter()
+        .map(|(words, instead)| format!("  {}: {instead}\n", words.join(", ")))
+        .collect::<String>();
+    assert!(
+        found.is_empty(),
+        "the field has words for these (docs/vocabulary.md):\n{}\n\nsay \
+                               instead\n{instead}",
+        found.join("\n")
+    );
 }
 
 #[test]
@@ -108,6 +137,11 @@ fn words_are_found_in_sentences_and_in_identifiers() {
     assert_eq!(retired("fn put_on(&self)"), ["put on"]);
     assert_eq!(retired("/// Silences are kept back."), ["kept back", "silences"]);
     // Parts of other words, standard terms and seeds are none.
-    assert!(retired("no flaw, 3 false alarms, `false_alarm`, comes against it, unsealed, the expedition").is_empty());
-    assert!(retired("--seed \"sealed physics, sixth edition\" and `photocurrent-sealed-answers/1`").is_empty());
+    assert!(
+        retired("no flaw, 3 false alarms, `false_alarm`, comes against it, unsealed, the expedition")
+            .is_empty()
+    );
+    assert!(
+        retired("--seed \"sealed physics, sixth edition\" and `photocurrent-sealed-answers/1`").is_empty()
+    );
 }

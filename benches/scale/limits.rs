@@ -1,4 +1,5 @@
-//! What limits a stage: how long reading its inputs out of the cache and packing its outputs take by themselves, and how fast this machine copies and multiplies.
+//! What limits a stage: how long reading its inputs out of the cache and packing its outputs take by
+//! themselves, and how fast this machine copies and multiplies.
 //!
 //! A stage cannot be quicker than its packing. What is left is arithmetic, and waiting for memory.
 
@@ -42,7 +43,11 @@ fn processor_seconds() -> f64 {
     // SAFETY: it points to memory of its type, and an all-zero rusage is valid.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();
-        assert_eq!(libc::getrusage(libc::RUSAGE_SELF, &mut usage), 0, "the system says what this process used");
+        assert_eq!(
+            libc::getrusage(libc::RUSAGE_SELF, &mut usage),
+            0,
+            "the system says what this process used"
+        );
         usage
     };
     let seconds_of = |time: libc::timeval| time.tv_sec as f64 + time.tv_usec as f64 * 1e-6;
@@ -63,7 +68,9 @@ fn read(value: &Value) -> u64 {
     let rows = value.rows().expect("stages exchange banded data");
     let of_band = |rows| match value.cut(rows) {
         Value::Events(events) => drop(black_box(events.read(rows).expect("the cache is whole"))),
-        Value::Frames(frames) | Value::Truth(photocurrent_core::Truth(frames)) => drop(black_box(frames.read_rows(rows).expect("the cache is whole"))),
+        Value::Frames(frames) | Value::Truth(photocurrent_core::Truth(frames)) => {
+            drop(black_box(frames.read_rows(rows).expect("the cache is whole")))
+        }
         Value::Tracks(tracks) => drop(black_box(tracks.read(rows).expect("the cache is whole"))),
         Value::Light(light) => drop(black_box(light.read(rows).expect("the cache is whole"))),
         Value::Map(map) => drop(black_box(map.read(rows).expect("the cache is whole"))),
@@ -78,7 +85,8 @@ pub fn packing(tasks: &[Json], cache: &Path, stage: &str) -> Packing {
     let cache = Cache::open(cache).expect("the cache of the run");
     let load = |port: &&str| {
         let (node, port) = port.split_once('.').expect("node.port");
-        let output = tasks.iter().find(|task| task["node"] == node).map(|task| task["outputs"][port].clone())?;
+        let output =
+            tasks.iter().find(|task| task["node"] == node).map(|task| task["outputs"][port].clone())?;
         let digest = output["digest"].as_str()?.parse().ok()?;
         Some((output["bytes"].as_u64()?, cache.load(&digest).expect("the cache is whole")))
     };
@@ -86,18 +94,26 @@ pub fn packing(tasks: &[Json], cache: &Path, stage: &str) -> Packing {
     let mut found = Packing::default();
     for (bytes, value) in inputs.iter().filter_map(load) {
         let (seconds, unpacked) = timed(|| read(&value));
-        (found.bytes_in, found.unpacked, found.reading) = (found.bytes_in + bytes, found.unpacked + unpacked, found.reading + seconds);
+        (found.bytes_in, found.unpacked, found.reading) =
+            (found.bytes_in + bytes, found.unpacked + unpacked, found.reading + seconds);
     }
     let folder = tempfile::tempdir_in(cache.root()).expect("a folder for what is packed again");
     for (bytes, value) in outputs.iter().filter_map(load) {
         let (reading, unpacked) = timed(|| read(&value));
         let (both, ()) = timed(|| {
-            let mut writer = ValueWriter::create(&folder.path().join("again.h5"), &value.meta()).expect("a file");
+            let mut writer =
+                ValueWriter::create(&folder.path().join("again.h5"), &value.meta()).expect("a file");
             let rows = value.rows().expect("stages exchange banded data");
-            rows.bands(ROWS).into_iter().for_each(|rows| writer.append(&value.cut(rows)).expect("room on the disk"));
+            rows.bands(ROWS)
+                .into_iter()
+                .for_each(|rows| writer.append(&value.cut(rows)).expect("room on the disk"));
             writer.finish().expect("room on the disk");
         });
-        (found.bytes_out, found.unpacked, found.packing) = (found.bytes_out + bytes, found.unpacked + unpacked, found.packing + f64::max(both - reading, 0.0));
+        (found.bytes_out, found.unpacked, found.packing) = (
+            found.bytes_out + bytes,
+            found.unpacked + unpacked,
+            found.packing + f64::max(both - reading, 0.0),
+        );
     }
     found
 }
@@ -115,7 +131,8 @@ pub fn copied_bytes_per_s() -> f64 {
     (0..5).map(of_one).fold(0.0, f64::max)
 }
 
-/// Additions and multiplications of doubles a second of one core, with the widest vectors that there are, and no memory in the way.
+/// Additions and multiplications of doubles a second of one core, with the widest vectors that there are, and
+/// no memory in the way.
 pub fn operations_per_s() -> f64 {
     const TIMES: usize = 4_000_000;
     let of_one = |_| {

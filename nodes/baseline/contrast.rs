@@ -1,22 +1,30 @@
-//! `baseline/contrast`: a contrast threshold, for a whole recording or for each frame, searched so that the double integral looks right.
+//! `baseline/contrast`: a contrast threshold, for a whole recording or for each frame, searched so that the
+//! double integral looks right.
 //!
-//! Idea: with too small a threshold the latent picture stays blurred and its edges miss the events' edges; with too large a one it gets a
-//! wild relief. So the energy is `lambda x sum |Sobel L| - sum edge(L) x edge(M)`: relief of the latent picture, less the agreement of its
-//! edges with those of the event picture M (events weighted by exp(-|t - f| / decay) around the middle f of an exposure). Fibonacci search over
-//! the stated interval, energies summed over several frames of the recording (`per = "sequence"`) or frame by frame (`per = "frame"`).
+//! Idea: with too small a threshold the latent picture stays blurred and its edges miss the events' edges;
+//! with too large a one it gets a wild relief. So the energy is
+//! `lambda x sum |Sobel L| - sum edge(L) x edge(M)`: relief of the latent picture, less the agreement of its
+//! edges with those of the event picture M (events weighted by exp(-|t - f| / decay) around the middle f of
+//! an exposure). Fibonacci search over the stated interval, energies summed over several frames of the
+//! recording (`per = "sequence"`) or frame by frame (`per = "frame"`).
 //!
-//! AKF and CF work on log(1 + I), where the same events make smaller steps: with `white` the double integral is taken of 1 + I, and the threshold is one for them.
+//! AKF and CF work on log(1 + I), where the same events make smaller steps: with `white` the double integral
+//! is taken of 1 + I, and the threshold is one for them.
 //!
-//! Source: the energy of Pan et al. as the public port davis-EDI-rs states it (lambda 0.15, interval 0.1 to 0.5, 15 points, edges by 3x3 Sobel, scaled to [0, 1]
-//! and cut at mean + (1 - mean) / 3); the authors' own interval is not public. Limits: one threshold for both polarities and all pixels; the
-//! energy is not convex, and the search finds one of its valleys.
+//! Source: the energy of Pan et al. as the public port davis-EDI-rs states it (lambda 0.15, interval 0.1 to
+//! 0.5, 15 points, edges by 3x3 Sobel, scaled to [0, 1] and cut at mean + (1 - mean) / 3); the authors' own
+//! interval is not public. Limits: one threshold for both polarities and all pixels; the energy is not
+//! convex, and the search finds one of its valleys.
 
 use crate::reconstruct::black_level;
 use crate::spans::check_one_clock;
 use photocurrent_core::events::{EventBand, Polarity};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_core::{
+    Context, Decl, EventStream, Exposure, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+    Table,
+};
 use photocurrent_sensor::exposure::HeldTrack;
 use photocurrent_solve::co_located::CoLocated;
 use photocurrent_solve::pixel_events::clock_offset;
@@ -57,7 +65,8 @@ pub struct Params {
     /// Decay of an event's weight away from the middle of the exposure.
     #[schemars(extend("x-min" = "1 us"))]
     pub decay: Duration,
-    /// DN of white, I = 1, when the threshold is to be a step of log(1 + I), as `baseline/akf` and `baseline/cf` take it; absent = a step of log I, as `baseline/edi` takes it.
+    /// DN of white, I = 1, when the threshold is to be a step of log(1 + I), as `baseline/akf` and
+    /// `baseline/cf` take it; absent = a step of log I, as `baseline/edi` takes it.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub white: Option<f64>,
     /// Most frames to look at, spread over the recording, when one threshold is searched for it.
@@ -67,7 +76,16 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Params { per: Per::Sequence, lowest: 0.1, highest: 0.5, points: 15, lambda: 0.15, decay: Duration::new(20_000_000), white: None, frames: 8 }
+        Params {
+            per: Per::Sequence,
+            lowest: 0.1,
+            highest: 0.5,
+            points: 15,
+            lambda: 0.15,
+            decay: Duration::new(20_000_000),
+            white: None,
+            frames: 8,
+        }
     }
 }
 
@@ -102,7 +120,9 @@ impl BaselineContrast {
         let black = black_level(sensor);
         match self.params.white {
             Some(white) if white <= black => {
-                Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).hint("state a larger `white`").param("white"))
+                Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN"))
+                    .hint("state a larger `white`")
+                    .param("white"))
             }
             white => Ok(white.map_or(0.0, |white| white - black)),
         }
@@ -112,7 +132,8 @@ impl BaselineContrast {
 impl Node for BaselineContrast {
     const DECL: Decl = Decl {
         kind: "baseline/contrast",
-        about: "Searches the contrast threshold for the double integral, by the sharpness of the latent pictures.",
+        about: "Searches the contrast threshold for the double integral, by the sharpness of the latent \
+                pictures.",
         revision: 1,
         grain: Grain::Whole,
         draws: false,
@@ -131,7 +152,11 @@ params = { lowest = 0.1, highest = 0.5 }
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.lowest >= params.highest {
-            return Err(NodeError::usage(format!("the interval from {} to {} is empty", params.lowest, params.highest)).param("lowest"));
+            return Err(NodeError::usage(format!(
+                "the interval from {} to {} is empty",
+                params.lowest, params.highest
+            ))
+            .param("lowest"));
         }
         Ok(BaselineContrast { params })
     }
@@ -143,7 +168,8 @@ params = { lowest = 0.1, highest = 0.5 }
         self.offset_dn(sensor.map(|sensor| &**sensor))?;
         check_one_clock(events, frames, sensor.map(|sensor| &**sensor))?;
         if frames.times.is_empty() {
-            return Err(NodeError::usage("there is no frame to search a threshold on").hint("give at least one frame"));
+            return Err(NodeError::usage("there is no frame to search a threshold on")
+                .hint("give at least one frame"));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
@@ -153,13 +179,23 @@ params = { lowest = 0.1, highest = 0.5 }
         let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
         let events = input.events.read(input.events.rows())?;
         let frames = &input.frames;
-        let about = About { shift_ns, black: black_level(sensor), offset_dn: self.offset_dn(sensor)?, decay_s: self.params.decay.seconds() };
+        let about = About {
+            shift_ns,
+            black: black_level(sensor),
+            offset_dn: self.offset_dn(sensor)?,
+            decay_s: self.params.decay.seconds(),
+        };
         let scene = |l: usize| Scene::new(frames, &events, l, about);
         let steps = fibonacci_steps(self.params.points);
         let search = |scenes: &[Scene]| {
             let energy = |contrast: f64| -> Result<f64, NodeError> {
                 cx.advance(1)?;
-                Ok(scenes.par_iter().map(|scene| scene.energy(contrast, self.params.lambda)).collect::<Vec<f64>>().iter().sum())
+                Ok(scenes
+                    .par_iter()
+                    .map(|scene| scene.energy(contrast, self.params.lambda))
+                    .collect::<Vec<f64>>()
+                    .iter()
+                    .sum())
             };
             fibonacci_search(self.params.lowest, self.params.highest, steps, energy)
         };
@@ -169,20 +205,23 @@ params = { lowest = 0.1, highest = 0.5 }
             Per::Sequence => {
                 let count = frames.len().min(self.params.frames as usize);
                 // Spread over the recording, ends left out where there is a choice.
-                let chosen: Vec<usize> = (0..count).map(|i| (2 * i + 1) * frames.len() / (2 * count)).collect();
+                let chosen: Vec<usize> =
+                    (0..count).map(|i| (2 * i + 1) * frames.len() / (2 * count)).collect();
                 let scenes: Result<Vec<Scene>, NodeError> = chosen.iter().map(|&l| scene(l)).collect();
                 cx.begin(evaluations, "thresholds");
                 (chosen, vec![search(&scenes?)?])
             }
             Per::Frame => {
                 cx.begin(evaluations * frames.len() as u64, "thresholds");
-                let found: Result<Vec<(f64, f64)>, NodeError> = (0..frames.len()).into_par_iter().map(|l| search(&[scene(l)?])).collect();
+                let found: Result<Vec<(f64, f64)>, NodeError> =
+                    (0..frames.len()).into_par_iter().map(|l| search(&[scene(l)?])).collect();
                 ((0..frames.len()).collect(), found?)
             }
         };
         // The outermost places that the search looks at are one of its spacings inside the interval.
         let edge = 1.01 * (self.params.highest - self.params.lowest) / fibonacci(steps + 2);
-        let at_end = |contrast: f64| contrast - self.params.lowest < edge || self.params.highest - contrast < edge;
+        let at_end =
+            |contrast: f64| contrast - self.params.lowest < edge || self.params.highest - contrast < edge;
         match (self.params.per, found[0].0) {
             (Per::Sequence, contrast) if at_end(contrast) => {
                 cx.note(format!(
@@ -197,12 +236,15 @@ params = { lowest = 0.1, highest = 0.5 }
             _ => {}
         }
         let column = |of: fn(&(f64, f64)) -> f64| Column::Numbers(found.iter().map(of).collect());
-        let table = Table::default().with("contrast", column(|found| found.0)).with("energy", column(|found| found.1));
+        let table = Table::default()
+            .with("contrast", column(|found| found.0))
+            .with("energy", column(|found| found.1));
         Ok(Out { contrast: Arc::new(table.note("frames", format!("{chosen:?}"))) })
     }
 }
 
-/// Number of evaluations that a search over at least `points` takes: n - 2 for the smallest Fibonacci number F(n) not below them.
+/// Number of evaluations that a search over at least `points` takes: n - 2 for the smallest Fibonacci number
+/// F(n) not below them.
 fn fibonacci_steps(points: u32) -> u32 {
     let (mut n, mut a, mut b) = (2u32, 1u64, 1u64);
     while b < u64::from(points) {
@@ -215,8 +257,14 @@ fn fibonacci(n: u32) -> f64 {
     (0..n).fold((0.0, 1.0), |(a, b), _| (b, a + b)).0
 }
 
-/// Minimises over [a, b]: each step keeps the side with the smaller value and reuses one evaluation. Returns (place, value).
-fn fibonacci_search(mut a: f64, mut b: f64, steps: u32, energy: impl Fn(f64) -> Result<f64, NodeError>) -> Result<(f64, f64), NodeError> {
+/// Minimises over [a, b]: each step keeps the side with the smaller value and reuses one evaluation. Returns
+/// (place, value).
+fn fibonacci_search(
+    mut a: f64,
+    mut b: f64,
+    steps: u32,
+    energy: impl Fn(f64) -> Result<f64, NodeError>,
+) -> Result<(f64, f64), NodeError> {
     let part = |n: u32, a: f64, b: f64| a + fibonacci(n) / fibonacci(n + 2) * (b - a);
     let (mut left, mut right) = (part(steps, a, b), b - (part(steps, a, b) - a));
     let (mut at_left, mut at_right) = (energy(left)?, energy(right)?);
@@ -262,13 +310,23 @@ struct About {
 }
 
 impl Scene {
-    fn new(frames: &FrameSequence, events: &EventBand, l: usize, About { shift_ns, black, offset_dn, decay_s }: About) -> Result<Scene, NodeError> {
+    fn new(
+        frames: &FrameSequence,
+        events: &EventBand,
+        l: usize,
+        About { shift_ns, black, offset_dn, decay_s }: About,
+    ) -> Result<Scene, NodeError> {
         let meta = &frames.meta;
         let (width, height) = (meta.extent.width as usize, meta.extent.height as usize);
         let block = frames.read(l..l + 1, frames.rows())?;
-        let above: Vec<f64> = block.dn.iter().map(|dn| if dn.is_finite() { (f64::from(*dn) - black).max(0.0) } else { 0.0 }).collect();
+        let above: Vec<f64> = block
+            .dn
+            .iter()
+            .map(|dn| if dn.is_finite() { (f64::from(*dn) - black).max(0.0) } else { 0.0 })
+            .collect();
         let peak = above.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        let exposures: Vec<Exposure> = (0..meta.extent.height).map(|row| meta.times.exposure(l, row)).collect();
+        let exposures: Vec<Exposure> =
+            (0..meta.extent.height).map(|row| meta.times.exposure(l, row)).collect();
         let mut per_pixel = vec![Vec::new(); width * height];
         let mut event_picture = vec![0.0; width * height];
         for y in 0..height {
@@ -284,14 +342,26 @@ impl Scene {
             }
         }
         let event_edges = binary_edges(&event_picture, width, height);
-        Ok(Scene { width, height, blurred: above.iter().map(|v| v / peak).collect(), offset: offset_dn / peak, exposures, events: per_pixel, event_edges })
+        Ok(Scene {
+            width,
+            height,
+            blurred: above.iter().map(|v| v / peak).collect(),
+            offset: offset_dn / peak,
+            exposures,
+            events: per_pixel,
+            event_edges,
+        })
     }
 
     /// Relief of the latent picture less the agreement of its edges with the events'.
     fn energy(&self, contrast: f64, lambda: f64) -> f64 {
         let latent = self.latent(contrast);
         let relief: f64 = sobel(&latent, self.width, self.height).iter().sum();
-        let agreement: f64 = binary_edges(&latent, self.width, self.height).iter().zip(&self.event_edges).map(|(a, b)| a * b).sum();
+        let agreement: f64 = binary_edges(&latent, self.width, self.height)
+            .iter()
+            .zip(&self.event_edges)
+            .map(|(a, b)| a * b)
+            .sum();
         lambda * relief - agreement
     }
 
@@ -348,7 +418,8 @@ mod tests {
 
     #[test]
     fn the_search_finds_the_valley_of_a_parabola() {
-        let (place, _) = fibonacci_search(0.1, 0.5, fibonacci_steps(200), |c| Ok((c - 0.237) * (c - 0.237))).unwrap();
+        let (place, _) =
+            fibonacci_search(0.1, 0.5, fibonacci_steps(200), |c| Ok((c - 0.237) * (c - 0.237))).unwrap();
         // F(13) = 233 points over 0.4: within two of their spacings.
         assert!((place - 0.237).abs() < 2.0 * 0.4 / 233.0, "{place}");
     }
@@ -357,7 +428,9 @@ mod tests {
         use photocurrent_core::testing;
         let node = BaselineContrast { params: Params { per, ..Params::default() } };
         let all = frames.rows();
-        let (out, _) = testing::with_context(all, &["contrast"], |cx| node.run(In { events: testing::events(16, 12), frames, sensor: None }, cx));
+        let (out, _) = testing::with_context(all, &["contrast"], |cx| {
+            node.run(In { events: testing::events(16, 12), frames, sensor: None }, cx)
+        });
         match out.unwrap().contrast.column("contrast") {
             Some(Column::Numbers(found)) => found.clone(),
             other => panic!("a column of numbers, not {other:?}"),
@@ -370,7 +443,10 @@ mod tests {
         let each = found(Per::Frame, frames.clone());
         let alone: Vec<f64> = (0..4).flat_map(|l| found(Per::Sequence, frames.select(vec![l]))).collect();
         assert_eq!(each, alone);
-        assert!(each.iter().any(|c| *c != each[0]), "frames that are all alike would prove nothing: {each:?}");
+        assert!(
+            each.iter().any(|c| *c != each[0]),
+            "frames that are all alike would prove nothing: {each:?}"
+        );
         assert_eq!(found(Per::Sequence, frames).len(), 1);
     }
 
@@ -387,10 +463,13 @@ mod tests {
             let about = About { shift_ns: 0, black: 0.0, offset_dn, decay_s: 1.0 };
             Scene::new(&frames, &events, 0, about).unwrap().latent(contrast)[0]
         };
-        // A tenth more of log I: the mean of 1 and 1.1 is 1.05. Of 100 + 100 DN the same light is 1 and 1.05 on the offset, whose mean is 1.025: 2 x 1.05 / 1.025 - 1.
+        // A tenth more of log I: the mean of 1 and 1.1 is 1.05. Of 100 + 100 DN the same light is 1 and 1.05
+        // on the offset, whose mean is 1.025: 2 x 1.05 / 1.025 - 1.
         assert!((latent(0.0, libm::log(1.1)) - 1.1 / 1.05).abs() < 1e-12);
         assert!((latent(100.0, libm::log(1.05)) - (2.0 * 1.05 / 1.025 - 1.0)).abs() < 1e-12);
-        let refused = BaselineContrast { params: Params { white: Some(0.0), ..Params::default() } }.offset_dn(None).unwrap_err();
+        let refused = BaselineContrast { params: Params { white: Some(0.0), ..Params::default() } }
+            .offset_dn(None)
+            .unwrap_err();
         assert_eq!(refused.param.as_deref(), Some("white"));
     }
 

@@ -1,12 +1,16 @@
-//! `baseline/exec`: frames that a command of yours makes, as a node like any other: planned, cached, explained.
+//! `baseline/exec`: frames that a command of yours makes, as a node like any other: planned, cached,
+//! explained.
 //!
-//! The command runs in an empty folder that becomes this node's output folder. It finds there `recording.h5` (events, frames, sensor, in the layout of docs/formats.md),
-//! and `times_us.txt`, one line a wanted picture: the middle of its exposure in us. It writes one picture a line into `pictures/` (`*.png`, or `*.npy` of [height, width]),
-//! in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` next to them.
+//! The command runs in an empty folder that becomes this node's output folder. It finds there `recording.h5`
+//! (events, frames, sensor, in the layout of docs/formats.md), and `times_us.txt`, one line a wanted picture:
+//! the middle of its exposure in us. It writes one picture a line into `pictures/` (`*.png`, or `*.npy` of
+//! [height, width]), in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` next
+//! to them.
 //!
-//! It runs again when its inputs, parameters or `files` change, and when `version` does: that text is yours to raise, for everything that cannot be seen from here (the
-//! interpreter, weights, a library). No shell takes part unless `command` names one. Limits: what a command does besides, nobody here knows; one that draws random numbers
-//! needs a seed of its own.
+//! It runs again when its inputs, parameters or `files` change, and when `version` does: that text is yours
+//! to raise, for everything that cannot be seen from here (the interpreter, weights, a library). No shell
+//! takes part unless `command` names one. Limits: what a command does besides, nobody here knows; one that
+//! draws random numbers needs a seed of its own.
 
 use super::external::pictures::{Levels, pictures};
 use crate::command;
@@ -15,7 +19,10 @@ use crate::sampling::Sampling;
 use crate::simulate::stored::Transfer;
 use crate::write::recording::{self, WriteRecording};
 use photocurrent_core::quantity::InputPath;
-use photocurrent_core::{Context, Decl, EventStream, FileRef, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, EventStream, FileRef, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
+    Sensor,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -29,11 +36,14 @@ pub struct Params {
     /// Steady sampling, when nothing is connected to `at`.
     #[serde(flatten)]
     pub sampling: Sampling,
-    /// The program and its arguments, each by itself; no shell sees them. `{file0}`, `{file1}` .. stand for the whole paths of `files`.
+    /// The program and its arguments, each by itself; no shell sees them. `{file0}`, `{file1}` .. stand for
+    /// the whole paths of `files`.
     pub command: Vec<String>,
-    /// What stands for everything that the result depends on and that is not seen from here; a new text runs the command anew.
+    /// What stands for everything that the result depends on and that is not seen from here; a new text runs
+    /// the command anew.
     pub version: String,
-    /// Scripts and other files of the command, relative to the manifest that names them; their content is part of the key.
+    /// Scripts and other files of the command, relative to the manifest that names them; their content is
+    /// part of the key.
     pub files: Vec<InputPath>,
     /// DN of the pictures' white; absent = the sensor description's saturation.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
@@ -75,7 +85,12 @@ pub struct BaselineExec {
 impl BaselineExec {
     fn prepare(&self, request: &Request) -> Result<(FramesMeta, Levels), NodeError> {
         let params = &self.params;
-        let levels = Levels::new(params.white, params.stored_white, params.transfer.unwrap_or(Transfer::Linear), request.sensor)?;
+        let levels = Levels::new(
+            params.white,
+            params.stored_white,
+            params.transfer.unwrap_or(Transfer::Linear),
+            request.sensor,
+        )?;
         request.need_plain("baseline/exec")?;
         Ok((request.output(&params.sampling)?, levels))
     }
@@ -84,9 +99,13 @@ impl BaselineExec {
     fn arguments(&self) -> Result<Vec<String>, NodeError> {
         let mut arguments = self.params.command.clone();
         for (n, file) in self.params.files.iter().enumerate() {
-            let path = std::path::absolute(file.path()).map_err(|error| NodeError::files(format!("{}: {error}", file.path().display())).param("files"))?;
+            let path = std::path::absolute(file.path()).map_err(|error| {
+                NodeError::files(format!("{}: {error}", file.path().display())).param("files")
+            })?;
             let path = path.to_string_lossy();
-            arguments.iter_mut().for_each(|argument| *argument = argument.replace(&format!("{{file{n}}}"), &path));
+            arguments
+                .iter_mut()
+                .for_each(|argument| *argument = argument.replace(&format!("{{file{n}}}"), &path));
         }
         Ok(arguments)
     }
@@ -94,9 +113,14 @@ impl BaselineExec {
     /// Runs the command in `folder` to its end.
     fn run_command(&self, folder: &Path, cx: &Context) -> Result<(), NodeError> {
         let arguments = self.arguments()?;
-        command::run(folder, &arguments[0], &arguments[1..], "command", cx).map_err(|error| match error.message.starts_with("cannot start") {
-            true => error.hint("name a program on the path or by its whole path; a script stands in `files`, as `{file0}` in `command`"),
-            false => error,
+        command::run(folder, &arguments[0], &arguments[1..], "command", cx).map_err(|error| {
+            match error.message.starts_with("cannot start") {
+                true => error.hint(
+                    "name a program on the path or by its whole path; a script stands in \
+                                `files`, as `{file0}` in `command`",
+                ),
+                false => error,
+            }
         })
     }
 }
@@ -123,7 +147,12 @@ params = { command = ["python3", "{file0}"], files = ["my_method.py"], version =
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.command.is_empty() {
-            return Err(NodeError::usage("`command` is missing").hint("such as command = [\"python3\", \"{file0}\"]").param("command"));
+            return Err(NodeError::usage("`command` is missing")
+                .hint(
+                    "such as command = [\"python3\", \
+                                                            \"{file0}\"]",
+                )
+                .param("command"));
         }
         if params.version.is_empty() {
             return Err(NodeError::usage("`version` is missing: the cache cannot see into a command")
@@ -141,19 +170,32 @@ params = { command = ["python3", "{file0}"], files = ["my_method.py"], version =
         let request = Request::connected(&input.frames, input.events.as_ref(), &input.at, &input.sensor);
         let (meta, levels) = self.prepare(&request)?;
         let folder = cx.export_dir()?;
-        let written = |what: &str, result: std::io::Result<()>| result.map_err(|error| NodeError::files(format!("cannot write {what}: {error}")));
-        let content = recording::In { events: input.events.clone(), frames: Some(input.frames.clone()), sensor: input.sensor.clone(), truth: None };
+        let written = |what: &str, result: std::io::Result<()>| {
+            result.map_err(|error| NodeError::files(format!("cannot write {what}: {error}")))
+        };
+        let content = recording::In {
+            events: input.events.clone(),
+            frames: Some(input.frames.clone()),
+            sensor: input.sensor.clone(),
+            truth: None,
+        };
         WriteRecording::build(recording::Params::default())?.run(content, cx)?;
         let row = meta.extent.height / 2;
-        let times: String = (0..meta.times.len()).map(|l| format!("{}\n", meta.times.exposure(l, row).mid().0 as f64 / 1000.0)).collect();
+        let times: String = (0..meta.times.len())
+            .map(|l| format!("{}\n", meta.times.exposure(l, row).mid().0 as f64 / 1000.0))
+            .collect();
         written("times_us.txt", std::fs::write(folder.join("times_us.txt"), times))?;
         written("pictures", std::fs::create_dir(folder.join("pictures")))?;
         self.run_command(folder, cx)?;
         let found = pictures(&folder.join("pictures")).map_err(|error| error.param("command"))?;
         if found.len() != meta.times.len() {
-            return Err(NodeError::failed(format!("the command wrote {} pictures, and {} are wanted", found.len(), meta.times.len()))
-                .hint("one picture for each line of times_us.txt, into pictures/")
-                .param("command"));
+            return Err(NodeError::failed(format!(
+                "the command wrote {} pictures, and {} are wanted",
+                found.len(),
+                meta.times.len()
+            ))
+            .hint("one picture for each line of times_us.txt, into pictures/")
+            .param("command"));
         }
         cx.begin(found.len() as u64, "pictures");
         let paths: Vec<&Path> = found.iter().map(|path| path.as_path()).collect();
@@ -162,7 +204,11 @@ params = { command = ["python3", "{file0}"], files = ["my_method.py"], version =
     }
 
     fn files(&self) -> Vec<FileRef> {
-        self.params.files.iter().map(|file| FileRef { param: "files".into(), path: file.path().to_path_buf() }).collect()
+        self.params
+            .files
+            .iter()
+            .map(|file| FileRef { param: "files".into(), path: file.path().to_path_buf() })
+            .collect()
     }
 }
 
@@ -191,9 +237,15 @@ mod tests {
         };
         let frames = testing::captured(EXTENT, vec![Exposure::new(0, 3_000)], 0, |_, _, _| 7.0);
         let input = In { frames: frames.clone(), events: None, sensor: None, at: Some(frames) };
-        let (wanted, cancel, notes) = (BTreeSet::from(["frames".to_string()]), AtomicBool::new(interrupted), Notes::default());
+        let (wanted, cancel, notes) =
+            (BTreeSet::from(["frames".to_string()]), AtomicBool::new(interrupted), Notes::default());
         let cx = Context::new(EXTENT.rows(), 0, &wanted, &Silent, &cancel, Some(&folder), &notes);
-        BaselineExec::build(params)?.run(input, &cx)?.frames.read_rows(EXTENT.rows()).map(|block| block.dn).map_err(NodeError::from)
+        BaselineExec::build(params)?
+            .run(input, &cx)?
+            .frames
+            .read_rows(EXTENT.rows())
+            .map(|block| block.dn)
+            .map_err(NodeError::from)
     }
 
     /// A picture of two 8-bit pixels, 65 ("A") and 66 ("B"), as a shell can write it.
@@ -201,15 +253,29 @@ mod tests {
 
     #[test]
     fn a_command_finds_its_inputs_and_gives_its_pictures() {
-        let script = format!("set -e\ntest -s recording.h5\ntest \"$(cat times_us.txt)\" = 1.5\ntest \"$1\" = 'a b'\n{PICTURE}\n");
+        let script = format!(
+            "set -e\ntest -s recording.h5\ntest \"$(cat times_us.txt)\" = 1.5\ntest \"$1\" \
+                              = 'a b'\n{PICTURE}\n"
+        );
         assert_eq!(run(&script, false).unwrap(), [65.0, 66.0]);
     }
 
     #[test]
     fn a_failing_command_shows_its_exit_code_and_its_last_words() {
-        let error = run("echo so far so good\nfor i in 1 2 3; do echo line $i >&2; done\nexit 7\n", false).unwrap_err();
+        let error = run("echo so far so good\nfor i in 1 2 3; do echo line $i >&2; done\nexit 7\n", false)
+            .unwrap_err();
         assert_eq!(error.message, "\"sh\" ended with exit code 7");
-        assert_eq!(error.notes, ["the last of stderr.txt:", "| line 1", "| line 2", "| line 3", "the last of stdout.txt:", "| so far so good"]);
+        assert_eq!(
+            error.notes,
+            [
+                "the last of stderr.txt:",
+                "| line 1",
+                "| line 2",
+                "| line 3",
+                "the last of stdout.txt:",
+                "| so far so good"
+            ]
+        );
     }
 
     #[test]
@@ -229,12 +295,18 @@ mod tests {
     #[test]
     fn what_cannot_start_is_named() {
         let node = |command: &[&str], version: &str| {
-            BaselineExec::build(Params { command: command.iter().map(|word| word.to_string()).collect(), version: version.into(), ..Params::default() })
+            BaselineExec::build(Params {
+                command: command.iter().map(|word| word.to_string()).collect(),
+                version: version.into(),
+                ..Params::default()
+            })
         };
         assert_eq!(node(&[], "1").err().and_then(|error| error.param).as_deref(), Some("command"));
         assert_eq!(node(&["true"], "").err().and_then(|error| error.param).as_deref(), Some("version"));
         let folder = tempfile::tempdir().unwrap();
-        let (error, _) = testing::with_context(EXTENT.rows(), &[], |cx| node(&["no-such-program-here"], "1").unwrap().run_command(folder.path(), cx));
+        let (error, _) = testing::with_context(EXTENT.rows(), &[], |cx| {
+            node(&["no-such-program-here"], "1").unwrap().run_command(folder.path(), cx)
+        });
         assert!(error.unwrap_err().message.starts_with("cannot start \"no-such-program-here\""));
     }
 }

@@ -1,11 +1,13 @@
 //! `baseline/external`: frames that another program made, matched by time.
 //!
-//! For every method that is not here: its pictures lie in a folder (PNG of 8 or 16 bits, or NumPy `.npy`), one file a frame, sorted by name as people
-//! count; their times stand in a text file (one number a line, or a column of a CSV), or follow from a rate. With frames at `at`, each of those takes the
-//! picture whose time is nearest to the middle of its exposure; the table `matches` says which, and how far off.
+//! For every method that is not here: its pictures lie in a folder (PNG of 8 or 16 bits, or NumPy `.npy`),
+//! one file a frame, sorted by name as people count; their times stand in a text file (one number a line, or
+//! a column of a CSV), or follow from a rate. With frames at `at`, each of those takes the picture whose time
+//! is nearest to the middle of its exposure; the table `matches` says which, and how far off.
 //!
-//! A stored value of `stored_white` is `white` DN, 0 is black, and between them it is linear unless `transfer` says otherwise. No scaling, no fitting, no
-//! alignment: what a method got wrong stays wrong. Limits: grey (colour counts as luminance); one time for all rows.
+//! A stored value of `stored_white` is `white` DN, 0 is black, and between them it is linear unless
+//! `transfer` says otherwise. No scaling, no fitting, no alignment: what a method got wrong stays wrong.
+//! Limits: grey (colour counts as luminance); one time for all rows.
 
 pub mod npy;
 pub mod pictures;
@@ -14,7 +16,8 @@ use crate::simulate::stored::{Transfer, cannot_read, short_name};
 use photocurrent_core::quantity::{Duration, InputPath, Rate};
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{
-    Colour, Context, Decl, Exposure, FileRef, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
+    Colour, Context, Decl, Exposure, FileRef, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta,
+    Node, NodeError, PortMetas, Sensor, Table,
 };
 use pictures::{Levels, extent, pictures};
 use schemars::JsonSchema;
@@ -63,14 +66,16 @@ pub enum Unmatched {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Folder of the pictures: `*.png` (8 or 16 bits) or `*.npy` ([height, width], u1, u2, f4 or f8), one file a frame, sorted by name, `f2` before `f10`; relative to the
-    /// manifest that names it.
+    /// Folder of the pictures: `*.png` (8 or 16 bits) or `*.npy` ([height, width], u1, u2, f4 or f8), one
+    /// file a frame, sorted by name, `f2` before `f10`; relative to the manifest that names it.
     pub path: InputPath,
-    /// Text file with one time a picture, in the pictures' order; empty lines and those that begin with `#` or a letter do not count. Default: as `rate` says.
+    /// Text file with one time a picture, in the pictures' order; empty lines and those that begin with `#`
+    /// or a letter do not count. Default: as `rate` says.
     pub times: Option<InputPath>,
     /// Unit of the numbers in `times`.
     pub time_unit: TimeUnit,
-    /// Which column of a CSV holds the times, counted from 0; columns end with a comma, a semicolon or blanks.
+    /// Which column of a CSV holds the times, counted from 0; columns end with a comma, a semicolon or
+    /// blanks.
     #[schemars(range(max = 1000))]
     pub time_column: u32,
     /// Pictures per second, when there is no `times`.
@@ -168,32 +173,57 @@ impl BaselineExternal {
         let given = self.times(pictures.len())?;
         let Some(at) = at else {
             let half = params.exposure.ns() / 2;
-            let exposures = given.iter().map(|t| Exposure::new(t - half, t - half + params.exposure.ns())).collect();
+            let exposures =
+                given.iter().map(|t| Exposure::new(t - half, t - half + params.exposure.ns())).collect();
             let times = FrameTimes::new(exposures, 0).map_err(|error| {
                 NodeError::input(format!("the pictures' times are not in order: {error}"))
                     .hint("times stand in the order of the pictures' names")
                     .param("times")
             })?;
-            let meta = FramesMeta { extent, colour: Colour::Mono, times, scale: FrameScale::Nominal { exposure_ns: params.exposure.ns() } };
-            let matches = given.iter().enumerate().map(|(n, &t)| Match { picture: n, frame: n, asked_ns: t, given_ns: t }).collect();
+            let meta = FramesMeta {
+                extent,
+                colour: Colour::Mono,
+                times,
+                scale: FrameScale::Nominal { exposure_ns: params.exposure.ns() },
+            };
+            let matches = given
+                .iter()
+                .enumerate()
+                .map(|(n, &t)| Match { picture: n, frame: n, asked_ns: t, given_ns: t })
+                .collect();
             return Ok(Planned { pictures, matches, left_out: 0, meta });
         };
         if at.extent != extent {
-            return Err(NodeError::input(format!("{} has {extent} pixels, and the frames at `at` have {}", short_name(&pictures[0]), at.extent))
-                .hint("let the other program write pictures of the frames' size")
-                .param("path"));
+            return Err(NodeError::input(format!(
+                "{} has {extent} pixels, and the frames at `at` have {}",
+                short_name(&pictures[0]),
+                at.extent
+            ))
+            .hint("let the other program write pictures of the frames' size")
+            .param("path"));
         }
-        let asked: Vec<i64> = (0..at.times.len()).map(|l| at.times.exposure(l, at.extent.height / 2).mid().0).collect();
+        let asked: Vec<i64> =
+            (0..at.times.len()).map(|l| at.times.exposure(l, at.extent.height / 2).mid().0).collect();
         let matches = matched(&asked, &given, params.tolerance.ns());
         let left_out = asked.len() - matches.len();
         let far = || {
             let missing = (0..asked.len()).find(|l| !matches.iter().any(|m| m.frame == *l)).unwrap_or(0);
             let nearest = given.iter().min_by_key(|t| (**t - asked[missing]).abs()).copied().unwrap_or(0);
-            NodeError::input(format!("{left_out} of {} frames have no picture within {}", asked.len(), params.tolerance))
-                .note(format!("frame {missing} is asked for at {} ns; the nearest picture is at {nearest} ns", asked[missing]))
-                .note(format!("pictures: {} from {} to {} ns", given.len(), given[0], given[given.len() - 1]))
-                .hint("check `time_unit` and `start`, raise `tolerance`, or state `unmatched = \"leave_out\"`")
-                .param("tolerance")
+            NodeError::input(format!(
+                "{left_out} of {} frames have no picture within {}",
+                asked.len(),
+                params.tolerance
+            ))
+            .note(format!(
+                "frame {missing} is asked for at {} ns; the nearest picture is at {nearest} ns",
+                asked[missing]
+            ))
+            .note(format!("pictures: {} from {} to {} ns", given.len(), given[0], given[given.len() - 1]))
+            .hint(
+                "check `time_unit` and `start`, raise `tolerance`, or state `unmatched = \
+                       \"leave_out\"`",
+            )
+            .param("tolerance")
         };
         if matches.is_empty() || (left_out > 0 && params.unmatched == Unmatched::Error) {
             return Err(far());
@@ -214,18 +244,32 @@ impl BaselineExternal {
         match (&params.times, params.rate) {
             (Some(file), _) => {
                 let path = file.path();
-                let text = std::fs::read_to_string(path).map_err(|error| cannot_read(path, &error).param("times"))?;
-                let times = parse_times(&text, params.time_column as usize, params.time_unit).map_err(|error| {
-                    NodeError::input(format!("{}: {error}", short_name(path))).hint("one time a line; `time_column` says which column of a CSV").param("times")
-                })?;
+                let text = std::fs::read_to_string(path)
+                    .map_err(|error| cannot_read(path, &error).param("times"))?;
+                let times =
+                    parse_times(&text, params.time_column as usize, params.time_unit).map_err(|error| {
+                        NodeError::input(format!("{}: {error}", short_name(path)))
+                            .hint(
+                                "one time a line; \
+                                                            `time_column` says which column of a CSV",
+                            )
+                            .param("times")
+                    })?;
                 if times.len() != count {
-                    return Err(NodeError::input(format!("{} has {} times, and the folder has {count} pictures", short_name(path), times.len()))
-                        .hint("one time for each picture, in the order of their names")
-                        .param("times"));
+                    return Err(NodeError::input(format!(
+                        "{} has {} times, and the folder has {count} \
+                                                         pictures",
+                        short_name(path),
+                        times.len()
+                    ))
+                    .hint("one time for each picture, in the order of their names")
+                    .param("times"));
                 }
                 Ok(times.into_iter().map(|t| t + start).collect())
             }
-            (None, Some(rate)) => Ok((0..count).map(|k| start + (k as f64 * 1e9 / rate.hz()).round() as i64).collect()),
+            (None, Some(rate)) => {
+                Ok((0..count).map(|k| start + (k as f64 * 1e9 / rate.hz()).round() as i64).collect())
+            }
             (None, None) => Err(NodeError::usage("when the pictures were taken is not stated")
                 .hint("name a file of times (`times`, with its `time_unit`), or state `rate` and `start`")
                 .param("times")),
@@ -241,8 +285,18 @@ fn parse_times(text: &str, column: usize, unit: TimeUnit) -> Result<Vec<i64>, St
         if line.is_empty() || line.starts_with(|c: char| c == '#' || c.is_alphabetic()) {
             continue;
         }
-        let cells: Vec<&str> = line.split(|c: char| c == ',' || c == ';' || c.is_whitespace()).filter(|cell| !cell.is_empty()).collect();
-        let cell = cells.get(column).ok_or_else(|| format!("line {} has {} columns, and column {column} is asked for", n + 1, cells.len()))?;
+        let cells: Vec<&str> = line
+            .split(|c: char| c == ',' || c == ';' || c.is_whitespace())
+            .filter(|cell| !cell.is_empty())
+            .collect();
+        let cell = cells.get(column).ok_or_else(|| {
+            format!(
+                "line {} has {} columns, and column {column} is \
+                                                            asked for",
+                n + 1,
+                cells.len()
+            )
+        })?;
         let value: f64 = cell.parse().map_err(|_| format!("line {}: \"{cell}\" is no number", n + 1))?;
         let ns = value * unit.ns();
         if !ns.is_finite() || ns.abs() > 9e18 {
@@ -259,7 +313,11 @@ fn matched(asked: &[i64], given: &[i64], tolerance_ns: i64) -> Vec<Match> {
     order.sort_by_key(|&n| given[n]);
     let nearest = |t: i64| {
         let after = order.partition_point(|&n| given[n] < t);
-        [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|k| order.get(k).copied()).min_by_key(|&n| (given[n] - t).abs())
+        [after.checked_sub(1), Some(after)]
+            .into_iter()
+            .flatten()
+            .filter_map(|k| order.get(k).copied())
+            .min_by_key(|&n| (given[n] - t).abs())
     };
     let pair = |(frame, &asked_ns): (usize, &i64)| {
         let picture = nearest(asked_ns)?;
@@ -291,10 +349,14 @@ params = { path = "film_output", times = "film_output/times.txt", time_unit = "u
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`path` is missing").hint("name the folder of the pictures").param("path"));
+            return Err(NodeError::usage("`path` is missing")
+                .hint("name the folder of the pictures")
+                .param("path"));
         }
         if params.times.is_some() && params.rate.is_some() {
-            return Err(NodeError::usage("both `times` and `rate` say when the pictures were taken").hint("keep one of them").param("rate"));
+            return Err(NodeError::usage("both `times` and `rate` say when the pictures were taken")
+                .hint("keep one of them")
+                .param("rate"));
         }
         Ok(BaselineExternal { params })
     }
@@ -313,11 +375,15 @@ params = { path = "film_output", times = "film_output/times.txt", time_unit = "u
         let (meta, matches) = (planned.meta, planned.matches);
         cx.count(planned.left_out as u64, "frames have no picture within the tolerance and are left out");
         cx.begin(matches.len() as u64, "pictures");
-        let paths: Vec<&Path> = matches.iter().map(|found| planned.pictures[found.picture].as_path()).collect();
+        let paths: Vec<&Path> =
+            matches.iter().map(|found| planned.pictures[found.picture].as_path()).collect();
         let block = levels.frames(cx, &meta, &paths)?;
         let column = |of: &dyn Fn(&Match) -> i64| Column::Integers(matches.iter().map(of).collect());
         let table = Table::default()
-            .with("file", Column::Texts(matches.iter().map(|m| short_name(&planned.pictures[m.picture])).collect()))
+            .with(
+                "file",
+                Column::Texts(matches.iter().map(|m| short_name(&planned.pictures[m.picture])).collect()),
+            )
             .with("asked_ns", column(&|m| m.asked_ns))
             .with("given_ns", column(&|m| m.given_ns))
             .with("difference_ns", column(&|m| m.given_ns - m.asked_ns));
@@ -326,8 +392,18 @@ params = { path = "film_output", times = "film_output/times.txt", time_unit = "u
 
     fn files(&self) -> Vec<FileRef> {
         // A folder that cannot be listed is reported by the plan.
-        let listed = pictures(self.params.path.path()).unwrap_or_default().into_iter().map(|path| FileRef { param: "path".into(), path });
-        listed.chain(self.params.times.iter().map(|times| FileRef { param: "times".into(), path: times.path().to_path_buf() })).collect()
+        let listed = pictures(self.params.path.path())
+            .unwrap_or_default()
+            .into_iter()
+            .map(|path| FileRef { param: "path".into(), path });
+        listed
+            .chain(
+                self.params
+                    .times
+                    .iter()
+                    .map(|times| FileRef { param: "times".into(), path: times.path().to_path_buf() }),
+            )
+            .collect()
     }
 }
 
@@ -341,7 +417,8 @@ mod tests {
         let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
         header.push_str(&" ".repeat(63 - (10 + header.len()) % 64));
         header.push('\n');
-        [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes(), data].concat()
+        [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes(), data]
+            .concat()
     }
 
     fn folder(count: usize) -> tempfile::TempDir {
@@ -360,27 +437,42 @@ mod tests {
     fn run(params: Params, at: Option<FrameSequence>) -> Result<Found, NodeError> {
         let extent = Extent { width: 2, height: 1 };
         let node = BaselineExternal::build(params)?;
-        let (out, notes) = testing::with_context(extent.rows(), &["frames", "matches"], |cx| node.run(In { sensor: None, at }, cx));
+        let (out, notes) = testing::with_context(extent.rows(), &["frames", "matches"], |cx| {
+            node.run(In { sensor: None, at }, cx)
+        });
         let out = out?;
         Ok((out.frames.read_rows(extent.rows()).unwrap().dn, out.matches, notes))
     }
 
     fn at(mids_ms: &[i64]) -> FrameSequence {
-        let exposures = mids_ms.iter().map(|ms| Exposure::new(ms * 1_000_000 - 500_000, ms * 1_000_000 + 500_000)).collect();
+        let exposures = mids_ms
+            .iter()
+            .map(|ms| Exposure::new(ms * 1_000_000 - 500_000, ms * 1_000_000 + 500_000))
+            .collect();
         testing::captured(Extent { width: 2, height: 1 }, exposures, 0, |_, _, _| 0.0)
     }
 
     fn params(folder: &tempfile::TempDir) -> Params {
-        Params { path: InputPath::new(folder.path()), rate: Some(Rate::new(1000.0)), white: Some(200.0), ..Params::default() }
+        Params {
+            path: InputPath::new(folder.path()),
+            rate: Some(Rate::new(1000.0)),
+            white: Some(200.0),
+            ..Params::default()
+        }
     }
 
     #[test]
     fn each_frame_takes_the_picture_nearest_in_time() {
         // Twelve pictures, so that f10 and f11 come after f9.
         let folder = folder(12);
-        std::fs::write(folder.path().join("times.txt"), (0..12).map(|n| format!("{}\n", 1000 * n + 3)).collect::<String>()).unwrap();
+        std::fs::write(
+            folder.path().join("times.txt"),
+            (0..12).map(|n| format!("{}\n", 1000 * n + 3)).collect::<String>(),
+        )
+        .unwrap();
         let times = Some(InputPath::new(folder.path().join("times.txt")));
-        let (dn, table, _) = run(Params { times, rate: None, ..params(&folder) }, Some(at(&[2, 11]))).unwrap();
+        let (dn, table, _) =
+            run(Params { times, rate: None, ..params(&folder) }, Some(at(&[2, 11]))).unwrap();
         assert_eq!(dn, [40.0, 100.0, 220.0, 100.0]);
         assert_eq!(table.column("file"), Some(&Column::Texts(vec!["f2.npy".into(), "f11.npy".into()])));
         assert_eq!(table.column("difference_ns"), Some(&Column::Integers(vec![3000, 3000])));
@@ -390,9 +482,16 @@ mod tests {
     fn a_frame_without_a_picture_is_an_error_or_left_out_as_stated() {
         let folder = folder(3);
         let error = run(params(&folder), Some(at(&[1, 9]))).unwrap_err();
-        assert_eq!((error.message.as_str(), error.param.as_deref()), ("1 of 2 frames have no picture within 1 ms", Some("tolerance")));
-        assert_eq!(error.notes[0], "frame 1 is asked for at 9000000 ns; the nearest picture is at 2000000 ns");
-        let (dn, _, notes) = run(Params { unmatched: Unmatched::LeaveOut, ..params(&folder) }, Some(at(&[1, 9]))).unwrap();
+        assert_eq!(
+            (error.message.as_str(), error.param.as_deref()),
+            ("1 of 2 frames have no picture within 1 ms", Some("tolerance"))
+        );
+        assert_eq!(
+            error.notes[0],
+            "frame 1 is asked for at 9000000 ns; the nearest picture is at 2000000 ns"
+        );
+        let (dn, _, notes) =
+            run(Params { unmatched: Unmatched::LeaveOut, ..params(&folder) }, Some(at(&[1, 9]))).unwrap();
         assert_eq!((dn, notes.len()), (vec![20.0, 100.0], 1));
     }
 
@@ -412,14 +511,21 @@ mod tests {
     fn times_of_a_csv_have_a_column_and_a_unit() {
         let text = "# by hand\nframe, t\n0, 0.5\n1; 0.25\n";
         assert_eq!(parse_times(text, 1, TimeUnit::Ms), Ok(vec![500_000, 250_000]));
-        assert_eq!(parse_times(text, 2, TimeUnit::Ms).unwrap_err(), "line 3 has 2 columns, and column 2 is asked for");
+        assert_eq!(
+            parse_times(text, 2, TimeUnit::Ms).unwrap_err(),
+            "line 3 has 2 columns, and column 2 is \
+                                                            asked for"
+        );
         assert_eq!(parse_times("1x\n", 0, TimeUnit::S).unwrap_err(), "line 1: \"1x\" is no number");
     }
 
     #[test]
     fn missing_times_and_wrong_counts_are_refused() {
         let folder = folder(2);
-        assert_eq!(run(Params { rate: None, ..params(&folder) }, None).unwrap_err().param.as_deref(), Some("times"));
+        assert_eq!(
+            run(Params { rate: None, ..params(&folder) }, None).unwrap_err().param.as_deref(),
+            Some("times")
+        );
         std::fs::write(folder.path().join("times.txt"), "1\n2\n3\n").unwrap();
         let times = Some(InputPath::new(folder.path().join("times.txt")));
         let error = run(Params { times, rate: None, ..params(&folder) }, None).unwrap_err();

@@ -1,16 +1,21 @@
-//! `baseline/onnx`: frames by a network of yours, such as a learned interpolator that its owner exported to an ONNX file.
+//! `baseline/onnx`: frames by a network of yours, such as a learned interpolator that its owner exported to
+//! an ONNX file.
 //!
-//! The layout says what each input of the network is: a captured frame on either side of the wanted instant (`frames`), events as a voxel grid ([`voxel`]) of a
-//! window (`voxels`), the instant's place between the two frames (`time`), or what the network remembers (`states`). All tensors are \[1, channels, height, width\].
+//! The layout says what each input of the network is: a captured frame on either side of the wanted instant
+//! (`frames`), events as a voxel grid ([`voxel`]) of a window (`voxels`), the instant's place between the two
+//! frames (`time`), or what the network remembers (`states`). All tensors are \[1, channels, height, width\].
 //! With `states` pictures are made one after the other, from states of zeros; without, side by side.
 //!
-//! With `halvings` a network that was made for the middle between two frames gives other instants as well: the interval is halved again and again, with the pictures before.
+//! With `halvings` a network that was made for the middle between two frames gives other instants as well:
+//! the interval is halved again and again, with the pictures before.
 //!
-//! The instant is the middle of the wanted exposure, at the middle row; captured frames stand at the middles of theirs. A network that looks at frames or at
-//! windows that end at them has nothing to look at before the first and after the last one: such instants are left out and counted.
+//! The instant is the middle of the wanted exposure, at the middle row; captured frames stand at the middles
+//! of theirs. A network that looks at frames or at windows that end at them has nothing to look at before the
+//! first and after the last one: such instants are left out and counted.
 //!
-//! Limits: grey frames of the events' pixels (three channels get three times the same; three that come back are averaged); one time for all rows; all events in
-//! memory, 16 bytes each. Sums of f32 depend on the processor: pictures agree between machines to about 1e-6, not to the last bit.
+//! Limits: grey frames of the events' pixels (three channels get three times the same; three that come back
+//! are averaged); one time for all rows; all events in memory, 16 bytes each. Sums of f32 depend on the
+//! processor: pictures agree between machines to about 1e-6, not to the last bit.
 
 pub mod layout;
 pub mod voxel;
@@ -24,7 +29,10 @@ use crate::sampling::{Sampling, scale_seconds};
 use crate::score::lpips::Encoding;
 use layout::{FrameInput, Layout, Moment, Side, StateInput, VoxelInput};
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::{Context, Decl, EventStream, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, EventStream, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError,
+    PortMetas, Sensor,
+};
 use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -45,23 +53,27 @@ pub struct Params {
     pub network: InputPath,
     /// An ONNX Runtime library (version 1.24 or newer) that runs it; absent = the embedded backend.
     pub runtime: Option<InputPath>,
-    /// Its inputs that are captured frames: `input` (the name), `take` (`"before"` or `"after"` the instant), `channels` (1 to 3, each the grey frame; 1), `range`
-    /// (values of black and white; `[0.0, 1.0]`).
+    /// Its inputs that are captured frames: `input` (the name), `take` (`"before"` or `"after"` the instant),
+    /// `channels` (1 to 3, each the grey frame; 1), `range` (values of black and white; `[0.0, 1.0]`).
     pub frames: Vec<FrameInput>,
-    /// Its inputs that are voxel grids of events: `input`, `bins` (5), `window` (`"between"` the frames, `"before_to_instant"`, `"instant_to_after"`,
-    /// `"exposures"` from the start of the one before to the end of the one after, or `"since_last"` picture), `polarity` (`"signed"`, or `"separate"`: channels of ON, then of OFF), `normalise` (`"none"`, `"std"` or `"max"`), `stretch` (bins over
-    /// the `"window"` or over its `"events"`), `reversed` (false).
+    /// Its inputs that are voxel grids of events: `input`, `bins` (5), `window` (`"between"` the frames,
+    /// `"before_to_instant"`, `"instant_to_after"`, `"exposures"` from the start of the one before to the end
+    /// of the one after, or `"since_last"` picture), `polarity` (`"signed"`, or `"separate"`: channels of ON,
+    /// then of OFF), `normalise` (`"none"`, `"std"` or `"max"`), `stretch` (bins over the `"window"` or over
+    /// its `"events"`), `reversed` (false).
     pub voxels: Vec<VoxelInput>,
     /// Its input that is the instant's place between the frames before (0) and after (1); absent = none.
     pub time: Option<String>,
     /// Dimensions of `time`, each of length 1.
     #[schemars(range(min = 1, max = 4))]
     pub time_dimensions: u32,
-    /// How often the interval between the two frames is halved with the picture in its middle (`time` is then 1/2); the picture nearest to the instant is taken, one of
-    /// 2^halvings an interval. 0 = the network is asked for the instant itself.
+    /// How often the interval between the two frames is halved with the picture in its middle (`time` is then
+    /// 1/2); the picture nearest to the instant is taken, one of 2^halvings an interval. 0 = the network is
+    /// asked for the instant itself.
     #[schemars(range(max = 10))]
     pub halvings: u32,
-    /// What it remembers from picture to picture: `input`, `output` (of the picture before; 0 at first), `channels`, `downscale` (the frames' width over the state's; 1).
+    /// What it remembers from picture to picture: `input`, `output` (of the picture before; 0 at first),
+    /// `channels`, `downscale` (the frames' width over the state's; 1).
     pub states: Vec<StateInput>,
     /// Its output that is the picture: one channel or three, of the frames' size.
     pub output: String,
@@ -72,7 +84,8 @@ pub struct Params {
     /// DN of white; absent = the sensor description's saturation.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub white: Option<f64>,
-    /// Width and height become multiples of this: frames are continued beyond their right and lower border, and the picture is cut.
+    /// Width and height become multiples of this: frames are continued beyond their right and lower border,
+    /// and the picture is cut.
     #[schemars(range(min = 1, max = 1024))]
     pub multiple: u32,
     /// Which stamp dates an event.
@@ -158,37 +171,63 @@ impl BaselineOnnx {
         }
         let wanted = request.output(&params.sampling)?;
         if !voxel::addresses(wanted.extent) {
-            return Err(NodeError::usage(format!("frames of {} are larger than events can address", wanted.extent)));
+            return Err(NodeError::usage(format!(
+                "frames of {} are larger than events can address",
+                wanted.extent
+            )));
         }
         let intensity = request.intensity(Self::WHO, params.white)?;
         // The threshold is not asked for: events are counted.
         let rule = request.step_rule(Self::WHO, Some(1.0), None, params.stamp, params.latency)?;
         let all = layout::moments(request.frames, &wanted);
-        let moments: Vec<Moment> = if self.layout().needs_pairs() { all.iter().filter(|moment| moment.pair.is_some()).copied().collect() } else { all.clone() };
+        let moments: Vec<Moment> = if self.layout().needs_pairs() {
+            all.iter().filter(|moment| moment.pair.is_some()).copied().collect()
+        } else {
+            all.clone()
+        };
         if moments.is_empty() {
             return Err(NodeError::input("no wanted instant lies between two captured frames")
-                .note("the network looks at the captured frames on either side of the instant, or at events between them")
-                .hint("give two frames or more, and instants between the middles of the first exposure and the last"));
+                .note(
+                    "the network looks at the captured frames on either side of the instant, or at events \
+                       between them",
+                )
+                .hint(
+                    "give two frames or more, and instants between the middles of the first exposure and \
+                       the last",
+                ));
         }
         let kept: Vec<usize> = moments.iter().map(|moment| moment.wanted).collect();
         let meta = FramesMeta { times: wanted.times.select(&kept), ..wanted };
         Ok(Planned { meta, left_out: all.len() - moments.len(), moments, intensity, rule })
     }
 
-    /// Halving puts pictures in the place of frames: they must be alike, and nothing else may depend on the instant.
+    /// Halving puts pictures in the place of frames: they must be alike, and nothing else may depend on the
+    /// instant.
     fn check_halvings(&self) -> Result<(), NodeError> {
         let Params { halvings, frames, voxels, states, output_range, .. } = &self.params;
-        let refuse = |what: &str, hint: &str| Err(NodeError::usage(format!("`halvings` {what}")).hint(hint.to_string()).param("halvings"));
+        let refuse = |what: &str, hint: &str| {
+            Err(NodeError::usage(format!("`halvings` {what}")).hint(hint.to_string()).param("halvings"))
+        };
         match frames.as_slice() {
             _ if *halvings == 0 => Ok(()),
-            _ if !(voxels.is_empty() && states.is_empty()) => {
-                refuse("is for networks that see two frames and nothing else", "take `voxels` and `states` out, or `halvings`")
+            _ if !(voxels.is_empty() && states.is_empty()) => refuse(
+                "is for networks that see two frames and nothing else",
+                "take `voxels` and `states` \
+                                                            out, or `halvings`",
+            ),
+            [one, other] if one.take != other.take && one.channels == other.channels => {
+                match [one, other].iter().all(|frame| frame.range == *output_range) {
+                    true => Ok(()),
+                    false => refuse(
+                        "gives pictures back as frames, and their values of black and white differ",
+                        "let `range` of both frames be `output_range`",
+                    ),
+                }
             }
-            [one, other] if one.take != other.take && one.channels == other.channels => match [one, other].iter().all(|frame| frame.range == *output_range) {
-                true => Ok(()),
-                false => refuse("gives pictures back as frames, and their values of black and white differ", "let `range` of both frames be `output_range`"),
-            },
-            _ => refuse("needs one frame before and one after the instant, of as many channels", "state both in `frames`"),
+            _ => refuse(
+                "needs one frame before and one after the instant, of as many channels",
+                "state both in `frames`",
+            ),
         }
     }
 
@@ -196,10 +235,12 @@ impl BaselineOnnx {
         let path = self.params.network.path();
         let content = std::fs::read(path).map_err(|error| self.unreadable(&error))?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        let network = onnx::load(&name, content, self.params.runtime.as_ref().map(InputPath::path)).map_err(|error| match error.param {
-            Some(_) => error,
-            None => error.param("network"),
-        })?;
+        let network = onnx::load(&name, content, self.params.runtime.as_ref().map(InputPath::path)).map_err(
+            |error| match error.param {
+                Some(_) => error,
+                None => error.param("network"),
+            },
+        )?;
         self.layout().check(&name, &network.sockets(), &self.params.output)?;
         Ok(network)
     }
@@ -214,14 +255,16 @@ impl BaselineOnnx {
 impl Node for BaselineOnnx {
     const DECL: Decl = Decl {
         kind: "baseline/onnx",
-        about: "Frames by a network of yours in an ONNX file, from captured frames and voxel grids of events.",
+        about: "Frames by a network of yours in an ONNX file, from captured frames and voxel grids of \
+                events.",
         revision: 1,
         grain: Grain::Whole,
         draws: false,
         exports: false,
         sources: &[
             "whatever made the network",
-            "voxel grids: Zhu, Yuan, Chaney, Daniilidis: Unsupervised Event-Based Learning of Optical Flow, Depth, and Egomotion, CVPR 2019",
+            "voxel grids: Zhu, Yuan, Chaney, Daniilidis: Unsupervised Event-Based Learning of Optical Flow, \
+             Depth, and Egomotion, CVPR 2019",
         ],
         example: r#"
 [nodes.interpolated]
@@ -244,15 +287,26 @@ rate     = "1 kHz"
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let needed = |what: &str, hint: &str, param: &str| Err(NodeError::usage(format!("`{param}` is missing: {what}")).hint(hint.to_string()).param(param));
+        let needed = |what: &str, hint: &str, param: &str| {
+            Err(NodeError::usage(format!("`{param}` is missing: {what}")).hint(hint.to_string()).param(param))
+        };
         if params.network.path().as_os_str().is_empty() {
             return needed("the file of the network", "name an ONNX file", "network");
         }
         if params.output.is_empty() {
-            return needed("which output of the network is the picture", "name it: output = \"image\"", "output");
+            return needed(
+                "which output of the network is the picture",
+                "name it: output = \"image\"",
+                "output",
+            );
         }
         if params.frames.is_empty() && params.voxels.is_empty() {
-            return needed("the network would be shown neither events nor frames", "say what its inputs are: voxels = [{ input = \"voxel\" }]", "voxels");
+            return needed(
+                "the network would be shown neither events nor frames",
+                "say what its inputs are: \
+                                                            voxels = [{ input = \"voxel\" }]",
+                "voxels",
+            );
         }
         let [black, white] = params.output_range;
         if !(black.is_finite() && white.is_finite() && black != white) {
@@ -260,7 +314,9 @@ rate     = "1 kHz"
                 .hint("state two different numbers: output_range = [0.0, 1.0]")
                 .param("output_range"));
         }
-        if let Some(state) = params.states.iter().find(|state| !params.multiple.is_multiple_of(state.downscale)) {
+        if let Some(state) =
+            params.states.iter().find(|state| !params.multiple.is_multiple_of(state.downscale))
+        {
             return Err(NodeError::usage(format!(
                 "`{}` is smaller than the frames by {}, which does not divide `multiple`, {}",
                 state.input, state.downscale, params.multiple
@@ -288,19 +344,35 @@ rate     = "1 kHz"
         let network = self.load()?;
         cx.count(left_out as u64, "wanted instants do not lie between two captured frames, and are left out");
         let timeline = match &input.events {
-            Some(events) if !self.params.voxels.is_empty() => Timeline::new(&events.read(events.rows())?, &rule),
+            Some(events) if !self.params.voxels.is_empty() => {
+                Timeline::new(&events.read(events.rows())?, &rule)
+            }
             _ => Timeline::default(),
         };
         cx.begin(moments.len() as u64, "pictures");
-        let work = Work { node: self, network: &*network, frames: &input.frames, timeline: &timeline, meta: &meta, intensity, cx };
+        let work = Work {
+            node: self,
+            network: &*network,
+            frames: &input.frames,
+            timeline: &timeline,
+            meta: &meta,
+            intensity,
+            cx,
+        };
         let mut block = FrameBlock::zeros(0..moments.len(), meta.extent.rows(), meta.row_values());
         let pictures = block.dn.chunks_exact_mut(meta.row_values() * meta.extent.height as usize);
         if self.params.states.is_empty() {
             let tasks: Vec<_> = moments.iter().enumerate().zip(pictures).collect();
-            tasks.into_par_iter().try_for_each(|((n, _), out)| work.picture(&moments, n, &mut BTreeMap::new(), out))?;
+            tasks
+                .into_par_iter()
+                .try_for_each(|((n, _), out)| work.picture(&moments, n, &mut BTreeMap::new(), out))?;
         } else {
             let mut states = work.first_states();
-            moments.iter().enumerate().zip(pictures).try_for_each(|((n, _), out)| work.picture(&moments, n, &mut states, out))?;
+            moments
+                .iter()
+                .enumerate()
+                .zip(pictures)
+                .try_for_each(|((n, _), out)| work.picture(&moments, n, &mut states, out))?;
         }
         Ok(Out { frames: FrameSequence::in_memory(Arc::new(meta), block) })
     }
@@ -335,14 +407,25 @@ impl Work<'_> {
     fn first_states(&self) -> BTreeMap<String, Tensor> {
         let (width, height) = self.size();
         let zeros = |state: &StateInput| {
-            let shape = vec![1, state.channels as usize, height / state.downscale as usize, width / state.downscale as usize];
+            let shape = vec![
+                1,
+                state.channels as usize,
+                height / state.downscale as usize,
+                width / state.downscale as usize,
+            ];
             Tensor { values: vec![0.0; shape.iter().product()], shape }
         };
         self.params().states.iter().map(|state| (state.input.clone(), zeros(state))).collect()
     }
 
     /// Makes picture `n`; `states` go in and come out.
-    fn picture(&self, moments: &[Moment], n: usize, states: &mut BTreeMap<String, Tensor>, out: &mut [f32]) -> Result<(), NodeError> {
+    fn picture(
+        &self,
+        moments: &[Moment],
+        n: usize,
+        states: &mut BTreeMap<String, Tensor>,
+        out: &mut [f32],
+    ) -> Result<(), NodeError> {
         let (params, moment, (width, height)) = (self.params(), &moments[n], self.size());
         if params.halvings > 0 {
             self.develop(&self.halved(moment)?, n, out)?;
@@ -355,19 +438,29 @@ impl Work<'_> {
         for voxel in &params.voxels {
             let grid = voxel.grid();
             let before = n.checked_sub(1).map(|before| moments[before].t);
-            let (values, count) = self.timeline.grid(voxel.window.of(moment, before, self.timeline.span()), grid, (width, height));
+            let (values, count) = self.timeline.grid(
+                voxel.window.of(moment, before, self.timeline.span()),
+                grid,
+                (width, height),
+            );
             self.cx.count(u64::from(count == 0), &format!("pictures saw no event in `{}`", voxel.input));
             given.push((&voxel.input, Tensor { shape: vec![1, grid.channels(), height, width], values }));
         }
         if let Some(time) = &params.time {
             given.push((time, self.time(moment.share())));
         }
-        let inputs: Vec<(&str, &Tensor)> =
-            given.iter().map(|(name, tensor)| (*name, tensor)).chain(states.iter().map(|(name, state)| (name.as_str(), state))).collect();
-        let outputs: Vec<&str> = std::iter::once(params.output.as_str()).chain(params.states.iter().map(|state| state.output.as_str())).collect();
+        let inputs: Vec<(&str, &Tensor)> = given
+            .iter()
+            .map(|(name, tensor)| (*name, tensor))
+            .chain(states.iter().map(|(name, state)| (name.as_str(), state)))
+            .collect();
+        let outputs: Vec<&str> = std::iter::once(params.output.as_str())
+            .chain(params.states.iter().map(|state| state.output.as_str()))
+            .collect();
         let mut results = self.network.run_all(&inputs, &outputs)?.into_iter();
         let picture = results.next().ok_or_else(|| NodeError::failed("the network gave no picture"))?;
-        let carried: BTreeMap<String, Tensor> = params.states.iter().map(|state| state.input.clone()).zip(results).collect();
+        let carried: BTreeMap<String, Tensor> =
+            params.states.iter().map(|state| state.input.clone()).zip(results).collect();
         *states = carried;
         self.develop(&picture, n, out)?;
         self.cx.advance(1)
@@ -381,7 +474,13 @@ impl Work<'_> {
     /// The picture nearest to the moment of those that halving the interval makes.
     fn halved(&self, moment: &Moment) -> Result<Tensor, NodeError> {
         let params = self.params();
-        let of = |side: Side| params.frames.iter().find(|frame| frame.take == side).ok_or_else(|| NodeError::failed("halving without two frames"));
+        let of = |side: Side| {
+            params
+                .frames
+                .iter()
+                .find(|frame| frame.take == side)
+                .ok_or_else(|| NodeError::failed("halving without two frames"))
+        };
         let (before, after) = (of(Side::Before)?, of(Side::After)?);
         let (mut low, mut high) = (self.frame(before, moment)?, self.frame(after, moment)?);
         let (mut from, mut to) = (0, 1_u32 << params.halvings);
@@ -392,9 +491,15 @@ impl Work<'_> {
             given.extend(params.time.iter().map(|name| (name.as_str(), &time)));
             let middle = self.network.run(&given, &params.output)?;
             if middle.shape != low.shape {
-                return Err(NodeError::input(format!("the output `{}` has the shape {:?}, and frames have {:?}", params.output, middle.shape, low.shape))
-                    .hint("with `halvings` pictures are frames again: let `channels` of both frames be those of the picture")
-                    .param("halvings"));
+                return Err(NodeError::input(format!(
+                    "the output `{}` has the shape {:?}, and frames have {:?}",
+                    params.output, middle.shape, low.shape
+                ))
+                .hint(
+                    "with `halvings` pictures are frames again: let `channels` of both frames be \
+                           those of the picture",
+                )
+                .param("halvings"));
             }
             let at = (from + to) / 2;
             if wanted < at {
@@ -410,7 +515,12 @@ impl Work<'_> {
     fn frame(&self, input: &FrameInput, moment: &Moment) -> Result<Tensor, NodeError> {
         let (width, height) = self.size();
         let captured = &self.frames.meta;
-        let Some(pair) = moment.pair else { return Err(NodeError::failed("a wanted instant without a captured frame on either side")) };
+        let Some(pair) = moment.pair else {
+            return Err(NodeError::failed(
+                "a wanted instant without a \
+                                                            captured frame on either side",
+            ));
+        };
         let l = match input.take {
             Side::Before => pair.before,
             Side::After => pair.before + 1,
@@ -442,12 +552,20 @@ impl Work<'_> {
     fn develop(&self, picture: &Tensor, n: usize, out: &mut [f32]) -> Result<(), NodeError> {
         let (params, (width, height)) = (self.params(), self.size());
         let channels = picture.values.len() / (width * height).max(1);
-        let fits = picture.shape.ends_with(&[height, width]) && matches!(channels, 1 | 3) && picture.values.len() == channels * width * height;
+        let fits = picture.shape.ends_with(&[height, width])
+            && matches!(channels, 1 | 3)
+            && picture.values.len() == channels * width * height;
         if !fits {
-            return Err(NodeError::input(format!("the output `{}` of the network has the shape {:?}", params.output, picture.shape))
-                .note(format!("expected [1, 1, {height}, {width}] or [1, 3, {height}, {width}]"))
-                .hint("name the output that is the picture, or state in `multiple` what width and height have to be divisible by")
-                .param("output"));
+            return Err(NodeError::input(format!(
+                "the output `{}` of the network has the shape {:?}",
+                params.output, picture.shape
+            ))
+            .note(format!("expected [1, 1, {height}, {width}] or [1, 3, {height}, {width}]"))
+            .hint(
+                "name the output that is the picture, or state in `multiple` what width and height \
+                       have to be divisible by",
+            )
+            .param("output"));
         }
         let [black, white] = params.output_range;
         let plane = width * height;
@@ -456,7 +574,11 @@ impl Work<'_> {
             for (x, dn) in row.iter_mut().enumerate() {
                 let at = y * width + x;
                 // Light is averaged, not its encoding.
-                let light = |channel: usize| params.encoding.undone((f64::from(picture.values[channel * plane + at]) - black) / (white - black));
+                let light = |channel: usize| {
+                    params
+                        .encoding
+                        .undone((f64::from(picture.values[channel * plane + at]) - black) / (white - black))
+                };
                 let mean = (0..channels).map(light).sum::<f64>() / channels as f64;
                 *dn = self.intensity.dn(mean, seconds);
             }

@@ -1,12 +1,14 @@
 //! `baseline/repeat`: plain frame repetition: the picture of any instant is the captured frame nearest to it.
 //!
-//! What a viewer without events would see, and the floor that every method must beat. Nearest is by the middle of a row's own exposure.
-//! Limits: blur, rolling shutter and motion between frames all stay in.
+//! What a viewer without events would see, and the floor that every method must beat. Nearest is by the
+//! middle of a row's own exposure. Limits: blur, rolling shutter and motion between frames all stay in.
 
 pub(crate) use crate::reconstruct::black_level;
 use crate::reconstruct::{Request, by_rows, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
-use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, FrameScale, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -85,8 +87,11 @@ params = { rate = "1 kHz" }
             for l in 0..meta.times.len() {
                 let exposure = meta.times.exposure(l, row);
                 let from = nearest_frame(request.frames, row, exposure.mid().0);
-                let ratio = scale_seconds(meta.scale, exposure) / scale_seconds(FrameScale::Captured, request.frames.times.exposure(from, row));
-                picture.extend(block.row(from, row).iter().map(|dn| (black + (f64::from(*dn) - black) * ratio) as f32));
+                let ratio = scale_seconds(meta.scale, exposure)
+                    / scale_seconds(FrameScale::Captured, request.frames.times.exposure(from, row));
+                picture.extend(
+                    block.row(from, row).iter().map(|dn| (black + (f64::from(*dn) - black) * ratio) as f32),
+                );
             }
             Ok(picture)
         };
@@ -104,10 +109,18 @@ mod tests {
     fn each_instant_shows_the_nearest_frame_at_its_scale() {
         let extent = Extent { width: 1, height: 1 };
         // Middles at 1, 5 and 9 ms; the middle frame was exposed half as long.
-        let exposures = vec![Exposure::new(0, 2_000_000), Exposure::new(4_500_000, 5_500_000), Exposure::new(8_000_000, 10_000_000)];
+        let exposures = vec![
+            Exposure::new(0, 2_000_000),
+            Exposure::new(4_500_000, 5_500_000),
+            Exposure::new(8_000_000, 10_000_000),
+        ];
         let frames = testing::captured(extent, exposures, 0, |l, _, _| [10.0, 10.0, 30.0][l]);
-        let node = BaselineRepeat { params: Params { sampling: Sampling { rate: Rate::new(500.0), ..Sampling::default() } } };
-        let (out, _) = testing::with_context(extent.rows(), &["frames"], |cx| node.run(In { frames, sensor: None, at: None }, cx));
+        let node = BaselineRepeat {
+            params: Params { sampling: Sampling { rate: Rate::new(500.0), ..Sampling::default() } },
+        };
+        let (out, _) = testing::with_context(extent.rows(), &["frames"], |cx| {
+            node.run(In { frames, sensor: None, at: None }, cx)
+        });
         let block = out.unwrap().frames.read_rows(extent.rows()).unwrap();
         // 0, 2, 4, 6, 8 ms; nominal exposure is the median, 2 ms.
         assert_eq!(block.dn, [10.0, 10.0, 20.0, 20.0, 30.0]);

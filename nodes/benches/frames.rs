@@ -1,14 +1,17 @@
 //! How fast frames come out: rendering from tracks, and the double integral, per row of pixels.
 //!
-//! `cargo bench -p photocurrent-nodes`. Items are pixels times frames. One row of 346 pixels, 160 frames over 160 ms, as many events a
-//! pixel as the argument says.
+//! `cargo bench -p photocurrent-nodes`. Items are pixels times frames. One row of 346 pixels, 160 frames over
+//! 160 ms, as many events a pixel as the argument says.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::Rate;
 use photocurrent_core::random::Random;
-use photocurrent_core::{Between, Colour, EventStream, Exposure, Extent, FrameSequence, Node, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta, testing};
+use photocurrent_core::{
+    Between, Colour, EventStream, Exposure, Extent, FrameSequence, Node, Sensor, TimeSpan, TrackBand,
+    TrackSet, TracksMeta, testing,
+};
 use photocurrent_nodes::baseline::edi::{self, BaselineEdi};
 use photocurrent_nodes::render::rows::{self, RenderRows};
 use photocurrent_nodes::sampling::Sampling;
@@ -77,7 +80,8 @@ fn recording(events: usize) -> (EventStream, FrameSequence) {
 
 #[divan::bench(args = [4, 20, 100])]
 fn render(bencher: Bencher, events: usize) {
-    let node = RenderRows::build(rows::Params { sampling: sampling(), ..rows::Params::default() }).expect("parameters go together");
+    let node = RenderRows::build(rows::Params { sampling: sampling(), ..rows::Params::default() })
+        .expect("parameters go together");
     let (tracks, sensor) = (tracks(events), sensor());
     bencher.counter(ItemsCount::new(EXTENT.pixels() * FRAMES)).bench_local(|| {
         let input = rows::In { tracks: tracks.clone(), sensor: sensor.clone(), at: None };
@@ -87,10 +91,17 @@ fn render(bencher: Bencher, events: usize) {
 
 #[divan::bench(args = [4, 20, 100])]
 fn double_integral(bencher: Bencher, events: usize) {
-    let node = BaselineEdi::build(edi::Params { sampling: sampling(), ..edi::Params::default() }).expect("parameters go together");
+    let node = BaselineEdi::build(edi::Params { sampling: sampling(), ..edi::Params::default() })
+        .expect("parameters go together");
     let ((events, frames), sensor) = (recording(events), sensor());
     bencher.counter(ItemsCount::new(EXTENT.pixels() * FRAMES)).bench_local(|| {
-        let input = edi::In { events: events.clone(), frames: frames.clone(), sensor: Some(sensor.clone()), contrast: None, at: None };
+        let input = edi::In {
+            events: events.clone(),
+            frames: frames.clone(),
+            sensor: Some(sensor.clone()),
+            contrast: None,
+            at: None,
+        };
         testing::with_context(EXTENT.rows(), &["frames"], |cx| node.run(input, cx)).0.expect("reconstructs")
     });
 }

@@ -1,11 +1,16 @@
-//! `diagnose/confirm`: one answer from direct tests and from what was decided on a scene, the description with what was found put in, and the proof.
+//! `diagnose/confirm`: one answer from direct tests and from what was decided on a scene, the description
+//! with what was found put in, and the proof.
 //!
-//! The verdict joins what the stages before found; the fitted description is the stated one with the claimed effects; the proof predicts held-out frames,
-//! nominal and fitted. The report is what `diagnosis.json` holds, byte for byte.
+//! The verdict joins what the stages before found; the fitted description is the stated one with the claimed
+//! effects; the proof predicts held-out frames, nominal and fitted. The report is what `diagnosis.json`
+//! holds, byte for byte.
 //!
 //! Limits: see docs/diagnosis.md. A page is made only when something takes it.
 
-use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node,
+    NodeError, PortMetas, Sensor,
+};
 use photocurrent_diagnosis::diagnose::{Setting, confirm};
 use photocurrent_diagnosis::judge::Judging;
 use photocurrent_diagnosis::page::page;
@@ -18,12 +23,14 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
+    /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the
+    /// light; without it direct tests take a second.
     pub proof: bool,
     /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
     #[schemars(range(min = 0.0))]
     pub most_worse_db: f64,
-    /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it predicts held-out frames better by more than this, dB.
+    /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it
+    /// predicts held-out frames better by more than this, dB.
     #[schemars(range(min = 0.0))]
     pub least_better_db: f64,
 }
@@ -31,7 +38,11 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Params {
         let setting = Setting::default();
-        Params { proof: true, most_worse_db: setting.most_worse_db, least_better_db: setting.judging.least_better_db }
+        Params {
+            proof: true,
+            most_worse_db: setting.most_worse_db,
+            least_better_db: setting.judging.least_better_db,
+        }
     }
 }
 
@@ -71,7 +82,8 @@ pub struct DiagnoseConfirm {
 impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
-        about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, proof on held-out frames, report.",
+        about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, \
+                proof on held-out frames, report.",
         revision: 22,
         grain: Grain::Whole,
         draws: true,
@@ -119,20 +131,38 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
-        let proposed = input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
+        let proposed =
+            input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
         let Params { proof, most_worse_db, least_better_db } = self.params;
         let judging = Judging { least_better_db };
-        let setting = Setting { seed: cx.seed(), without_proof: !proof, most_worse_db, judging, ..Setting::default() };
+        let setting =
+            Setting { seed: cx.seed(), without_proof: !proof, most_worse_db, judging, ..Setting::default() };
         let integrity = read_integrity(&input.integrity)?;
         let before = integrity.findings.len();
         let found = confirm(&case, &setting, integrity, proposed)?;
-        found.integrity.findings.iter().skip(before).for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
-        let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
+        found
+            .integrity
+            .findings
+            .iter()
+            .skip(before)
+            .for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
+        let text = found.report.to_json().map_err(|why| {
+            NodeError::failed(format!(
+                "the report cannot be \
+                                                            written as JSON: {why}"
+            ))
+        })?;
         for id in &found.withdrawn {
-            cx.note(format!("{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB", self.params.most_worse_db));
+            cx.note(format!(
+                "{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB",
+                self.params.most_worse_db
+            ));
         }
         cx.note(format!("{}: {}", found.report.verdict.name(), found.report.summary));
-        let page = cx.wants("page").then(|| Diagnosis::of(DiagnosisKind::Page, &page(&found.report, Some(&case), Some(&found)))).transpose()?;
+        let page = cx
+            .wants("page")
+            .then(|| Diagnosis::of(DiagnosisKind::Page, &page(&found.report, Some(&case), Some(&found))))
+            .transpose()?;
         Ok(Out {
             report: Arc::new(Diagnosis::from_text(DiagnosisKind::Report, text)?),
             page: page.map(Arc::new),

@@ -1,11 +1,16 @@
-//! `diagnose/decide`: probabilities from evidence: that something differs from the stated sensor, which effect it is, whether there is a second one, or that it is in no catalogue.
+//! `diagnose/decide`: probabilities from evidence: that something differs from the stated sensor, which
+//! effect it is, whether there is a second one, or that it is in no catalogue.
 //!
-//! One small model with calibrated numbers for each kind of scene, all of them parameters here; `photocurrent-calibrate` makes them anew from made-up recordings. Evidence is cached by itself, so that another
-//! model or threshold is tried in no time.
+//! One small model with calibrated numbers for each kind of scene, all of them parameters here;
+//! `photocurrent-calibrate` makes them anew from made-up recordings. Evidence is cached by itself, so that
+//! another model or threshold is tried in no time.
 //!
-//! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where what is left has no explanation, nothing is decided, and the proposals say why.
+//! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where what is left has no
+//! explanation, nothing is decided, and the proposals say why.
 
-use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+};
 use photocurrent_diagnosis::decide::model::{Model, Models, SECOND, SOMETHING};
 use photocurrent_diagnosis::decide::{Decision, decide};
 use photocurrent_diagnosis::diagnose::Proposed;
@@ -25,7 +30,8 @@ pub struct Params {
     /// And there is a second effect from this probability on.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub least_second: f64,
-    /// Nothing is decided where events of the stated sensor on its own scene miss their thresholds by more than this share of them (median).
+    /// Nothing is decided where events of the stated sensor on its own scene miss their thresholds by more
+    /// than this share of them (median).
     #[schemars(range(min = 0.0))]
     pub most_control: f64,
     /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
@@ -52,17 +58,22 @@ pub struct Params {
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Numbers {
-    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains and a second one in addition to it, and of the share of the events that count.
+    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains
+    /// and a second one in addition to it, and of the share of the events that count.
     pub something: Option<[f64; SOMETHING]>,
-    /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
+    /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the
+    /// first's.
     pub second: Option<[f64; SECOND]>,
-    /// Logarithms of gains count less by this of random effects, and of those that change how far light swings from event to event: such effects gain where the scene errs.
+    /// Logarithms of gains count less by this of random effects, and of those that change how far light
+    /// swings from event to event: such effects gain where the scene errs.
     pub discount: Option<[f64; 2]>,
-    /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
+    /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less
+    /// probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
     pub softness: Option<[f64; 2]>,
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: Option<f64>,
-    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain with the best effect, and alone, over that effect's.
+    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain
+    /// with the best effect, and alone, over that effect's.
     pub unnamed: Option<[f64; 3]>,
 }
 
@@ -94,9 +105,30 @@ impl Numbers {
 
 impl Default for Params {
     fn default() -> Params {
-        let Decision { models, least, least_second, most_control, most_left, most_silent, most_needed, shared_error } = Decision::default();
-        let [picture, patches, given] = [models.picture, models.patches, models.given].map(|model| Numbers::of(&model));
-        Params { least, least_second, most_control, most_left, most_silent, most_needed, shared_error, picture, patches, given }
+        let Decision {
+            models,
+            least,
+            least_second,
+            most_control,
+            most_left,
+            most_silent,
+            most_needed,
+            shared_error,
+        } = Decision::default();
+        let [picture, patches, given] =
+            [models.picture, models.patches, models.given].map(|model| Numbers::of(&model));
+        Params {
+            least,
+            least_second,
+            most_control,
+            most_left,
+            most_silent,
+            most_needed,
+            shared_error,
+            picture,
+            patches,
+            given,
+        }
     }
 }
 
@@ -126,7 +158,8 @@ pub struct DiagnoseDecide {
 impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
-        about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
+        about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, \
+                or none of the catalogue.",
         revision: 7,
         grain: Grain::Whole,
         draws: false,
@@ -156,10 +189,36 @@ params = { least = 0.9 }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { least, least_second, most_control, most_left, most_silent, most_needed, shared_error, picture, patches, given } = params;
+        let Params {
+            least,
+            least_second,
+            most_control,
+            most_left,
+            most_silent,
+            most_needed,
+            shared_error,
+            picture,
+            patches,
+            given,
+        } = params;
         let built_in = Models::default();
-        let models = Models { picture: picture.model(&built_in.picture), patches: patches.model(&built_in.patches), given: given.model(&built_in.given) };
-        Ok(DiagnoseDecide { decision: Decision { models, least, least_second, most_control, most_left, most_silent, most_needed, shared_error } })
+        let models = Models {
+            picture: picture.model(&built_in.picture),
+            patches: patches.model(&built_in.patches),
+            given: given.model(&built_in.given),
+        };
+        Ok(DiagnoseDecide {
+            decision: Decision {
+                models,
+                least,
+                least_second,
+                most_control,
+                most_left,
+                most_silent,
+                most_needed,
+                shared_error,
+            },
+        })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {

@@ -1,21 +1,25 @@
-//! `diagnose/evidence`: which effects explain by how much the events of a recording miss their thresholds, on a scene that frames alone state.
+//! `diagnose/evidence`: which effects explain by how much the events of a recording miss their thresholds, on
+//! a scene that frames alone state.
 //!
-//! One moving picture is fitted to the frames; the stated sensor looks at it, and every event says by how much voltage less reference missed its threshold. Each effect of the
-//! catalogue is fitted to those residuals and judged on blocks of pixels that it was not fitted to; random effects are parts of their distribution; what no effect has is free per
-//! bin of every covariate. A control, the stated sensor on that scene with the noise that was found, goes the same way, and all gains and sizes count from there. What direct tests
-//! found is in the description before.
+//! One moving picture is fitted to the frames; the stated sensor looks at it, and every event says by how
+//! much voltage less reference missed its threshold. Each effect of the catalogue is fitted to those
+//! residuals and judged on blocks of pixels that it was not fitted to; random effects are parts of their
+//! distribution; what no effect has is free per bin of every covariate. A control, the stated sensor on that
+//! scene with the noise that was found, goes the same way, and all gains and sizes count from there. What
+//! direct tests found is in the description before.
 //!
-//! With `target`, `light` or `tracks` the scene is known, and no picture is fitted: events are held against it, and frame values too, with a column of each effect of frames.
+//! With `target`, `light` or `tracks` the scene is known, and no picture is fitted: events are held against
+//! it, and frame values too, with a column of each effect of frames.
 //!
-//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single motion, no texture, too few frames) there is no evidence, and the
-//! document says why.
+//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single
+//! motion, no texture, too few frames) there is no evidence, and the document says why.
 
 use super::Amend;
 use super::target::read_target;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Between, Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Light, Meta, Node, NodeError,
-    PortMetas, Sensor, TrackSet,
+    Between, Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream,
+    FrameSequence, Grain, Light, Meta, Node, NodeError, PortMetas, Sensor, TrackSet,
 };
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
@@ -94,7 +98,8 @@ pub struct Params {
     /// At most so many such pictures are fitted, those of tiles with the most events.
     #[schemars(range(max = 100_000))]
     pub most_parts: u32,
-    /// Of a recording with more frame values, only the neighbouring frames with the most events between them are looked at, as many as have so many values: a fit takes some 300 bytes for each.
+    /// Of a recording with more frame values, only the neighbouring frames with the most events between them
+    /// are looked at, as many as have so many values: a fit takes some 300 bytes for each.
     #[schemars(range(min = 1_000))]
     pub most_values: u32,
     /// What a picture is sharpened over for the control, to find what its fit removes, pixels.
@@ -104,7 +109,8 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        let (of, picture, parts) = (EvidenceSetting::default(), PictureSetting::default(), MosaicSetting::default());
+        let (of, picture, parts) =
+            (EvidenceSetting::default(), PictureSetting::default(), MosaicSetting::default());
         Params {
             scene: Scene::default(),
             amend: Amend::default(),
@@ -136,7 +142,8 @@ impl Default for Params {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Scene {
-    /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each where it does not predict them.
+    /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each
+    /// where it does not predict them.
     #[default]
     Parts,
     /// One moving picture.
@@ -156,11 +163,13 @@ photocurrent_core::ports! {
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,
-        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the target is fitted with every effect.
+        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the
+        /// target is fitted with every effect.
         target: Option<Arc<Diagnosis>>,
         /// Light that is known, of the array's pixels, grey: no picture is fitted then, either.
         light: Option<Light>,
-        /// The same as tracks. Those that were solved from these very events have taken most of what a sensor does: they should come from elsewhere.
+        /// The same as tracks. Those that were solved from these very events have taken most of what a sensor
+        /// does: they should come from elsewhere.
         tracks: Option<TrackSet>,
     }
 }
@@ -204,8 +213,14 @@ impl DiagnoseEvidence {
             most_values,
             sharpest,
         } = self.params.clone();
-        let picture =
-            PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, most_values: most_values as usize, sharpest, ..PictureSetting::default() };
+        let picture = PictureSetting {
+            pitch,
+            knot_ns: knot.ns(),
+            again: again as usize,
+            most_values: most_values as usize,
+            sharpest,
+            ..PictureSetting::default()
+        };
         let parts = MosaicSetting::default();
         let patches = PatchSetting { side: tile, margin, frames: window as usize, ..parts.patches };
         let parts = MosaicSetting {
@@ -235,9 +250,13 @@ impl DiagnoseEvidence {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let known = self.params.amend.of(input.integrity.as_deref())?;
         if !can_compare(&case, &known) {
-            return Ok(Seen::Nothing("there is too little, or it is not sound enough, to estimate a scene".into()));
+            return Ok(Seen::Nothing(
+                "there is too little, or it is not sound enough, to estimate a scene".into(),
+            ));
         }
-        if let Some(why) = without_scene(&input.sensor).or_else(|| behind_filters(input.frames.as_ref(), &case)) {
+        if let Some(why) =
+            without_scene(&input.sensor).or_else(|| behind_filters(input.frames.as_ref(), &case))
+        {
             return Ok(Seen::Nothing(why));
         }
         let case = amend(&case, &known)?;
@@ -245,7 +264,8 @@ impl DiagnoseEvidence {
         let (picture, parts, of) = self.settings(cx.seed());
         if let Some(target) = &input.target {
             let source = read_target(target, &case, &nominal, &picture)?;
-            return Ok(evidence(&case, &nominal, &source, &of).map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
+            return Ok(evidence(&case, &nominal, &source, &of)
+                .map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
         }
         let given = match (&input.light, &input.tracks) {
             (Some(light), _) => Some(knots(light, &case)?),
@@ -254,16 +274,22 @@ impl DiagnoseEvidence {
         };
         if let Some(given) = given {
             let source = KnownLight::new(&case, &nominal, given.into(), &picture);
-            return Ok(evidence(&case, &nominal, &source, &of).map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
+            return Ok(evidence(&case, &nominal, &source, &of)
+                .map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
         }
         if let Some(flicker) = known.scene.iter().find(|one| one.depth > self.params.most_flicker) {
-            return Ok(Seen::Nothing(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth)));
+            return Ok(Seen::Nothing(format!(
+                "the light flickers at {:.0} Hz by {:.0} %",
+                flicker.frequency_hz,
+                100.0 * flicker.depth
+            )));
         }
         let part = case.busiest(picture.most_values);
         let (case, span_ns) = part.as_ref().map_or((&case, None), |part| (part, Some(part.span)));
         let source = match self.params.scene {
             Scene::Parts => scene(case, &nominal, &picture, &parts),
-            _ => MovingPicture::fit(case, &nominal, &picture).map(|source| Box::new(source) as Box<dyn photocurrent_scene::Scene>),
+            _ => MovingPicture::fit(case, &nominal, &picture)
+                .map(|source| Box::new(source) as Box<dyn photocurrent_scene::Scene>),
         };
         let found = source.and_then(|source| evidence(case, &nominal, source.as_ref(), &of));
         Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(Evidence { span_ns, ..found }))))
@@ -274,7 +300,13 @@ impl DiagnoseEvidence {
 fn behind_filters(frames: Option<&FrameSequence>, case: &Case) -> Option<String> {
     let meta = &frames?.meta;
     let is_behind = Grey::new(case.extent, meta, &case.sensor).is_ok_and(|grey| grey.is_behind_filters());
-    is_behind.then(|| format!("the frames are behind a mosaic of filters ({}): neighbouring pixels measure other light", meta.colour))
+    is_behind.then(|| {
+        format!(
+            "the frames are behind a mosaic of filters ({}): neighbouring pixels measure \
+                               other light",
+            meta.colour
+        )
+    })
 }
 
 /// The light of every pixel.
@@ -320,7 +352,8 @@ fn of_tracks(tracks: &TrackSet, case: &Case) -> Result<Vec<Knots>, NodeError> {
 impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
-        about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
+        about: "Asks every effect of the catalogue how much it explains of what events miss their \
+                thresholds by, on a scene that frames alone state, or on known light.",
         revision: 7,
         grain: Grain::Whole,
         draws: true,
@@ -365,27 +398,41 @@ params = { refined = 8 }
         if let Ok(light) = inputs.light("light") {
             let extent = super::empty(inputs)?.extent;
             if light.extent != extent || light.colour != Colour::Mono {
-                return Err(NodeError::usage(format!("the light is of {} pixels, {}, and the recording of {extent}, grey", light.extent, light.colour))
-                    .hint("make the light of the array's own pixels, without colours")
-                    .blames(DataType::Light));
+                return Err(NodeError::usage(format!(
+                    "the light is of {} pixels, {}, and the recording of \
+                                                     {extent}, grey",
+                    light.extent, light.colour
+                ))
+                .hint("make the light of the array's own pixels, without colours")
+                .blames(DataType::Light));
             }
         }
         if let Ok(tracks) = inputs.tracks("tracks") {
             let extent = super::empty(inputs)?.extent;
             if inputs.has("light") {
-                return Err(NodeError::usage("`light` and `tracks` are both connected").hint("connect one of them").blames(DataType::Tracks));
+                return Err(NodeError::usage("`light` and `tracks` are both connected")
+                    .hint("connect one of them")
+                    .blames(DataType::Tracks));
             }
             if tracks.extent != extent || tracks.colour != Colour::Mono {
-                return Err(NodeError::usage(format!("the tracks are of {} pixels, {}, and the recording of {extent}, grey", tracks.extent, tracks.colour))
-                    .hint("solve the array's own pixels, without colours")
-                    .blames(DataType::Tracks));
+                return Err(NodeError::usage(format!(
+                    "the tracks are of {} pixels, {}, and the recording of \
+                                                     {extent}, grey",
+                    tracks.extent, tracks.colour
+                ))
+                .hint("solve the array's own pixels, without colours")
+                .blames(DataType::Tracks));
             }
         }
         Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Evidence }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let seen = if self.params.scene == Scene::None && input.target.is_none() && input.light.is_none() && input.tracks.is_none() {
+        let seen = if self.params.scene == Scene::None
+            && input.target.is_none()
+            && input.light.is_none()
+            && input.tracks.is_none()
+        {
             Seen::NotAsked
         } else {
             self.look(&input, cx)?
@@ -393,10 +440,18 @@ params = { refined = 8 }
         match &seen {
             Seen::NotAsked => {}
             Seen::Nothing(why) => cx.note(format!("the scene is no evidence: {why}")),
-            Seen::Evidence(found) => cx.note(format!("{} events looked at, in places where {:.0} % of all are", found.events, 100.0 * found.share)),
+            Seen::Evidence(found) => cx.note(format!(
+                "{} events looked at, in places where {:.0} % of all are",
+                found.events,
+                100.0 * found.share
+            )),
         }
         let written = match (write_evidence(&seen), &seen) {
-            (Err(_), Seen::Evidence(_)) => write_evidence(&Seen::Nothing("what events say on this scene is not finite".into())),
+            (Err(_), Seen::Evidence(_)) => write_evidence(&Seen::Nothing(
+                "what events say on this scene is \
+                                                            not finite"
+                    .into(),
+            )),
             (written, _) => written,
         };
         Ok(Out { evidence: Arc::new(written?) })

@@ -1,12 +1,17 @@
 //! `diagnose/integrity`: what shows in a recording without an estimate of its scene.
 //!
-//! Data that contradict themselves, stamps on a coarser grid than stated, a readout queue, hot rows and pixels, noise events, lost events, events in step with the
-//! frames, leaks, lost light, late events; and flicker of the light, which is no fault of the sensor. What is found is put into a copy of the description, so that later
-//! stages look for the rest.
+//! Data that contradict themselves, stamps on a coarser grid than stated, a readout queue, hot rows and
+//! pixels, noise events, lost events, events in step with the frames, leaks, lost light, late events; and
+//! flicker of the light, which is no fault of the sensor. What is found is put into a copy of the
+//! description, so that later stages look for the rest.
 //!
-//! Limits: every test is strict, and finding nothing proves nothing. Hot rows and pixels stand in the findings only: they are left out, not described.
+//! Limits: every test is strict, and finding nothing proves nothing. Hot rows and pixels stand in the
+//! findings only: they are left out, not described.
 
-use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node,
+    NodeError, PortMetas, Sensor,
+};
 use photocurrent_diagnosis::diagnose::{amend, check};
 use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::stages::write_integrity;
@@ -29,7 +34,8 @@ pub enum Tests {
     /// All of them.
     #[default]
     All,
-    /// Only those that say whether the data can be used: departures of the sensor are left to the stages that estimate the scene.
+    /// Only those that say whether the data can be used: departures of the sensor are left to the stages that
+    /// estimate the scene.
     BrokenData,
 }
 
@@ -63,7 +69,8 @@ pub struct DiagnoseIntegrity {
 impl Node for DiagnoseIntegrity {
     const DECL: Decl = Decl {
         kind: "diagnose/integrity",
-        about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and pixels, noise, loss.",
+        about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and \
+                pixels, noise, loss.",
         revision: 10,
         grain: Grain::Whole,
         draws: false,
@@ -89,7 +96,10 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let sensor = super::check(inputs)?;
-        Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Integrity })), super::planned(sensor)])
+        Ok(vec![
+            Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Integrity })),
+            super::planned(sensor),
+        ])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -97,11 +107,16 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let found = check(&case)?;
         let found = match self.params.tests {
             Tests::All => found,
-            Tests::BrokenData => Integrity { findings: Vec::new(), masked: Vec::new(), dependences: Vec::new(), ..found },
+            Tests::BrokenData => {
+                Integrity { findings: Vec::new(), masked: Vec::new(), dependences: Vec::new(), ..found }
+            }
         };
         found.broken.iter().chain(&found.lacking).for_each(|why| cx.note(why.as_str()));
         found.findings.iter().for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
         found.dependences.iter().for_each(|dependence| cx.note(dependence.equation()));
-        Ok(Out { findings: Arc::new(write_integrity(&found)?), sensor: Arc::new(amend(&case, &found)?.sensor) })
+        Ok(Out {
+            findings: Arc::new(write_integrity(&found)?),
+            sensor: Arc::new(amend(&case, &found)?.sensor),
+        })
     }
 }

@@ -1,6 +1,9 @@
-//! The stages of a diagnosis as nodes: where a recording and its description differ, and which physics is missing.
+//! The stages of a diagnosis as nodes: where a recording and its description differ, and which physics is
+//! missing.
 //!
-//! Each stage calls one function of `photocurrent_diagnosis`; what passes between them is a document with a kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains what the stages do.
+//! Each stage calls one function of `photocurrent_diagnosis`; what passes between them is a document with a
+//! kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains
+//! what the stages do.
 
 pub mod confirm;
 pub mod decide;
@@ -9,7 +12,10 @@ pub mod integrity;
 pub mod target;
 
 use crate::spans::check_one_clock;
-use photocurrent_core::{DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas,
+    Sensor,
+};
 use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::stages::read_integrity;
 use photocurrent_scene::case::Case;
@@ -40,11 +46,16 @@ impl Amend {
 }
 
 /// The recording at the ports `events` and `frames`, in memory.
-fn case(events: Option<&EventStream>, frames: Option<&FrameSequence>, sensor: &Sensor) -> Result<Case, NodeError> {
+fn case(
+    events: Option<&EventStream>,
+    frames: Option<&FrameSequence>,
+    sensor: &Sensor,
+) -> Result<Case, NodeError> {
     Ok(Case::read(events, frames, sensor)?)
 }
 
-/// Refuses, before any data, what cannot be diagnosed: no stream, frames of another form than the events, a description that lacks what the model needs.
+/// Refuses, before any data, what cannot be diagnosed: no stream, frames of another form than the events, a
+/// description that lacks what the model needs.
 fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
     empty(inputs)?;
     inputs.sensor("sensor")
@@ -52,13 +63,22 @@ fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
 
 /// The recording as far as it is known before its data; refuses as [`check`] does.
 fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
-    let (events, frames): (Option<&Arc<EventsMeta>>, Option<&Arc<FramesMeta>>) = (inputs.events("events").ok(), inputs.frames("frames").ok());
+    let (events, frames): (Option<&Arc<EventsMeta>>, Option<&Arc<FramesMeta>>) =
+        (inputs.events("events").ok(), inputs.frames("frames").ok());
     let sensor = inputs.sensor("sensor")?;
     if events.is_none() && frames.is_none() {
-        return Err(NodeError::usage("there is nothing to diagnose: neither `events` nor `frames` is there").hint("connect at least one of them"));
+        return Err(NodeError::usage("there is nothing to diagnose: neither `events` nor `frames` is there")
+            .hint("connect at least one of them"));
     }
     let empty = Case::before_data(events.map(|events| &**events), frames.map(|frames| &**frames), sensor)
-        .map_err(|error| NodeError::usage(error.message).hint("crop or bin the frames to the pixels of the event sensor").blames(DataType::Frames))?;
+        .map_err(|error| {
+            NodeError::usage(error.message)
+                .hint(
+                    "crop or bin the frames to the pixels of the \
+                                                            event sensor",
+                )
+                .blames(DataType::Frames)
+        })?;
     if let (Some(events), Some(frames)) = (events, frames) {
         check_one_clock(events, frames, Some(sensor))?;
     }
@@ -66,8 +86,9 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
     Ok(empty)
 }
 
-/// A description that is not known yet is planned as the stated one: who takes it needs most of its fields, and a diagnosis changes few. A node whose outputs look
-/// otherwise with the change (another row time, say) says so when it runs.
+/// A description that is not known yet is planned as the stated one: who takes it needs most of its fields,
+/// and a diagnosis changes few. A node whose outputs look otherwise with the change (another row time, say)
+/// says so when it runs.
 fn planned(sensor: &Arc<Sensor>) -> Meta {
     Meta::Sensor(sensor.clone())
 }
@@ -88,19 +109,30 @@ mod tests {
     fn what_cannot_be_diagnosed_is_refused_before_any_data() {
         let frames = (*testing::frames(6, 5, 3).meta).clone();
         let error = check(&metas(Sensor::unknown("blank"), Some(frames.clone()))).unwrap_err();
-        assert!(error.message.contains("`comparator.threshold_on`") && error.message.contains("`frames.gain`"), "{}", error.message);
+        assert!(
+            error.message.contains("`comparator.threshold_on`") && error.message.contains("`frames.gain`"),
+            "{}",
+            error.message
+        );
         assert!(error.hint.is_some_and(|hint| hint.contains("photocurrent init")));
         let larger = FramesMeta { extent: Extent { width: 13, height: 10 }, ..frames };
         let error = check(&metas(Sensor::unknown("blank"), Some(larger))).unwrap_err();
-        assert!(error.message.contains("frames of 6 x 5 pixels") && error.message.contains("13 x 10"), "{}", error.message);
-        let nothing = PortMetas::new([("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into());
+        assert!(
+            error.message.contains("frames of 6 x 5 pixels") && error.message.contains("13 x 10"),
+            "{}",
+            error.message
+        );
+        let nothing = PortMetas::new(
+            [("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into(),
+        );
         assert!(check(&nothing).unwrap_err().message.contains("nothing to diagnose"));
     }
 
     #[test]
     fn thresholds_and_gain_are_enough_and_frames_may_be_in_colour_or_finer() {
         let mut sensor = Sensor::unknown("as `photocurrent init` writes it");
-        (sensor.comparator.threshold_on, sensor.comparator.threshold_off, sensor.frames.gain) = (Some(0.2), Some(0.2), Some(100.0));
+        (sensor.comparator.threshold_on, sensor.comparator.threshold_off, sensor.frames.gain) =
+            (Some(0.2), Some(0.2), Some(100.0));
         let frames = (*testing::frames(6, 5, 3).meta).clone();
         let finer = FramesMeta { extent: Extent { width: 12, height: 10 }, ..frames.clone() };
         for frames in [frames.clone(), finer, FramesMeta { colour: Colour::Rgb, ..frames }] {

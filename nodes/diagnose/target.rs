@@ -1,12 +1,16 @@
-//! `diagnose/target`: the light of a known target: a scene in closed form whose named free parameters are fitted to the frames.
+//! `diagnose/target`: the light of a known target: a scene in closed form whose named free parameters are
+//! fitted to the frames.
 //!
-//! A rotating star, a fan, a sliding board: what it looks like is stated as for `simulate/scene`; where it stands, how fast it turns and when it began is only known to a range.
-//! Each range is searched, then the best few are fitted by damped Gauss-Newton with robust weights (Student's t) to a sample of the frame values, each the mean of the scene over its
-//! row's exposure. `target` is the fitted scene with what is free of it, for `diagnose/evidence`, which fits it with every effect; `light` is the light of it over the recording, for
-//! everything that takes light.
+//! A rotating star, a fan, a sliding board: what it looks like is stated as for `simulate/scene`; where it
+//! stands, how fast it turns and when it began is only known to a range. Each range is searched, then the
+//! best few are fitted by damped Gauss-Newton with robust weights (Student's t) to a sample of the frame
+//! values, each the mean of the scene over its row's exposure. `target` is the fitted scene with what is free
+//! of it, for `diagnose/evidence`, which fits it with every effect; `light` is the light of it over the
+//! recording, for everything that takes light.
 //!
-//! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; what is free of it hides an effect that is exactly alike (`illuminance` an exposure time), so state
-//! what is known; the sensor that frames are predicted with is the one stated.
+//! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; what is free of it
+//! hides an effect that is exactly alike (`illuminance` an exposure time), so state what is known; the sensor
+//! that frames are predicted with is the one stated.
 
 use crate::simulate::scenes::{self, Details, Scene};
 use crate::simulate::source::{Look, Scale};
@@ -14,8 +18,8 @@ use photocurrent_core::light::LightBand;
 use photocurrent_core::quantity::{Duration, Illuminance};
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{
-    Colour, Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, Extent, FrameSequence, Grain, Light, LightMeta, Meta, Node, NodeError,
-    PortMetas, Sensor, Table, TimeSpan,
+    Colour, Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, Extent, FrameSequence,
+    Grain, Light, LightMeta, Meta, Node, NodeError, PortMetas, Sensor, Table, TimeSpan,
 };
 use photocurrent_scene::case::Case;
 use photocurrent_scene::known::Knots;
@@ -51,7 +55,8 @@ pub struct Params {
     /// Blur of the lens, standard deviation in pixels.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub blur: f64,
-    /// What is fitted: names of parameters, those of the scene as `siemens_disk.speed`, each with the range that it lies in.
+    /// What is fitted: names of parameters, those of the scene as `siemens_disk.speed`, each with the range
+    /// that it lies in.
     pub free: BTreeMap<String, [Value; 2]>,
     /// Frame values that are fitted, at most.
     #[schemars(range(min = 100, max = 1_000_000))]
@@ -121,7 +126,9 @@ impl Free {
     fn new(name: &str, ends: &[Value; 2], params: &Value) -> Result<Free, NodeError> {
         let wrong = |what: String, hint: &str| NodeError::usage(what).hint(hint.to_owned()).param("free");
         let pointer = format!("/{}", name.replace('.', "/"));
-        let now = params.pointer(&pointer).filter(|now| now.is_number() || now.as_str().is_some_and(|text| parts(text).is_some()));
+        let now = params
+            .pointer(&pointer)
+            .filter(|now| now.is_number() || now.as_str().is_some_and(|text| parts(text).is_some()));
         if now.is_none() || ["free", "values", "tries"].contains(&name) {
             return Err(wrong(
                 format!("`{name}` is no number of this target"),
@@ -129,11 +136,16 @@ impl Free {
             ));
         }
         let one = |end: &Value| -> Option<(f64, Option<String>)> {
-            end.as_f64().map(|value| (value, None)).or_else(|| parts(end.as_str()?).map(|(value, unit)| (value, Some(unit))))
+            end.as_f64()
+                .map(|value| (value, None))
+                .or_else(|| parts(end.as_str()?).map(|(value, unit)| (value, Some(unit))))
         };
-        let hint = "give the least and the greatest value it may have, both in the same unit: [\"280 rpm\", \"300 rpm\"]";
+        let hint = "give the least and the greatest value it may have, both in the same unit: [\"280 rpm\", \
+                    \"300 rpm\"]";
         match (one(&ends[0]), one(&ends[1])) {
-            (Some((from, unit)), Some((to, other))) if unit == other && from < to && unit.is_some() == now.is_some_and(Value::is_string) => {
+            (Some((from, unit)), Some((to, other)))
+                if unit == other && from < to && unit.is_some() == now.is_some_and(Value::is_string) =>
+            {
                 Ok(Free { name: name.into(), pointer, from, to, unit })
             }
             _ => Err(wrong(format!("the range of `{name}` is {} to {}", ends[0], ends[1]), hint)),
@@ -167,12 +179,18 @@ struct Seen {
 }
 
 /// Gauss-Hermite: three places of a normal distribution, standard deviations, with their weights.
-const HERMITE: [(f64, f64); 3] = [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
+const HERMITE: [(f64, f64); 3] =
+    [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
 
 impl Seen {
     fn new(params: &Params, extent: Extent, seed: u64) -> Seen {
         let scene = params.details.scene(params.scene, extent, seed);
-        Seen { scene, shift: (params.shift_x, params.shift_y), start_ns: params.start.ns(), blur: params.blur }
+        Seen {
+            scene,
+            shift: (params.shift_x, params.shift_y),
+            start_ns: params.start.ns(),
+            blur: params.blur,
+        }
     }
 
     /// Places of the scene that a pixel sees, with their weights.
@@ -180,13 +198,19 @@ impl Seen {
         let (x, y, blur) = (x - self.shift.0, y - self.shift.1, self.blur);
         let which = if blur > 0.0 { 0..3 } else { 1..2 };
         let whole = if blur > 0.0 { 1.0 } else { 2.25 };
-        which.clone().flat_map(move |i| which.clone().map(move |j| (x + blur * HERMITE[i].0, y + blur * HERMITE[j].0, whole * HERMITE[i].1 * HERMITE[j].1)))
+        which.clone().flat_map(move |i| {
+            which.clone().map(move |j| {
+                (x + blur * HERMITE[i].0, y + blur * HERMITE[j].0, whole * HERMITE[i].1 * HERMITE[j].1)
+            })
+        })
     }
 }
 
 impl Scene for Seen {
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.places(x, y).map(|(x, y, weight)| weight * self.scene.reflectance(x, y, t_ns + self.start_ns)).sum()
+        self.places(x, y)
+            .map(|(x, y, weight)| weight * self.scene.reflectance(x, y, t_ns + self.start_ns))
+            .sum()
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
@@ -194,7 +218,11 @@ impl Scene for Seen {
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        let until = self.places(x, y).map(|(x, y, _)| self.scene.still_until(x, y, t_ns + self.start_ns)).min().unwrap_or(t_ns);
+        let until = self
+            .places(x, y)
+            .map(|(x, y, _)| self.scene.still_until(x, y, t_ns + self.start_ns))
+            .min()
+            .unwrap_or(t_ns);
         if until == i64::MAX { until } else { until - self.start_ns }
     }
 }
@@ -219,7 +247,10 @@ impl Closed for Lit {
     }
 
     fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
-        LOOK.sample(&self.seen, None, (x, y), span.0, span.1, self.white).into_iter().map(|(t, photocurrent)| (t + span.0, photocurrent)).unzip()
+        LOOK.sample(&self.seen, None, (x, y), span.0, span.1, self.white)
+            .into_iter()
+            .map(|(t, photocurrent)| (t + span.0, photocurrent))
+            .unzip()
     }
 }
 
@@ -240,7 +271,13 @@ impl Family {
                 *at = free.json(*share);
             }
         }
-        serde_json::from_value(value).map_err(|why| NodeError::usage(format!("a free parameter leaves its range: {why}")).param("free"))
+        serde_json::from_value(value).map_err(|why| {
+            NodeError::usage(format!(
+                "a free parameter leaves its \
+                                                            range: {why}"
+            ))
+            .param("free")
+        })
     }
 }
 
@@ -266,13 +303,21 @@ struct Fitted {
     shares: Vec<f64>,
 }
 
-/// A target from its document, its free parameters fitted to the frames of a recording from where they were found.
-pub fn read_target(document: &Diagnosis, case: &Case, nominal: &Nominal, picture: &PictureSetting) -> Result<Target, NodeError> {
+/// A target from its document, its free parameters fitted to the frames of a recording from where they were
+/// found.
+pub fn read_target(
+    document: &Diagnosis,
+    case: &Case,
+    nominal: &Nominal,
+    picture: &PictureSetting,
+) -> Result<Target, NodeError> {
     let Fitted { params, seed, shares } = document.read()?;
-    let params: Params = serde_json::from_value(params).map_err(|why| NodeError::failed(format!("a fitted target cannot be read: {why}")))?;
+    let params: Params = serde_json::from_value(params)
+        .map_err(|why| NodeError::failed(format!("a fitted target cannot be read: {why}")))?;
     let node = DiagnoseTarget::build(params)?;
     let form = Arc::new(node.family(case.extent, &case.sensor, seed));
-    Target::near(case, nominal, form, node.setting(seed), picture, &shares).ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
+    Target::near(case, nominal, form, node.setting(seed), picture, &shares)
+        .ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
 }
 
 /// The node.
@@ -322,13 +367,18 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if let Some(name) = params.details.set_in_vain(params.scene) {
-            let shown = serde_json::to_value(params.scene).map_err(|error| NodeError::failed(error.to_string()))?;
+            let shown =
+                serde_json::to_value(params.scene).map_err(|error| NodeError::failed(error.to_string()))?;
             return Err(NodeError::usage(format!("`{name}` is set, but the scene is {shown}"))
                 .hint(format!("write `scene = \"{name}\"`, or leave `{name}` out"))
                 .param(name));
         }
         let json = serde_json::to_value(&params).map_err(|error| NodeError::failed(error.to_string()))?;
-        let free = params.free.iter().map(|(name, ends)| Free::new(name, ends, &json)).collect::<Result<Vec<Free>, NodeError>>()?;
+        let free = params
+            .free
+            .iter()
+            .map(|(name, ends)| Free::new(name, ends, &json))
+            .collect::<Result<Vec<Free>, NodeError>>()?;
         let node = DiagnoseTarget { params, json, free };
         for end in [0.0, 1.0] {
             node.free.iter().try_for_each(|free| {
@@ -336,7 +386,10 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
                 if let Some(at) = value.pointer_mut(&free.pointer) {
                     *at = free.json(end);
                 }
-                let wrong = |why: serde_json::Error| NodeError::usage(format!("`{}` cannot be {}: {why}", free.name, free.json(end))).param("free");
+                let wrong = |why: serde_json::Error| {
+                    NodeError::usage(format!("`{}` cannot be {}: {why}", free.name, free.json(end)))
+                        .param("free")
+                };
                 serde_json::from_value::<Params>(value).map(drop).map_err(wrong)
             })?;
         }
@@ -347,45 +400,91 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let sensor = super::check(inputs)?;
         Scale::new(sensor, self.params.illuminance, Duration::new(1), WHO)?;
         let case = super::empty(inputs)?;
-        let light = LightMeta { extent: case.extent, span: TimeSpan::new(case.span.0, case.span.1), colour: Colour::Mono, count_hint: None };
+        let light = LightMeta {
+            extent: case.extent,
+            span: TimeSpan::new(case.span.0, case.span.1),
+            colour: Colour::Mono,
+            count_hint: None,
+        };
         let document = DiagnosisMeta { kind: DiagnosisKind::Target };
-        Ok(vec![Meta::Light(Arc::new(light)), Meta::Table(Arc::new(TableMeta { scores: false })), Meta::Diagnosis(Arc::new(document))])
+        Ok(vec![
+            Meta::Light(Arc::new(light)),
+            Meta::Table(Arc::new(TableMeta { scores: false })),
+            Meta::Diagnosis(Arc::new(document)),
+        ])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), Some(&input.frames), &input.sensor)?;
         let nominal = case.nominal()?;
         let family = Arc::new(self.family(case.extent, &input.sensor, cx.seed()));
-        let target = Target::fit(&case, &nominal, family.clone(), self.setting(cx.seed()), &PictureSetting::default())
-            .ok_or_else(|| NodeError::failed("the target's parameters make no scene".to_owned()))?;
+        let target =
+            Target::fit(&case, &nominal, family.clone(), self.setting(cx.seed()), &PictureSetting::default())
+                .ok_or_else(|| NodeError::failed("the target's parameters make no scene".to_owned()))?;
         let (shares, errors) = (target.shares(), target.errors());
         let params = family.params(shares)?;
         for (free, share) in self.free.iter().zip(shares) {
-            let at_end = if (0.001..0.999).contains(share) { "" } else { ", the end of its range: look further" };
+            let at_end = if (0.001..0.999).contains(share) {
+                ""
+            } else {
+                ", the end of its range: look \
+                                                            further"
+            };
             cx.note(format!("{} = {}{at_end}", free.name, free.json(*share).to_string().trim_matches('"')));
         }
-        cx.note(format!("frame values miss the target by {:.2} standard deviations (median; 0.67 is noise alone)", target.left()));
+        cx.note(format!(
+            "frame values miss the target by {:.2} standard deviations (median; 0.67 is noise \
+                         alone)",
+            target.left()
+        ));
         let seen = Seen::new(&params, case.extent, cx.seed());
         let white = Scale::new(&input.sensor, params.illuminance, Duration::new(1), WHO)?.white;
         let pixel = |n: u32| {
             let place = (f64::from(n % case.extent.width), f64::from(n / case.extent.width));
             let light = LOOK.sample(&seen, None, place, case.span.0, case.span.1, white);
-            light.into_iter().map(|(t, photocurrent)| (t + case.span.0, photocurrent as f32)).collect::<Vec<(i64, f32)>>()
+            light
+                .into_iter()
+                .map(|(t, photocurrent)| (t + case.span.0, photocurrent as f32))
+                .collect::<Vec<(i64, f32)>>()
         };
-        let pixels: Vec<Vec<(i64, f32)>> = (0..case.extent.pixels() as u32).into_par_iter().map(pixel).collect();
+        let pixels: Vec<Vec<(i64, f32)>> =
+            (0..case.extent.pixels() as u32).into_par_iter().map(pixel).collect();
         let mut band = LightBand::begin(0, case.extent.width);
         let count = pixels.iter().map(Vec::len).sum::<usize>() as u64;
         pixels.into_iter().for_each(|pixel| band.push(pixel));
-        let meta = LightMeta { extent: case.extent, span: TimeSpan::new(case.span.0, case.span.1), colour: Colour::Mono, count_hint: Some(count) };
+        let meta = LightMeta {
+            extent: case.extent,
+            span: TimeSpan::new(case.span.0, case.span.1),
+            colour: Colour::Mono,
+            count_hint: Some(count),
+        };
         let texts = |of: &dyn Fn(&Free) -> String| Column::Texts(self.free.iter().map(of).collect());
         let fitted = Table::default()
             .with("parameter", texts(&|free| free.name.clone()))
-            .with("value", Column::Numbers(self.free.iter().zip(shares).map(|(free, share)| free.value(*share)).collect()))
-            .with("error", Column::Numbers(self.free.iter().zip(&errors).map(|(free, error)| error * (free.to - free.from)).collect()))
+            .with(
+                "value",
+                Column::Numbers(
+                    self.free.iter().zip(shares).map(|(free, share)| free.value(*share)).collect(),
+                ),
+            )
+            .with(
+                "error",
+                Column::Numbers(
+                    self.free
+                        .iter()
+                        .zip(&errors)
+                        .map(|(free, error)| error * (free.to - free.from))
+                        .collect(),
+                ),
+            )
             .with("unit", texts(&|free| free.unit.clone().unwrap_or_default()));
         let found = Fitted { params: self.json.clone(), seed: cx.seed(), shares: shares.to_vec() };
         let document = Diagnosis::of(DiagnosisKind::Target, &found)?;
-        Ok(Out { light: Light::in_memory(Arc::new(meta), band), fitted: Arc::new(fitted), target: Arc::new(document) })
+        Ok(Out {
+            light: Light::in_memory(Arc::new(meta), band),
+            fitted: Arc::new(fitted),
+            target: Arc::new(document),
+        })
     }
 }
 

@@ -1,9 +1,13 @@
 //! `estimate/exposure`: the length of the exposure that blurred the frames.
 //!
-//! Events say how the light went while a frame was exposed. The length at which the mean over the exposure explains the frames best is proposed.
+//! Events say how the light went while a frame was exposed. The length at which the mean over the exposure
+//! explains the frames best is proposed.
 //!
-//! Limits: it needs light that bends within an exposure, fast motion in bright places, and stamps at the middle of the exposure. Where no length explains the frames much better than
-//! the others the note says why, and nothing is proposed: noise of events looks like blur. Thresholds of 0.7 to 1.6 times those that are given are tried with each length, as blurred frames make them look small; the interval holds that of the offset.
+//! Limits: it needs light that bends within an exposure, fast motion in bright places, and stamps at the
+//! middle of the exposure. Where no length explains the frames much better than the others the note says why,
+//! and nothing is proposed: noise of events looks like blur. Thresholds of 0.7 to 1.6 times those that are
+//! given are tried with each length, as blurred frames make them look small; the interval holds that of the
+//! offset.
 
 use super::{Estimate, In, Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;
@@ -17,12 +21,14 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over it.
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
+    /// it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
     /// How late events are against frames; absent = estimated as estimate/offset does.
     pub offset: Option<Duration>,
-    /// ON and OFF thresholds, natural-log units; absent = those of the description, or estimated as estimate/thresholds does.
+    /// ON and OFF thresholds, natural-log units; absent = those of the description, or estimated as
+    /// estimate/thresholds does.
     pub thresholds: Option<[f64; 2]>,
 }
 
@@ -41,8 +47,15 @@ photocurrent_core::ports! {
 }
 
 /// The length of the exposure, or why it is not clear, for people.
-pub(super) fn of(panel: &estimate::Panel, thresholds: Option<(f64, f64)>, late_ns: &Estimate) -> Result<Estimate, String> {
-    let thresholds = thresholds.ok_or("thresholds are not known, and too few bright pixels changed to measure them")?;
+pub(super) fn of(
+    panel: &estimate::Panel,
+    thresholds: Option<(f64, f64)>,
+    late_ns: &Estimate,
+) -> Result<Estimate, String> {
+    let thresholds = thresholds.ok_or(
+        "thresholds are not known, and too few bright pixels changed to \
+                                       measure them",
+    )?;
     estimate::exposure(panel, thresholds, late_ns).map_err(|why| match why {
         Unclear::NoChange => "nothing moves in bright pixels while frames are exposed".into(),
         Unclear::Flat { from_shortest, from_longest } => format!(
@@ -51,7 +64,8 @@ pub(super) fn of(panel: &estimate::Panel, thresholds: Option<(f64, f64)>, late_n
             100.0 * from_shortest,
             100.0 * from_longest
         ),
-        Unclear::AtAnEnd => "the best length goes to an end within what is known of the thresholds and of how late events are".into(),
+        Unclear::AtAnEnd => "the best length goes to an end within what is known of the thresholds and of \
+                             how late events are".into(),
     })
 }
 
@@ -95,14 +109,24 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let settings = Settings { frames: self.params.frames, ..Settings::default() };
         let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
         let stated = self.params.offset.map(|offset| super::exactly(offset.ns() as f64));
-        let late = stated.or_else(|| estimate::offset(&panel).map(|shift| shift.ns)).unwrap_or(super::exactly(0.0));
-        let described = input.sensor.as_deref().and_then(|sensor| sensor.comparator.threshold_on.zip(sensor.comparator.threshold_off));
+        let late =
+            stated.or_else(|| estimate::offset(&panel).map(|shift| shift.ns)).unwrap_or(super::exactly(0.0));
+        let described = input
+            .sensor
+            .as_deref()
+            .and_then(|sensor| sensor.comparator.threshold_on.zip(sensor.comparator.threshold_off));
         let given = self.params.thresholds.map(|[on, off]| (on, off)).or(described);
-        let thresholds = given.or_else(|| estimate::thresholds(&panel, late.value).map(|found| (found.on.value, found.off.value)));
+        let thresholds = given.or_else(|| {
+            estimate::thresholds(&panel, late.value).map(|found| (found.on.value, found.off.value))
+        });
         let found = of(&panel, thresholds, &late);
         match (&found, thresholds) {
             (Err(why), _) => cx.note(why.clone()),
-            (Ok(_), Some((on, off))) => cx.note(format!("with thresholds {on:.3} and {off:.3}, events taken {:.3} ms later", late.value * 1e-6)),
+            (Ok(_), Some((on, off))) => cx.note(format!(
+                "with thresholds {on:.3} and {off:.3}, events taken \
+                                                         {:.3} ms later",
+                late.value * 1e-6
+            )),
             (Ok(_), None) => {}
         }
         let found = found.ok();

@@ -1,12 +1,14 @@
-//! What a file does not say and its own events and frames do: proposals with an interval, for a description or a reader that lacks a value.
+//! What a file does not say and its own events and frames do: proposals with an interval, for a description
+//! or a reader that lacks a value.
 //!
 //! - [`offset`]: how late events are against frames, and whether the clocks drift apart.
 //! - [`row_time`]: the delay from row to row.
 //! - [`thresholds`]: the log change of an ON and of an OFF event.
 //! - [`exposure`]: the length of the exposure that blurred the frames.
 //!
-//! All look at some frames and at the busiest pixels of every band of rows ([`panel()`]) and call one function of [`photocurrent_sensor::estimate`]. A value that
-//! the scene does not show is "not measured" in the table, never a guess.
+//! All look at some frames and at the busiest pixels of every band of rows ([`panel()`]) and call one
+//! function of [`photocurrent_sensor::estimate`]. A value that the scene does not show is "not measured" in
+//! the table, never a guess.
 
 pub mod exposure;
 pub mod offset;
@@ -70,7 +72,8 @@ fn exactly(value: f64) -> Estimate {
     Estimate { value, ci95: (value, value) }
 }
 
-/// One row of the table: what it is called, value with interval, its unit, and what one is in the estimate's own.
+/// One row of the table: what it is called, value with interval, its unit, and what one is in the estimate's
+/// own.
 struct Row {
     name: &'static str,
     found: Option<Estimate>,
@@ -87,8 +90,13 @@ impl Row {
 
 /// Values with their intervals; what was not measured is NaN.
 fn table(rows: &[Row]) -> Table {
-    let numbers =
-        |of: fn(&Estimate) -> f64| Column::Numbers(rows.iter().map(|row| row.found.as_ref().map_or(f64::NAN, |found| of(found) / row.scale)).collect());
+    let numbers = |of: fn(&Estimate) -> f64| {
+        Column::Numbers(
+            rows.iter()
+                .map(|row| row.found.as_ref().map_or(f64::NAN, |found| of(found) / row.scale))
+                .collect(),
+        )
+    };
     Table::default()
         .with("quantity", Column::Texts(rows.iter().map(|row| row.name.to_owned()).collect()))
         .with("value", numbers(|found| found.value))

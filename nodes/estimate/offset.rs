@@ -1,8 +1,10 @@
 //! `estimate/offset`: how late events are against the frames, and whether the two clocks drift apart.
 //!
-//! Frames' log change from mid-exposure to mid-exposure, and the events between, are held against each other at shifts of up to a frame period.
-//! Rows are compared at their own exposure, and the delay of a front end that the description states (`front_end.alpha`, with `frames.gain`) is subtracted by light.
-//! The shift holds everything else that delays events: the latency of the readout, a front end that is not stated, and an offset of the clocks.
+//! Frames' log change from mid-exposure to mid-exposure, and the events between, are held against each other
+//! at shifts of up to a frame period. Rows are compared at their own exposure, and the delay of a front end
+//! that the description states (`front_end.alpha`, with `frames.gain`) is subtracted by light. The shift
+//! holds everything else that delays events: the latency of the readout, a front end that is not stated, and
+//! an offset of the clocks.
 //!
 //! Limits: nothing where nothing moves; a scene that repeats within a frame period has several shifts.
 
@@ -17,7 +19,8 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over it.
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
+    /// it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
 }
@@ -31,7 +34,8 @@ impl Default for Params {
 photocurrent_core::ports! {
     /// What was found.
     pub struct Out {
-        /// `offset`, ms: events are stamped so much later than frames saw the same, over what a stated front end explains; `drift`, us a second.
+        /// `offset`, ms: events are stamped so much later than frames saw the same, over what a stated front
+        /// end explains; `drift`, us a second.
         estimates: Arc<Table>,
     }
 }
@@ -49,7 +53,9 @@ impl Node for EstimateOffset {
         grain: Grain::Whole,
         draws: false,
         exports: false,
-        sources: &["the correlation that users make by hand: panpanfei/Bringing-a-Blurry-Frame-Alive-at-High-Frame-Rate-with-an-Event-Camera, issue 5"],
+        sources: &["the correlation that users make by hand: \
+                    panpanfei/Bringing-a-Blurry-Frame-Alive-at-High-Frame-Rate-with-an-Event-Camera, issue \
+                    5"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"
@@ -73,16 +79,25 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings = Settings { frames: self.params.frames, by_row: true, by_front_end: true, ..Settings::default() };
+        let settings =
+            Settings { frames: self.params.frames, by_row: true, by_front_end: true, ..Settings::default() };
         let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
         let shift = estimate::offset(&panel);
         let drift = estimate::drift(&panel);
         match &shift {
-            Some(shift) => cx
-                .note(format!("correlation {:.2} at the offset, {:.2} without; {} pairs of frames", shift.correlation, shift.correlation_at_none, shift.pairs)),
-            None => cx.note("events and frames do not clearly agree at any shift: nothing moves, or they are of different scenes"),
+            Some(shift) => cx.note(format!(
+                "correlation {:.2} at the offset, {:.2} without; {} pairs of frames",
+                shift.correlation, shift.correlation_at_none, shift.pairs
+            )),
+            None => cx.note(
+                "events and frames do not clearly agree at any shift: nothing moves, or they \
+                             are of different scenes",
+            ),
         }
-        let rows = [Row::new("offset", shift.map(|shift| shift.ns), "ms", 1e6), Row::new("drift", drift.map(|drift| drift.ns_per_s), "us/s", 1e3)];
+        let rows = [
+            Row::new("offset", shift.map(|shift| shift.ns), "ms", 1e6),
+            Row::new("drift", drift.map(|drift| drift.ns_per_s), "us/s", 1e3),
+        ];
         Ok(Out { estimates: Arc::new(table(&rows)) })
     }
 }

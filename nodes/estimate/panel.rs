@@ -1,9 +1,11 @@
 //! Events and frames of the busiest pixels, as the estimates take them.
 //!
-//! The picture is cut into bands of rows, and of each the pixels with most events are taken, less the very busiest, which may be hot. Of a long recording, runs of
-//! neighbouring frames spread over it.
+//! The picture is cut into bands of rows, and of each the pixels with most events are taken, less the very
+//! busiest, which may be hot. Of a long recording, runs of neighbouring frames spread over it.
 
-use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, NodeError, Rows, Sensor};
+use photocurrent_core::{
+    DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, NodeError, Rows, Sensor,
+};
 use photocurrent_formats::survey::pictures::chosen;
 use photocurrent_sensor::estimate::{Centring, Delay, NOWHERE, Panel, Stretch};
 use photocurrent_sensor::front_end::FrontEnd;
@@ -31,14 +33,16 @@ impl Default for Settings {
 
 /// Bands of rows.
 const BANDS: u32 = 16;
-/// Frames further apart, in usual periods, are no neighbours: steps are laid over the time between neighbours, and a pause has none to count.
+/// Frames further apart, in usual periods, are no neighbours: steps are laid over the time between
+/// neighbours, and a pause has none to count.
 const GAP: i64 = 4;
 /// One of so many pixels of a band is too busy to be trusted.
 const HOT: usize = 200;
 /// A step of an eight-bit scale, as part of the largest value: what is darker counts as so dark.
 const DARK: f32 = 0.5 / 255.0;
 
-/// No event is put earlier for its front end by more than this part of a frame period: in darkness no time is long enough.
+/// No event is put earlier for its front end by more than this part of a frame period: in darkness no time is
+/// long enough.
 const DELAY_SHARE: f64 = 0.5;
 
 /// From this part of a frame's largest value on it may be saturated.
@@ -49,9 +53,11 @@ pub fn fits(events: &EventsMeta, frames: &FramesMeta) -> Result<u32, NodeError> 
     let (e, f) = (events.extent, frames.extent);
     let times = f.width / e.width.max(1);
     if times == 0 || (e.width * times, e.height * times) != (f.width, f.height) {
-        return Err(NodeError::usage(format!("frames of {f} pixels are no whole multiple of the events' {e}"))
-            .hint("crop or align the frames to the events' pixels first")
-            .blames(DataType::Frames));
+        return Err(NodeError::usage(format!(
+            "frames of {f} pixels are no whole multiple of the events' {e}"
+        ))
+        .hint("crop or align the frames to the events' pixels first")
+        .blames(DataType::Frames));
     }
     Ok(times)
 }
@@ -60,7 +66,12 @@ pub fn fits(events: &EventsMeta, frames: &FramesMeta) -> Result<u32, NodeError> 
 ///
 /// # Errors
 /// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
-pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Sensor>, settings: &Settings) -> Result<Panel, NodeError> {
+pub fn panel(
+    events: &EventStream,
+    frames: &FrameSequence,
+    sensor: Option<&Sensor>,
+    settings: &Settings,
+) -> Result<Panel, NodeError> {
     let times = fits(&events.meta, &frames.meta)?;
     let extent = events.meta.extent;
     let width = extent.width as usize;
@@ -68,7 +79,8 @@ pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Senso
     let place_of = busiest(events, &bands, settings)?;
     let mut panel = Panel::new(&place_of, extent.width, extent.height);
     let all: Vec<i64> = (0..frames.len()).map(|frame| frames.meta.times.exposure(frame, 0).mid().0).collect();
-    let mut periods: Vec<i64> = all.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
+    let mut periods: Vec<i64> =
+        all.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
     periods.sort_unstable();
     let Some(period) = periods.get(periods.len() / 2).copied() else { return Ok(panel) };
     // Which frames, in stretches.
@@ -76,7 +88,11 @@ pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Senso
     let mut runs: Vec<Vec<usize>> = Vec::new();
     for &frame in &read {
         match runs.last_mut() {
-            Some(run) if run.last().is_some_and(|last| last + 1 == frame && all[*last] < all[frame] && all[frame] - all[*last] < GAP * period) => {
+            Some(run)
+                if run.last().is_some_and(|last| {
+                    last + 1 == frame && all[*last] < all[frame] && all[frame] - all[*last] < GAP * period
+                }) =>
+            {
                 run.push(frame)
             }
             _ => runs.push(vec![frame]),
@@ -84,14 +100,24 @@ pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Senso
     }
     for run in &runs {
         let mids = run.iter().map(|frame| all[*frame]).collect();
-        panel.stretches.push(Stretch::new(mids, period + period / 4, (period / settings.steps).max(1), panel.places()));
+        panel.stretches.push(Stretch::new(
+            mids,
+            period + period / 4,
+            (period / settings.steps).max(1),
+            panel.places(),
+        ));
     }
     pictures(frames, &runs, &place_of, times, sensor, &mut panel)?;
-    let row_time_ns = if settings.by_row { frames.meta.times.row_time_ns.saturating_mul(i64::from(times)) } else { 0 };
+    let row_time_ns =
+        if settings.by_row { frames.meta.times.row_time_ns.saturating_mul(i64::from(times)) } else { 0 };
     for (stretch, run) in panel.stretches.iter_mut().zip(&runs) {
         for (within, &frame) in run.iter().enumerate() {
             let exposure = frames.meta.times.exposure(frame, 0);
-            if let Some(delay) = delay(sensor.filter(|_| settings.by_front_end), (exposure.end.0 - exposure.start.0) as f64, DELAY_SHARE * period as f64) {
+            if let Some(delay) = delay(
+                sensor.filter(|_| settings.by_front_end),
+                (exposure.end.0 - exposure.start.0) as f64,
+                DELAY_SHARE * period as f64,
+            ) {
                 stretch.delay(within, |log| delay.ns(libm::exp(f64::from(log))));
             }
         }
@@ -157,8 +183,16 @@ fn busiest(events: &EventStream, bands: &[Rows], settings: &Settings) -> Result<
     Ok(place_of)
 }
 
-/// Logarithms of the frames over black level; saturated values, and without a stated saturation a frame's largest, are not known.
-fn pictures(frames: &FrameSequence, runs: &[Vec<usize>], place_of: &[u32], times: u32, sensor: Option<&Sensor>, panel: &mut Panel) -> Result<(), NodeError> {
+/// Logarithms of the frames over black level; saturated values, and without a stated saturation a frame's
+/// largest, are not known.
+fn pictures(
+    frames: &FrameSequence,
+    runs: &[Vec<usize>],
+    place_of: &[u32],
+    times: u32,
+    sensor: Option<&Sensor>,
+    panel: &mut Panel,
+) -> Result<(), NodeError> {
     let black = sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0) as f32;
     let stated = sensor.and_then(|sensor| sensor.frames.saturation_dn).map(|full| full as f32);
     let (channels, width) = (frames.meta.channels() as usize, frames.meta.extent.width / times);
@@ -170,7 +204,13 @@ fn pictures(frames: &FrameSequence, runs: &[Vec<usize>], place_of: &[u32], times
             let largest = || block.dn.iter().copied().filter(|dn| dn.is_finite()).fold(0.0, f32::max);
             let full = stated.unwrap_or_else(|| SATURATED * largest());
             if dark == 0.0 {
-                dark = DARK * block.dn.iter().copied().filter(|dn| dn.is_finite()).fold(0.0, |most, dn| f32::max(most, dn - black));
+                dark = DARK
+                    * block
+                        .dn
+                        .iter()
+                        .copied()
+                        .filter(|dn| dn.is_finite())
+                        .fold(0.0, |most, dn| f32::max(most, dn - black));
             }
             let (mut sums, mut counts) = (vec![0.0f32; panel.places()], vec![0u32; panel.places()]);
             for y in frames.rows().iter() {
@@ -188,7 +228,9 @@ fn pictures(frames: &FrameSequence, runs: &[Vec<usize>], place_of: &[u32], times
             // A place whose part is saturated would change by what is left out.
             let whole = times * times;
             let log = panel.stretches[stretch].frame_mut(within);
-            log.iter_mut().zip(sums).zip(counts).for_each(|((log, sum), count)| *log = if count == whole { sum / count as f32 } else { f32::NAN });
+            log.iter_mut().zip(sums).zip(counts).for_each(|((log, sum), count)| {
+                *log = if count == whole { sum / count as f32 } else { f32::NAN }
+            });
         }
     }
     Ok(())

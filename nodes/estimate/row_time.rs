@@ -1,6 +1,7 @@
 //! `estimate/row_time`: the delay from one row of the frames to the next.
 //!
-//! The shift at which events and frames agree, by bands of rows, over rows. A row time that frames are read with is not used: their middles are those of row 0.
+//! The shift at which events and frames agree, by bands of rows, over rows. A row time that frames are read
+//! with is not used: their middles are those of row 0.
 //!
 //! Limits: it needs motion in many rows; a scene that repeats within a frame period has several shifts.
 
@@ -15,7 +16,8 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over it.
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
+    /// it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
 }

@@ -1,5 +1,6 @@
-//! The wiring of the estimates: what they refuse, which inputs they use, the form of their table, and that a scene with known values gives these. The numerics are
-//! tested where they stand, in `photocurrent_sensor::estimate`.
+//! The wiring of the estimates: what they refuse, which inputs they use, the form of their table, and that a
+//! scene with known values gives these. The numerics are tested where they stand, in
+//! `photocurrent_sensor::estimate`.
 
 use super::*;
 use photocurrent_core::events::{Event, Polarity};
@@ -15,10 +16,13 @@ const THRESHOLD: f64 = 0.15;
 /// Logarithm of the light: waves that drift.
 fn log_light(speed: f64, x: u32, y: u32, t_ns: i64) -> f64 {
     let (x, y) = (f64::from(x) - speed * t_ns as f64 * 1e-9, f64::from(y));
-    0.5 * libm::sin(0.41 * x + 0.23 * y) + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0) + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
+    0.5 * libm::sin(0.41 * x + 0.23 * y)
+        + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0)
+        + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
 }
 
-/// Crossings of whole thresholds, stamped `late_ns` later, and frames of `black` and the light's value in the middle of short exposures.
+/// Crossings of whole thresholds, stamped `late_ns` later, and frames of `black` and the light's value in the
+/// middle of short exposures.
 fn recording(speed: f64, late_ns: i64, black: f32) -> (EventStream, FrameSequence) {
     let mut events = Vec::new();
     for (x, y) in (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))) {
@@ -36,9 +40,12 @@ fn recording(speed: f64, late_ns: i64, black: f32) -> (EventStream, FrameSequenc
             }
         }
     }
-    let exposures: Vec<Exposure> = (0..FRAMES).map(|l| Exposure::new(10_000_000 + l * PERIOD_NS, 10_500_000 + l * PERIOD_NS)).collect();
+    let exposures: Vec<Exposure> =
+        (0..FRAMES).map(|l| Exposure::new(10_000_000 + l * PERIOD_NS, 10_500_000 + l * PERIOD_NS)).collect();
     let mids: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
-    let frames = testing::captured(EXTENT, exposures, 0, |frame, x, y| black + 300.0 * libm::exp(log_light(speed, x, y, mids[frame])) as f32);
+    let frames = testing::captured(EXTENT, exposures, 0, |frame, x, y| {
+        black + 300.0 * libm::exp(log_light(speed, x, y, mids[frame])) as f32
+    });
     (testing::stream(EXTENT, events), frames)
 }
 
@@ -53,8 +60,16 @@ fn metas(events: &EventStream, frames: &FrameSequence) -> PortMetas {
 type Found = BTreeMap<String, (f64, f64, f64, String)>;
 
 /// What a node gives of streams, and its notes.
-fn run<N: Node<In = In>>(node: &N, events: &EventStream, frames: &FrameSequence, table: impl Fn(N::Out) -> Arc<Table>) -> (Found, Vec<String>) {
-    assert_eq!(node.plan(&metas(events, frames)).unwrap()[0], Meta::Table(Arc::new(TableMeta { scores: false })));
+fn run<N: Node<In = In>>(
+    node: &N,
+    events: &EventStream,
+    frames: &FrameSequence,
+    table: impl Fn(N::Out) -> Arc<Table>,
+) -> (Found, Vec<String>) {
+    assert_eq!(
+        node.plan(&metas(events, frames)).unwrap()[0],
+        Meta::Table(Arc::new(TableMeta { scores: false }))
+    );
     let input = In { events: events.clone(), frames: frames.clone(), sensor: None };
     let (out, notes) = testing::with_context(frames.rows(), &["estimates"], |cx| node.run(input, cx));
     let table = table(out.unwrap());
@@ -68,20 +83,38 @@ fn run<N: Node<In = In>>(node: &N, events: &EventStream, frames: &FrameSequence,
         Column::Numbers(numbers) => numbers[row],
         other => panic!("no number: {other:?}"),
     };
-    (((0..table.len()).map(|row| (text(row, 0), (number(row, 1), number(row, 2), number(row, 3), text(row, 4))))).collect(), notes)
+    (
+        ((0..table.len())
+            .map(|row| (text(row, 0), (number(row, 1), number(row, 2), number(row, 3), text(row, 4)))))
+        .collect(),
+        notes,
+    )
 }
 
 #[test]
 fn a_scene_with_known_values_gives_them_in_their_units() {
     let (events, frames) = recording(250.0, 3_000_000, 0.0);
-    let (found, _) = run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (found, _) =
+        run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| {
+            out.estimates
+        });
     let (late, low, high, unit) = &found["offset"];
     assert!((late - 3.0).abs() < 0.5 && low <= late && late <= high && unit == "ms", "{found:?}");
     assert!(found.contains_key("drift"), "{found:?}");
-    let (found, _) = run(&row_time::EstimateRowTime::build(row_time::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (found, _) = run(
+        &row_time::EstimateRowTime::build(row_time::Params::default()).unwrap(),
+        &events,
+        &frames,
+        |out| out.estimates,
+    );
     let (row_time, _, _, unit) = &found["row_time"];
     assert!(unit == "us" && (row_time.is_nan() || row_time.abs() <= 20.0), "{found:?}");
-    let (found, notes) = run(&thresholds::EstimateThresholds::build(thresholds::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (found, notes) = run(
+        &thresholds::EstimateThresholds::build(thresholds::Params::default()).unwrap(),
+        &events,
+        &frames,
+        |out| out.estimates,
+    );
     for name in ["threshold_on", "threshold_off"] {
         let (_, low, high, unit) = &found[name];
         assert!(*low <= THRESHOLD && THRESHOLD <= *high && unit == "ln", "{found:?}");
@@ -91,7 +124,8 @@ fn a_scene_with_known_values_gives_them_in_their_units() {
 
 #[test]
 fn rows_and_a_stated_front_end_are_no_offset() {
-    // What the light of row y is, all of it is later by 100 us times y and by the 3 ms of the front end: frames of a rolling shutter show the first and events both.
+    // What the light of row y is, all of it is later by 100 us times y and by the 3 ms of the front end:
+    // frames of a rolling shutter show the first and events both.
     let (events, frames) = recording(250.0, 3_000_000, 0.0);
     let block = events.read(frames.rows()).unwrap();
     let mut later = Vec::new();
@@ -99,14 +133,23 @@ fn rows_and_a_stated_front_end_are_no_offset() {
         let row = block.row(y);
         for k in 0..row.len() {
             let polarity = if row.on[k] == 1 { Polarity::On } else { Polarity::Off };
-            later.push(Event { x: row.x[k], y: y as u16, polarity, t: row.t[k] + 100_000 * i64::from(y), t_in: None });
+            later.push(Event {
+                x: row.x[k],
+                y: y as u16,
+                polarity,
+                t: row.t[k] + 100_000 * i64::from(y),
+                t_in: None,
+            });
         }
     }
     let events = testing::stream(EXTENT, later);
     let values = frames.read(0..frames.len(), frames.rows()).unwrap();
-    let rolling = testing::captured(EXTENT, frames.meta.times.exposures.to_vec(), 100_000, |frame, x, y| values.row(frame, y)[x as usize]);
+    let rolling = testing::captured(EXTENT, frames.meta.times.exposures.to_vec(), 100_000, |frame, x, y| {
+        values.row(frame, y)[x as usize]
+    });
     let mut sensor = Sensor::unknown("slow");
-    (sensor.front_end.tau_0, sensor.front_end.alpha, sensor.frames.gain) = (Some(Duration::new(3_000_000)), Some(Duration::new(0)), Some(1e5));
+    (sensor.front_end.tau_0, sensor.front_end.alpha, sensor.frames.gain) =
+        (Some(Duration::new(3_000_000)), Some(Duration::new(0)), Some(1e5));
     let node = offset::EstimateOffset::build(offset::Params::default()).unwrap();
     let of = |frames: &FrameSequence, sensor: Option<Sensor>| {
         let input = In { events: events.clone(), frames: frames.clone(), sensor: sensor.map(Arc::new) };
@@ -125,8 +168,13 @@ fn rows_and_a_stated_front_end_are_no_offset() {
 #[test]
 fn a_stated_offset_is_used_and_not_estimated() {
     let (events, frames) = recording(250.0, 3_000_000, 0.0);
-    let node =
-        |ms: i64| thresholds::EstimateThresholds::build(thresholds::Params { offset: Some(Duration::new(ms * 1_000_000)), ..Default::default() }).unwrap();
+    let node = |ms: i64| {
+        thresholds::EstimateThresholds::build(thresholds::Params {
+            offset: Some(Duration::new(ms * 1_000_000)),
+            ..Default::default()
+        })
+        .unwrap()
+    };
     let (_, notes) = run(&node(-2), &events, &frames, |out| out.estimates);
     assert!(notes[0].contains("events taken -2.000 ms later"), "{notes:?}");
 }
@@ -134,16 +182,38 @@ fn a_stated_offset_is_used_and_not_estimated() {
 #[test]
 fn what_a_scene_does_not_show_is_not_a_number_and_the_note_says_why() {
     let (events, frames) = recording(0.0, 0, 0.0);
-    let (found, notes) = run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
-    assert!(found["offset"].0.is_nan() && found["offset"].1.is_nan() && notes[0].contains("do not clearly agree"), "{found:?} {notes:?}");
-    let (found, notes) = run(&row_time::EstimateRowTime::build(row_time::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (found, notes) =
+        run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| {
+            out.estimates
+        });
+    assert!(
+        found["offset"].0.is_nan() && found["offset"].1.is_nan() && notes[0].contains("do not clearly agree"),
+        "{found:?} {notes:?}"
+    );
+    let (found, notes) = run(
+        &row_time::EstimateRowTime::build(row_time::Params::default()).unwrap(),
+        &events,
+        &frames,
+        |out| out.estimates,
+    );
     assert!(found["row_time"].0.is_nan() && notes[0].contains("too few bands"), "{notes:?}");
-    let (found, notes) = run(&thresholds::EstimateThresholds::build(thresholds::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (found, notes) = run(
+        &thresholds::EstimateThresholds::build(thresholds::Params::default()).unwrap(),
+        &events,
+        &frames,
+        |out| out.estimates,
+    );
     assert!(found["threshold_on"].0.is_nan() && notes[0].contains("too few bright pixels"), "{notes:?}");
-    let (found, notes) = run(&exposure::EstimateExposure::build(exposure::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (found, notes) = run(
+        &exposure::EstimateExposure::build(exposure::Params::default()).unwrap(),
+        &events,
+        &frames,
+        |out| out.estimates,
+    );
     assert!(found["exposure"].0.is_nan() && notes[0].contains("thresholds are not known"), "{notes:?}");
     let given = exposure::Params { thresholds: Some([0.2, 0.2]), ..Default::default() };
-    let (_, notes) = run(&exposure::EstimateExposure::build(given).unwrap(), &events, &frames, |out| out.estimates);
+    let (_, notes) =
+        run(&exposure::EstimateExposure::build(given).unwrap(), &events, &frames, |out| out.estimates);
     assert!(notes[0].contains("nothing moves"), "{notes:?}");
 }
 
@@ -151,11 +221,24 @@ fn what_a_scene_does_not_show_is_not_a_number_and_the_note_says_why() {
 fn streams_that_do_not_fit_are_refused_while_planning() {
     let (events, frames) = recording(0.0, 0, 0.0);
     let node = offset::EstimateOffset::build(offset::Params::default()).unwrap();
-    let odd = testing::captured(Extent { width: 50, height: 32 }, vec![Exposure::new(0, 1), Exposure::new(9, 10)], 0, |_, _, _| 1.0);
+    let odd = testing::captured(
+        Extent { width: 50, height: 32 },
+        vec![Exposure::new(0, 1), Exposure::new(9, 10)],
+        0,
+        |_, _, _| 1.0,
+    );
     let error = node.plan(&metas(&events, &odd)).unwrap_err();
-    assert!(error.message.contains("50 x 32") && error.message.contains("40 x 32") && error.hint.is_some(), "{error}");
+    assert!(
+        error.message.contains("50 x 32") && error.message.contains("40 x 32") && error.hint.is_some(),
+        "{error}"
+    );
     let day = 1_600_000_000_000_000_000;
     let late = frames.meta.times.exposures.iter().map(|exposure| exposure.delayed(day)).collect();
     let apart = testing::captured(EXTENT, late, 0, |_, _, _| 1.0);
-    assert!(node.plan(&metas(&testing::events(40, 32), &apart)).unwrap_err().message.contains("no moment in common"));
+    assert!(
+        node.plan(&metas(&testing::events(40, 32), &apart))
+            .unwrap_err()
+            .message
+            .contains("no moment in common")
+    );
 }

@@ -1,10 +1,13 @@
 //! `estimate/thresholds`: the log change of an ON and of an OFF event.
 //!
-//! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the other for each OFF one. A robust fit of the events of the busiest
-//! pixels on the change of the frames gives both, from bright pixels alone: in dark ones a step of the scale is a large change, and slow pixels lose events.
+//! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the
+//! other for each OFF one. A robust fit of the events of the busiest pixels on the change of the frames gives
+//! both, from bright pixels alone: in dark ones a step of the scale is a large change, and slow pixels lose
+//! events.
 //!
-//! Where a description states thresholds and what a solver needs, they are also judged by frames that are held out ([`evidence`]): the description is passed on with other thresholds when
-//! those predict the frames clearly better, and else as it was.
+//! Where a description states thresholds and what a solver needs, they are also judged by frames that are
+//! held out ([`evidence`]): the description is passed on with other thresholds when those predict the frames
+//! clearly better, and else as it was.
 //!
 //! Limits: frames that are not linear give thresholds of their curve; the fit takes the front end as ideal.
 
@@ -26,7 +29,8 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over it.
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
+    /// it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
     /// How late events are against frames; absent = estimated as estimate/offset does.
@@ -34,7 +38,8 @@ pub struct Params {
     /// Pixels whose held-out frames judge thresholds, at most; half of them search, the other half decides.
     #[schemars(range(min = 32, max = 65536))]
     pub pixels: usize,
-    /// Other thresholds than the description's are used only where they predict held-out frames better by so many standard errors.
+    /// Other thresholds than the description's are used only where they predict held-out frames better by so
+    /// many standard errors.
     #[schemars(range(min = 0.0))]
     pub least_z: f64,
     /// And only where held-out frames are missed by at least this share less.
@@ -54,9 +59,12 @@ impl Default for Params {
 photocurrent_core::ports! {
     /// What was found.
     pub struct Out {
-        /// `threshold_on` and `threshold_off`, natural-log units, positive, as the frames measure them, next to the description's (`description`) and those of `sensor` (`used`); `heldout_gain`, the share by which held-out frames are missed less with the best thresholds found than with the description's.
+        /// `threshold_on` and `threshold_off`, natural-log units, positive, as the frames measure them, next
+        /// to the description's (`description`) and those of `sensor` (`used`); `heldout_gain`, the share by
+        /// which held-out frames are missed less with the best thresholds found than with the description's.
         estimates: Arc<Table>,
-        /// The description, with other thresholds where those predict held-out frames clearly better, else unchanged.
+        /// The description, with other thresholds where those predict held-out frames clearly better, else
+        /// unchanged.
         sensor: Option<Arc<Sensor>>,
     }
 }
@@ -69,7 +77,8 @@ pub struct EstimateThresholds {
 impl Node for EstimateThresholds {
     const DECL: Decl = Decl {
         kind: "estimate/thresholds",
-        about: "Contrast thresholds from the log change of frames an event, with intervals, and the description with those that held-out frames prefer.",
+        about: "Contrast thresholds from the log change of frames an event, with intervals, and the \
+                description with those that held-out frames prefer.",
         revision: 5,
         grain: Grain::Whole,
         draws: false,
@@ -96,7 +105,12 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let mut metas = super::plan(inputs)?;
         // Thresholds are stated or not, and of whatever size: nobody plans otherwise.
-        let none = || Meta::Absent { data_type: DataType::Sensor, why: "estimate/thresholds got no description".into() };
+        let none = || Meta::Absent {
+            data_type: DataType::Sensor,
+            why: "estimate/thresholds got no \
+                                                            description"
+                .into(),
+        };
         metas.push(inputs.sensor("sensor").map_or_else(|_| none(), |sensor| Meta::Sensor(sensor.clone())));
         Ok(metas)
     }
@@ -104,12 +118,18 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let settings = Settings { frames: self.params.frames, ..Settings::default() };
         let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
-        let offset_ns = self.params.offset.map(|offset| offset.ns() as f64).or_else(|| estimate::offset(&panel).map(|shift| shift.ns.value)).unwrap_or(0.0);
+        let offset_ns = self
+            .params
+            .offset
+            .map(|offset| offset.ns() as f64)
+            .or_else(|| estimate::offset(&panel).map(|shift| shift.ns.value))
+            .unwrap_or(0.0);
         let found = estimate::thresholds(&panel, offset_ns);
         drop(panel);
         match &found {
             Some(found) => cx.note(format!(
-                "from {} pixels and pairs of frames that changed by 0.3 or more, sigma {:.3} left, without {} that are too dark; events taken {:.3} ms later",
+                "from {} pixels and pairs of frames that changed by 0.3 or more, sigma {:.3} left, without \
+                 {} that are too dark; events taken {:.3} ms later",
                 found.measured,
                 found.sigma,
                 found.too_dark,
@@ -117,8 +137,10 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             )),
             None => cx.note("too few bright pixels changed by 0.3 or more between frames"),
         }
-        let mut rows =
-            vec![Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0), Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0)];
+        let mut rows = vec![
+            Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0),
+            Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0),
+        ];
         let stated = input.sensor.as_ref().and_then(|sensor| stated(sensor));
         let (mut sensor, mut used) = (input.sensor.clone(), stated);
         let mut gain = None;
@@ -128,7 +150,9 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         if let (Some(description), Some(_)) = (&input.sensor, stated) {
             let Params { pixels, least_z, least_gain, most_factor, .. } = self.params;
             let rule = Rule { pixels, least_z, least_gain, most_factor };
-            let measured = found.map(|found| (found.on.value, found.off.value)).filter(|(on, off)| *on > 0.0 && *off > 0.0);
+            let measured = found
+                .map(|found| (found.on.value, found.off.value))
+                .filter(|(on, off)| *on > 0.0 && *off > 0.0);
             match evidence::judged(&input, description, measured, &rule, cx)? {
                 Err(why) => cx.note(format!("the description's thresholds stay: {why}")),
                 Ok(verdict) => {
@@ -142,8 +166,15 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             }
         }
         rows.push(Row::new("heldout_gain", gain, "1", 1.0));
-        let next_to = |pair: Option<Pair>| Column::Numbers(pair.map_or([f64::NAN; 3], |(on, off)| [on, off, f64::NAN]).to_vec());
-        Ok(Out { estimates: Arc::new(table(&rows).with("description", next_to(stated)).with("used", next_to(used))), sensor })
+        let next_to = |pair: Option<Pair>| {
+            Column::Numbers(pair.map_or([f64::NAN; 3], |(on, off)| [on, off, f64::NAN]).to_vec())
+        };
+        Ok(Out {
+            estimates: Arc::new(
+                table(&rows).with("description", next_to(stated)).with("used", next_to(used)),
+            ),
+            sensor,
+        })
     }
 }
 
@@ -162,20 +193,33 @@ fn with_thresholds(description: &Sensor, (on, off): Pair) -> Sensor {
 fn said(verdict: &Verdict, rule: &Rule) -> String {
     let Verdict { stated, found, gain, pixels, .. } = *verdict;
     let two = |(on, off): Pair| format!("{on:.3} and {off:.3}");
-    let missed = format!("held-out frames of {pixels} pixels are missed by {:.1} % less (z = {:.1})", 100.0 * gain, verdict.z());
+    let missed = format!(
+        "held-out frames of {pixels} pixels are missed by {:.1} % less (z = {:.1})",
+        100.0 * gain,
+        verdict.z()
+    );
     if verdict.is_used {
         format!("thresholds {} instead of the description's {}: {missed}", two(found), two(stated))
     } else if found == stated {
-        format!("the description's thresholds {} stay: none was found that predicts held-out frames better", two(stated))
+        format!(
+            "the description's thresholds {} stay: none was found that predicts held-out frames better",
+            two(stated)
+        )
     } else if verdict.z_as_solved() <= -rule.least_z {
         let (of_solver, z) = (-100.0 * verdict.as_solved.0, verdict.z_as_solved());
         format!(
-            "the description's thresholds {} stay: with {} {missed}, but by {of_solver:.1} % more with the noise that the solver chooses (z = {z:.1})",
+            "the description's thresholds {} stay: with {} {missed}, but by {of_solver:.1} % more with the \
+             noise that the solver chooses (z = {z:.1})",
             two(stated),
             two(found)
         )
     } else {
         let (share, z) = (100.0 * rule.least_gain, rule.least_z);
-        format!("the description's thresholds {} stay: with {} {missed}, and {share:.1} % and z = {z:.1} are asked for", two(stated), two(found))
+        format!(
+            "the description's thresholds {} stay: with {} {missed}, and {share:.1} % and z = {z:.1} \
+                 are asked for",
+            two(stated),
+            two(found)
+        )
     }
 }

@@ -1,10 +1,13 @@
-//! The one place that runs networks: a network is a file in ONNX format, and one trait stands before what runs it.
+//! The one place that runs networks: a network is a file in ONNX format, and one trait stands before what
+//! runs it.
 //!
-//! Two backends: [`embedded`] is pure Rust, always there, and the default; [`runtime`] loads the ONNX Runtime library that a manifest names, which knows
-//! more operators and is faster. Which one ran belongs into the card of a score, and the library's content into the key of the node.
+//! Two backends: [`embedded`] is pure Rust, always there, and the default; [`runtime`] loads the ONNX Runtime
+//! library that a manifest names, which knows more operators and is faster. Which one ran belongs into the
+//! card of a score, and the library's content into the key of the node.
 //!
-//! Limits: f32 tensors only. Sums are taken in another order on other processors, so numbers agree between machines and backends to about 1e-6 of their
-//! size, not to the last bit; on one machine they do not depend on the number of threads.
+//! Limits: f32 tensors only. Sums are taken in another order on other processors, so numbers agree between
+//! machines and backends to about 1e-6 of their size, not to the last bit; on one machine they do not depend
+//! on the number of threads.
 
 pub mod embedded;
 pub mod runtime;
@@ -45,7 +48,12 @@ pub trait Network: Send + Sync {
     /// As [`Network::run_all`].
     fn run(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
         let all = self.run_all(inputs, &[output])?;
-        all.into_iter().next().ok_or_else(|| NodeError::failed(format!("the network gave nothing for its output `{output}`")))
+        all.into_iter().next().ok_or_else(|| {
+            NodeError::failed(format!(
+                "the network gave nothing for its \
+                                                            output `{output}`"
+            ))
+        })
     }
 
     /// What it takes and gives.
@@ -55,7 +63,8 @@ pub trait Network: Send + Sync {
     fn backend(&self) -> String;
 }
 
-/// The files that a node reads which runs a network: the network, a parameter of this name, and the library at `runtime`.
+/// The files that a node reads which runs a network: the network, a parameter of this name, and the library
+/// at `runtime`.
 pub fn files(param: &str, network: &InputPath, runtime: Option<&InputPath>) -> Vec<FileRef> {
     let file = |(param, path): (&str, &InputPath)| FileRef { param: param.into(), path: path.path().into() };
     std::iter::once((param, network)).chain(runtime.map(|path| ("runtime", path))).map(file).collect()
@@ -68,12 +77,15 @@ pub fn files(param: &str, network: &InputPath, runtime: Option<&InputPath>) -> V
 pub fn need_weights(weights: &InputPath, ours: &str) -> Result<(), NodeError> {
     if weights.path().as_os_str().is_empty() {
         let hint = format!("name {ours} of this project, relative to the manifest");
-        return Err(NodeError::usage("`weights` is missing: the file of the network").hint(hint).param("weights"));
+        return Err(NodeError::usage("`weights` is missing: the file of the network")
+            .hint(hint)
+            .param("weights"));
     }
     Ok(())
 }
 
-/// Makes a network of the content of an ONNX file; `name` is the file's, for messages. With `library`, ONNX Runtime runs it, else the embedded backend.
+/// Makes a network of the content of an ONNX file; `name` is the file's, for messages. With `library`, ONNX
+/// Runtime runs it, else the embedded backend.
 ///
 /// # Errors
 /// When it is no network, uses operators that the backend does not have, or the library cannot be loaded.
@@ -98,7 +110,10 @@ mod tests {
 
     /// Two pictures of 48 x 40, of whole numbers modulo a prime.
     fn picture(step: usize) -> Tensor {
-        Tensor { shape: vec![1, 3, 40, 48], values: (0..3 * 40 * 48).map(|i| (i * step % 997) as f32 / 997.0).collect() }
+        Tensor {
+            shape: vec![1, 3, 40, 48],
+            values: (0..3 * 40 * 48).map(|i| (i * step % 997) as f32 / 997.0).collect(),
+        }
     }
 
     fn distance(network: &dyn Network) -> f32 {
@@ -111,7 +126,10 @@ mod tests {
     #[test]
     fn a_network_names_its_inputs_and_outputs() {
         let sockets = load("alex", weights(), None).unwrap().sockets();
-        assert_eq!((sockets.inputs, sockets.outputs), (vec!["img0".to_string(), "img1".into()], vec!["lpips".to_string()]));
+        assert_eq!(
+            (sockets.inputs, sockets.outputs),
+            (vec!["img0".to_string(), "img1".into()], vec!["lpips".to_string()])
+        );
     }
 
     #[test]
@@ -120,11 +138,15 @@ mod tests {
         assert!((distance(&*network) - EXPECTED).abs() < 1e-5, "{}", distance(&*network));
     }
 
-    /// Where a library is there: `ORT_DYLIB_PATH=.../libonnxruntime.so cargo test -p photocurrent-nodes onnx -- --ignored`.
+    /// Where a library is there: `ORT_DYLIB_PATH=.../libonnxruntime.so cargo test -p photocurrent-nodes onnx
+    /// -- --ignored`.
     #[test]
     #[ignore = "needs an ONNX Runtime library, named by ORT_DYLIB_PATH"]
     fn a_named_library_gives_the_same() {
-        let library = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from).expect("ORT_DYLIB_PATH names the library");
+        let library = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from).expect(
+            "ORT_DYLIB_PATH names \
+                                                            the library",
+        );
         let network = load("alex", weights(), Some(&library)).unwrap();
         assert!((distance(&*network) - EXPECTED).abs() < 1e-5, "{}", distance(&*network));
         assert!(network.backend().starts_with("ONNX Runtime"), "{}", network.backend());
@@ -136,12 +158,18 @@ mod tests {
     fn what_is_no_network_or_has_other_names_is_refused_with_the_files_name() {
         let refused = |result: Result<Box<dyn Network>, NodeError>| result.err().unwrap();
         let error = refused(load("notes.txt", b"no network".to_vec(), None));
-        assert!(error.message.starts_with("notes.txt is no network that the embedded backend can run"), "{}", error.message);
+        assert!(
+            error.message.starts_with("notes.txt is no network that the embedded backend can run"),
+            "{}",
+            error.message
+        );
         let network = load("alex", weights(), None).unwrap();
         let error = network.run(&[("picture", &picture(1))], "lpips").unwrap_err();
         assert_eq!(error.message, "the network alex has no input or output `picture`");
         let small = Tensor { shape: vec![1, 3, 4, 4], values: vec![0.0; 48] };
-        assert!(network.run(&[("img0", &small), ("img1", &small)], "lpips").unwrap_err().message.contains("alex"));
+        assert!(
+            network.run(&[("img0", &small), ("img1", &small)], "lpips").unwrap_err().message.contains("alex")
+        );
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The backend that a manifest may name: the ONNX Runtime library, loaded while the program runs.
 //!
-//! Where a library is: PyPI's `onnxruntime` has it as `onnxruntime/capi/libonnxruntime.so.<version>`; 1.24 is the oldest that fits.
-//! A process loads one library, and keeps it.
+//! Where a library is: PyPI's `onnxruntime` has it as `onnxruntime/capi/libonnxruntime.so.<version>`; 1.24 is
+//! the oldest that fits. A process loads one library, and keeps it.
 
 use super::{Network, Sockets, Tensor};
 use ort::environment::Environment;
@@ -31,19 +31,29 @@ fn environment(library: &Path) -> Result<Environment, NodeError> {
         if path == library {
             return Ok(environment.clone());
         }
-        return Err(NodeError::usage(format!("{} was loaded before, and one process cannot use {} as well", path.display(), library.display()))
-            .hint("name one library in all nodes")
-            .param("runtime"));
+        return Err(NodeError::usage(format!(
+            "{} was loaded before, and one process cannot use {} as well",
+            path.display(),
+            library.display()
+        ))
+        .hint("name one library in all nodes")
+        .param("runtime"));
     }
     let cannot = |error: String| {
         NodeError::files(format!("cannot load {} as the ONNX Runtime library: {error}", library.display()))
-            .hint("name libonnxruntime of version 1.24 or newer (in PyPI's onnxruntime: onnxruntime/capi/libonnxruntime.so.<version>), or leave `runtime` out")
+            .hint(
+                "name libonnxruntime of version 1.24 or newer (in PyPI's onnxruntime: \
+                   onnxruntime/capi/libonnxruntime.so.<version>), or leave `runtime` out",
+            )
             .param("runtime")
     };
     if !library.is_file() {
         return Err(cannot("there is no such file".into()));
     }
-    let environment = ort::init_from(library).map_err(|error| cannot(error.to_string()))?.build().map_err(|error| cannot(error.to_string()))?;
+    let environment = ort::init_from(library)
+        .map_err(|error| cannot(error.to_string()))?
+        .build()
+        .map_err(|error| cannot(error.to_string()))?;
     *loaded = Some((library.into(), environment.clone()));
     Ok(environment)
 }
@@ -65,7 +75,8 @@ impl Runtime {
             idle: Mutex::new(Vec::new()),
         };
         let first = runtime.session()?;
-        let names = |outlets: &[ort::value::Outlet]| outlets.iter().map(|outlet| outlet.name().to_string()).collect();
+        let names =
+            |outlets: &[ort::value::Outlet]| outlets.iter().map(|outlet| outlet.name().to_string()).collect();
         runtime.sockets = Sockets { inputs: names(first.inputs()), outputs: names(first.outputs()) };
         runtime.give_back(first);
         Ok(runtime)
@@ -76,7 +87,14 @@ impl Runtime {
         if let Some(session) = waiting {
             return Ok(session);
         }
-        let refused = |error: String| NodeError::input(format!("{} is no network that ONNX Runtime can run: {error}", self.name)).hint("check the file");
+        let refused = |error: String| {
+            NodeError::input(format!(
+                "{} is no network that ONNX Runtime can run: \
+                                                            {error}",
+                self.name
+            ))
+            .hint("check the file")
+        };
         // One thread: frames are what runs side by side, on the threads that the user allows.
         let builder = Session::builder(&self.environment).map_err(|error| refused(error.to_string()))?;
         let mut builder = builder.with_intra_threads(1).map_err(|error| refused(error.to_string()))?;
@@ -88,19 +106,34 @@ impl Runtime {
     }
 
     fn failed(&self, error: impl std::fmt::Display) -> NodeError {
-        NodeError::failed(format!("the network {} failed: {error}", self.name)).hint("check that pictures are of a size that the network takes")
+        NodeError::failed(format!("the network {} failed: {error}", self.name)).hint(
+            "check that pictures \
+                                                            are of a size that the network takes",
+        )
     }
 
-    fn calculate(&self, session: &mut Session, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {
+    fn calculate(
+        &self,
+        session: &mut Session,
+        inputs: &[(&str, &Tensor)],
+        outputs: &[&str],
+    ) -> Result<Vec<Tensor>, NodeError> {
         let mut values: Vec<(Cow<str>, SessionInputValue)> = Vec::with_capacity(inputs.len());
         for (name, tensor) in inputs {
             let shape: Vec<i64> = tensor.shape.iter().map(|n| *n as i64).collect();
-            let value = ort::value::Tensor::from_array((shape, tensor.values.clone())).map_err(|error| self.failed(error))?;
+            let value = ort::value::Tensor::from_array((shape, tensor.values.clone()))
+                .map_err(|error| self.failed(error))?;
             values.push(((*name).into(), value.into()));
         }
         let results = session.run(values).map_err(|error| self.failed(error))?;
         let tensor = |output: &&str| -> Result<Tensor, NodeError> {
-            let value = results.get(output).ok_or_else(|| NodeError::input(format!("the network {} has no input or output `{output}`", self.name)))?;
+            let value = results.get(output).ok_or_else(|| {
+                NodeError::input(format!(
+                    "the network {} has no \
+                                                            input or output `{output}`",
+                    self.name
+                ))
+            })?;
             let (shape, values) = value.try_extract_tensor::<f32>().map_err(|error| self.failed(error))?;
             Ok(Tensor { shape: shape.iter().map(|n| *n as usize).collect(), values: values.to_vec() })
         };

@@ -1,20 +1,25 @@
 //! Readers of other people's files: one node for each format, one text for all of them.
 //!
-//! What differs between formats is in `photocurrent-formats`: how a file is recognised, how its bytes become events and pictures. Here stands what is the
-//! same: parameters that state what a file cannot say, a clock that begins at zero, bands of rows. A format accepts only those parameters
-//! that mean something for it ([`Reader::ACCEPTS`]), and its manual page shows only those.
+//! What differs between formats is in `photocurrent-formats`: how a file is recognised, how its bytes become
+//! events and pictures. Here stands what is the same: parameters that state what a file cannot say, a clock
+//! that begins at zero, bands of rows. A format accepts only those parameters that mean something for it
+//! ([`Reader::ACCEPTS`]), and its manual page shows only those.
 //!
-//! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a temporary file.
+//! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a
+//! temporary file.
 
 use crate::spans::check_window;
 use photocurrent_core::DataType;
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor,
+};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
 use photocurrent_formats::{
-    Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Probe, Recording, Shift, StampRole, Strobe, TimeUnit, Transfer, catalog, instead,
+    Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Probe, Recording, Shift, StampRole,
+    Strobe, TimeUnit, Transfer, catalog, instead,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -81,10 +86,12 @@ pub struct All {
     /// Leave out what was stamped before this time, counted from zero. Default: the beginning.
     #[schemars(extend("x-min" = "0 ns"))]
     pub start: Option<Duration>,
-    /// Leave out events stamped at or after this time, and frames whose exposure ends after it; counted from zero. Default: the end.
+    /// Leave out events stamped at or after this time, and frames whose exposure ends after it; counted from
+    /// zero. Default: the end.
     #[schemars(extend("x-min" = "0 ns"))]
     pub end: Option<Duration>,
-    /// The file's time that becomes t = 0. Default: its earliest stamp. Give two readers the same value where events and frames of one recording are read apart.
+    /// The file's time that becomes t = 0. Default: its earliest stamp. Give two readers the same value where
+    /// events and frames of one recording are read apart.
     pub zero: Option<Duration>,
     /// Only this part of the array of event pixels, numbered from 0, and the frame pixels that lie on it.
     pub crop: Option<Part>,
@@ -101,11 +108,14 @@ pub struct All {
     pub camera: Option<String>,
     /// Which frame camera, stream or topic of a file with several, as the file names it.
     pub frame_camera: Option<String>,
-    /// Frames that lie elsewhere: a folder of PNG, TIFF or JPEG pictures, or a Y4M file; relative to the manifest.
+    /// Frames that lie elsewhere: a folder of PNG, TIFF or JPEG pictures, or a Y4M file; relative to the
+    /// manifest.
     pub frames: Option<InputPath>,
-    /// Stamps of those frames: a text file; relative to the manifest. Default: the one in the folder of the pictures.
+    /// Stamps of those frames: a text file; relative to the manifest. Default: the one in the folder of the
+    /// pictures.
     pub stamps: Option<InputPath>,
-    /// The trigger line of the event file whose edges are the exposures of those frames; `strobe` states which edge opens the shutter.
+    /// The trigger line of the event file whose edges are the exposures of those frames; `strobe` states
+    /// which edge opens the shutter.
     pub trigger_line: Option<u16>,
     /// Added to every stamp of a frame: for clocks that begin apart.
     pub frame_offset: Option<Duration>,
@@ -119,11 +129,13 @@ pub struct All {
     pub row_time: Option<Duration>,
     /// How the stored values of frames follow from linear ones, where it is not recorded.
     pub transfer: Option<Transfer>,
-    /// Unit of the frames' stamps, where their file does not state it, or states a wrong one. Default: `time_unit` for frames that lie elsewhere.
+    /// Unit of the frames' stamps, where their file does not state it, or states a wrong one. Default:
+    /// `time_unit` for frames that lie elsewhere.
     pub stamps_unit: Option<TimeUnit>,
     /// How the frames' picture is mirrored against the events; events are moved.
     pub mirror: Option<Mirror>,
-    /// Whole event pixels by which events lie right of and below the same detail of the frames; events are moved, after `mirror`.
+    /// Whole event pixels by which events lie right of and below the same detail of the frames; events are
+    /// moved, after `mirror`.
     pub shift: Option<Shift>,
     /// Frames that are left out, numbered from 0 in the order of the file.
     pub skip_frames: Option<Vec<u32>>,
@@ -133,18 +145,24 @@ pub struct All {
     pub invert_polarity: Option<bool>,
     /// How polarity is stored. Default: recognised over the whole file, with a note where it is unusual.
     pub polarity: Option<Polarity>,
-    /// Which number the first column and row have. Default: 1 where an array of known size shows it, with a note; otherwise 0.
+    /// Which number the first column and row have. Default: 1 where an array of known size shows it, with a
+    /// note; otherwise 0.
     #[schemars(range(max = 1))]
     pub origin: Option<u32>,
-    /// The counter of the stamps, whose range is added each time it begins again. Default: recognised where time goes back by the range of one, with a note.
+    /// The counter of the stamps, whose range is added each time it begins again. Default: recognised where
+    /// time goes back by the range of one, with a note.
     pub counter: Option<Counter>,
-    /// Which level of the trigger line is an open shutter. Default: `active_high`, rising opens and falling closes.
+    /// Which level of the trigger line is an open shutter. Default: `active_high`, rising opens and falling
+    /// closes.
     pub strobe: Option<Strobe>,
-    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture: counted from 0, with those that `pairing` counts as missing; -1 where
-    /// only the second picture has the first. Default: what follows from counts, numbers in names and gaps between the times, and an error where nothing follows.
+    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture: counted
+    /// from 0, with those that `pairing` counts as missing; -1 where only the second picture has the first.
+    /// Default: what follows from counts, numbers in names and gaps between the times, and an error where
+    /// nothing follows.
     pub first_pulse: Option<i64>,
-    /// By what a missing picture, pulse or stamp is recognised where they are paired in order: holes in the numbers of the pictures' names, gaps of whole periods
-    /// between the times, both, or nothing. Default: what leaves least without a partner.
+    /// By what a missing picture, pulse or stamp is recognised where they are paired in order: holes in the
+    /// numbers of the pictures' names, gaps of whole periods between the times, both, or nothing. Default:
+    /// what leaves least without a partner.
     pub pairing: Option<Pairing>,
 }
 
@@ -204,7 +222,10 @@ impl<R> Default for Params<R> {
 /// Does this format accept a parameter?
 pub(super) fn accepted<R: Reader>(name: &str) -> bool {
     let has_events = R::FORMAT != "pictures";
-    COMMON.contains(&name) || R::ACCEPTS.contains(&name) || OF_FRAMES.contains(&name) || has_events && OF_EVENTS.contains(&name)
+    COMMON.contains(&name)
+        || R::ACCEPTS.contains(&name)
+        || OF_FRAMES.contains(&name)
+        || has_events && OF_EVENTS.contains(&name)
 }
 
 impl<R: Reader> Serialize for Params<R> {
@@ -276,14 +297,19 @@ pub struct Read<R> {
 impl<R: Reader> Read<R> {
     fn opened(&self) -> Result<Box<dyn Recording>, NodeError> {
         let path = self.all.path.path();
-        let format = catalog::named(R::FORMAT).ok_or_else(|| NodeError::failed(format!("there is no format `{}`", R::FORMAT)))?;
+        let format = catalog::named(R::FORMAT)
+            .ok_or_else(|| NodeError::failed(format!("there is no format `{}`", R::FORMAT)))?;
         let probe = Probe::new(path)?;
         if !(format.recognises)(&probe) {
             let (path, name) = (path.display(), format.name);
             let error = match catalog::recognise(self.all.path.path())? {
-                Some(other) => NodeError::input(format!("{path} is {}, and not {name}", other.name)).hint(format!("read it with read/{}", other.id)),
+                Some(other) => NodeError::input(format!("{path} is {}, and not {name}", other.name))
+                    .hint(format!("read it with read/{}", other.id)),
                 None => match instead::what_it_is(&probe) {
-                    Some(instead) => NodeError::input(format!("{path} is not {name}: it is {}", instead.what)).hint(instead.todo),
+                    Some(instead) => {
+                        NodeError::input(format!("{path} is not {name}: it is {}", instead.what))
+                            .hint(instead.todo)
+                    }
                     None => {
                         let beginning = probe.head[..probe.head.len().min(12)].escape_ascii();
                         NodeError::input(format!("{path} is not {name}: it begins with `{beginning}`"))
@@ -293,10 +319,14 @@ impl<R: Reader> Read<R> {
             };
             return Err(error.param("path"));
         }
-        photocurrent_formats::joined::open(format, path, &self.all.settings().declared).map_err(NodeError::from)
+        photocurrent_formats::joined::open(format, path, &self.all.settings().declared)
+            .map_err(NodeError::from)
     }
 
-    fn open(&self, advance: impl FnMut(&dyn EventCursor) -> Result<(), NodeError>) -> Result<&Open, NodeError> {
+    fn open(
+        &self,
+        advance: impl FnMut(&dyn EventCursor) -> Result<(), NodeError>,
+    ) -> Result<&Open, NodeError> {
         if let Some(open) = self.open.get() {
             return Ok(open);
         }
@@ -310,8 +340,11 @@ impl<R: Reader> Read<R> {
         let path = self.all.path.path();
         let name = super::short_name(path);
         let source = Source::new(format!("{name}:/sensor"), path.parent().unwrap_or(path), text);
-        let sensor = Sensor::parse(&source)
-            .map_err(|problems| NodeError::input(format!("the sensor description in {name} has mistakes")).param("path").problems(problems))?;
+        let sensor = Sensor::parse(&source).map_err(|problems| {
+            NodeError::input(format!("the sensor description in {name} has mistakes"))
+                .param("path")
+                .problems(problems)
+        })?;
         Ok(Some(Arc::new(sensor)))
     }
 
@@ -322,17 +355,24 @@ impl<R: Reader> Read<R> {
         if events.is_none() {
             let name = super::short_name(self.all.path.path());
             let mut before = 0;
-            let gathered = open.arranged.gather(open.recording.as_ref(), EVENTS_BUDGET, |cursor: &dyn EventCursor| {
-                let (at, total) = cursor.position();
-                if before == 0 {
-                    cx.begin(total, "bytes");
-                }
-                cx.advance(at.saturating_sub(before))?;
-                before = at.max(before);
-                Ok::<(), NodeError>(())
-            })?;
+            let gathered = open.arranged.gather(
+                open.recording.as_ref(),
+                EVENTS_BUDGET,
+                |cursor: &dyn EventCursor| {
+                    let (at, total) = cursor.position();
+                    if before == 0 {
+                        cx.begin(total, "bytes");
+                    }
+                    cx.advance(at.saturating_sub(before))?;
+                    before = at.max(before);
+                    Ok::<(), NodeError>(())
+                },
+            )?;
             if let Some((stream, outside)) = gathered {
-                cx.count(outside, &format!("events in {name} lie outside {} pixels and were left out", stream.meta.extent));
+                cx.count(
+                    outside,
+                    &format!("events in {name} lie outside {} pixels and were left out", stream.meta.extent),
+                );
                 *events = Some(stream);
             }
         }
@@ -353,10 +393,13 @@ impl<R: Reader> Node for Read<R> {
         if let Some(Transfer::Gamma(gamma)) = all.transfer
             && !(gamma > 0.0 && gamma.is_finite())
         {
-            return Err(NodeError::usage(format!("a gamma of {gamma} is no curve; it must be positive")).param("transfer"));
+            return Err(NodeError::usage(format!("a gamma of {gamma} is no curve; it must be positive"))
+                .param("transfer"));
         }
         if let Some(origin) = all.origin.filter(|origin| *origin > 1) {
-            return Err(NodeError::usage(format!("coordinates begin at 0 or 1, not at {origin}")).param("origin"));
+            return Err(
+                NodeError::usage(format!("coordinates begin at 0 or 1, not at {origin}")).param("origin")
+            );
         }
         Ok(Read { all, open: OnceLock::new(), events: Mutex::new(None), reader: PhantomData })
     }
@@ -364,9 +407,22 @@ impl<R: Reader> Node for Read<R> {
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let open = self.open(|_| Ok(()))?;
         let absent = |data_type: DataType, why: &String| Meta::Absent { data_type, why: why.clone() };
-        let events = open.arranged.events.as_ref().map_or_else(|why| absent(DataType::Events, why), |meta| Meta::Events(meta.clone()));
-        let frames = open.arranged.frames.as_ref().map_or_else(|why| absent(DataType::Frames, why), |meta| Meta::Frames(meta.clone()));
-        let no_sensor = || absent(DataType::Sensor, &format!("{} has no sensor description", super::short_name(self.all.path.path())));
+        let events = open
+            .arranged
+            .events
+            .as_ref()
+            .map_or_else(|why| absent(DataType::Events, why), |meta| Meta::Events(meta.clone()));
+        let frames = open
+            .arranged
+            .frames
+            .as_ref()
+            .map_or_else(|why| absent(DataType::Frames, why), |meta| Meta::Frames(meta.clone()));
+        let no_sensor = || {
+            absent(
+                DataType::Sensor,
+                &format!("{} has no sensor description", super::short_name(self.all.path.path())),
+            )
+        };
         let sensor = self.sensor(open.recording.as_ref())?.map_or_else(no_sensor, Meta::Sensor);
         Ok(vec![events, frames, sensor])
     }
@@ -376,9 +432,15 @@ impl<R: Reader> Node for Read<R> {
         let arranged = &open.arranged;
         arranged.notes.iter().for_each(|note| cx.note(note));
         arranged.counts.iter().for_each(|(n, what)| cx.count(*n, what));
-        arranged.losses.iter().for_each(|loss| cx.loss(format!("{}: {}: {}", super::short_name(self.all.path.path()), loss.at, loss.what)));
+        arranged.losses.iter().for_each(|loss| {
+            cx.loss(format!("{}: {}: {}", super::short_name(self.all.path.path()), loss.at, loss.what))
+        });
         Ok(Out {
-            events: if cx.wants("events") { self.events(open, cx)?.map(|events| events.cut(cx.rows())) } else { None },
+            events: if cx.wants("events") {
+                self.events(open, cx)?.map(|events| events.cut(cx.rows()))
+            } else {
+                None
+            },
             frames: if cx.wants("frames") { arranged.frame_sequence() } else { None },
             sensor: if cx.wants("sensor") { self.sensor(open.recording.as_ref())? } else { None },
         })

@@ -1,7 +1,8 @@
 //! Readers: recordings and sensor descriptions come in here.
 //!
-//! A reader has no inputs. It looks at its file while planning, so that the rest of the pipeline knows extent, time span and which streams
-//! there are before any data are read; what a file does not have becomes an absent output with the reason.
+//! A reader has no inputs. It looks at its file while planning, so that the rest of the pipeline knows
+//! extent, time span and which streams there are before any data are read; what a file does not have becomes
+//! an absent output with the reason.
 
 pub mod foreign;
 pub mod formats;
@@ -14,7 +15,8 @@ use photocurrent_formats::arrange::{Arranged, arrange};
 use photocurrent_formats::{Probe, catalog, instead, joined};
 use std::path::Path;
 
-/// What a file of any format has, for those who look at it before a graph does: events and frames without their data. `all` states what the file does not.
+/// What a file of any format has, for those who look at it before a graph does: events and frames without
+/// their data. `all` states what the file does not.
 ///
 /// # Errors
 /// When the file is of no known format, cannot be read, or something must be stated that is not.
@@ -22,7 +24,9 @@ pub fn arranged(all: &foreign::All) -> Result<Arranged, NodeError> {
     let (path, settings) = (all.path.path(), all.settings());
     let unknown = || match Probe::new(path).ok().and_then(|probe| instead::what_it_is(&probe)) {
         Some(instead) => NodeError::from(instead.refusal(path)),
-        None => NodeError::input(format!("{} is a recording of no known format", path.display())).param("path"),
+        None => {
+            NodeError::input(format!("{} is a recording of no known format", path.display())).param("path")
+        }
     };
     let format = catalog::recognise(path)?.ok_or_else(unknown)?;
     let recording = joined::open(format, path, &settings.declared)?;
@@ -32,7 +36,12 @@ pub fn arranged(all: &foreign::All) -> Result<Arranged, NodeError> {
 /// Refuses a reader without a path.
 fn need_path(path: &InputPath, example: &str) -> Result<(), NodeError> {
     if path.path().as_os_str().is_empty() {
-        return Err(NodeError::usage("`path` is missing").hint(format!("name the file, such as `path = \"{example}\"`")).param("path"));
+        return Err(NodeError::usage("`path` is missing")
+            .hint(format!(
+                "name the file, such as `path = \
+                                                            \"{example}\"`"
+            ))
+            .param("path"));
     }
     Ok(())
 }

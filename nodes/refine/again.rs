@@ -1,11 +1,13 @@
-//! A recording that is solved again: what every node of this folder takes in, and how it gives hints to the solver.
+//! A recording that is solved again: what every node of this folder takes in, and how it gives hints to the
+//! solver.
 
 use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::trust::{Measured, Posed, TrustParams};
 use crate::solve::map::check_length;
 use crate::spans::{check_covered, check_one_clock, check_steps};
 use photocurrent_core::{
-    Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
+    Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, NodeError, PortMetas,
+    Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
 };
 use photocurrent_scene::activity::Activity;
 use photocurrent_scene::film::Fired;
@@ -67,30 +69,49 @@ impl Solver {
     }
 
     /// The tracks to come; refuses tracks that are not those of these events and frames.
-    pub fn meta(&self, kind: &str, tracks: &TracksMeta, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
+    pub fn meta(
+        &self,
+        kind: &str,
+        tracks: &TracksMeta,
+        events: &EventsMeta,
+        frames: &FramesMeta,
+    ) -> Result<TracksMeta, NodeError> {
         if tracks.between != Between::LogLinear {
-            return Err(
-                NodeError::usage(format!("the tracks hold their values between knots; {kind} needs log-linear ones")).hint("connect tracks of solve/map")
-            );
+            return Err(NodeError::usage(format!(
+                "the tracks hold their values between knots; {kind} needs \
+                                          log-linear ones"
+            ))
+            .hint("connect tracks of solve/map"));
         }
         CoLocated::new(events, frames)?.need_plain(kind)?;
         let meta = self.options.tracks_meta(events, frames)?;
         if tracks.extent != meta.extent {
-            return Err(NodeError::usage(format!("tracks are {}, events are {}", tracks.extent, meta.extent))
-                .hint("connect the events and frames that the tracks were solved from"));
+            return Err(NodeError::usage(format!(
+                "tracks are {}, events are {}",
+                tracks.extent, meta.extent
+            ))
+            .hint("connect the events and frames that the tracks were solved from"));
         }
         Ok(meta)
     }
 
     /// Takes a recording in, all rows of it.
-    pub fn take_in(&self, meta: TracksMeta, events: &EventStream, frames: &FrameSequence, sensor: &Sensor, cx: &Context) -> Result<Again, NodeError> {
+    pub fn take_in(
+        &self,
+        meta: TracksMeta,
+        events: &EventStream,
+        frames: &FrameSequence,
+        sensor: &Sensor,
+        cx: &Context,
+    ) -> Result<Again, NodeError> {
         let mut model = Model::of_map(&self.options, sensor, &events.meta)?;
         model.inform(events)?;
         let (rows, times) = (cx.rows(), &frames.meta.times);
         let colours = Colours::new(CoLocated::new(&events.meta, &frames.meta)?, sensor)?;
         let events = colours.lie.read(events, rows)?;
         let values = frames.read_rows(rows)?;
-        let recorded = Recorded { meta: &meta, times, colours: &colours, rows, events: &events, frames: &values };
+        let recorded =
+            Recorded { meta: &meta, times, colours: &colours, rows, events: &events, frames: &values };
         let known = neighbours::known(&self.options, &model, &recorded, rows, cx)?;
         let settings = Settings::choose(&self.options, &model, &recorded, rows, known.as_ref())?;
         let prepare = |solver: &mut RowSolver, row: u32| -> Result<Row, NodeError> {
@@ -102,7 +123,8 @@ impl Solver {
             cx.advance(1)?;
             Ok(Row { row, taken: solver.hand_over(), setting })
         };
-        let rows: Result<Vec<Row>, NodeError> = rows.iter().into_par_iter().map_init(RowSolver::default, prepare).collect();
+        let rows: Result<Vec<Row>, NodeError> =
+            rows.iter().into_par_iter().map_init(RowSolver::default, prepare).collect();
         Ok(Again { model, meta, rows: rows? })
     }
 }
@@ -126,8 +148,22 @@ impl Row {
     }
 
     /// Pixel x and what it measured, with some of its frame values.
-    pub fn measured<'a>(&'a self, x: usize, sensor: &'a Posed, extent: Extent, frames: &'a [MapFrame], threshold: f64) -> Measured<'a> {
-        Measured { sensor, extent, place: (x, self.row as usize), events: self.events_of(x), frames, threshold }
+    pub fn measured<'a>(
+        &'a self,
+        x: usize,
+        sensor: &'a Posed,
+        extent: Extent,
+        frames: &'a [MapFrame],
+        threshold: f64,
+    ) -> Measured<'a> {
+        Measured {
+            sensor,
+            extent,
+            place: (x, self.row as usize),
+            events: self.events_of(x),
+            frames,
+            threshold,
+        }
     }
 
     /// The frame values of pixel x.
@@ -156,7 +192,8 @@ impl Again {
     /// Where and when pixels fired with events of their neighbours.
     pub fn activity(&self) -> Activity {
         let width = self.meta.extent.width as usize;
-        let events = self.rows.iter().flat_map(|row| (0..width).map(move |x| (x, row.row as usize, row.events_of(x))));
+        let events =
+            self.rows.iter().flat_map(|row| (0..width).map(move |x| (x, row.row as usize, row.events_of(x))));
         Activity::new(self.meta.extent, (self.meta.span.start.0, self.meta.span.end.0), events)
     }
 
@@ -165,15 +202,20 @@ impl Again {
         Posed { model: self.model.sensor(), added: self.model.added() }
     }
 
-    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best predict frames that were held out
-    /// from them; `of_row` and `hints_of` as for [`Again::solve`], but hints must know nothing of those frames.
+    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best
+    /// predict frames that were held out from them; `of_row` and `hints_of` as for [`Again::solve`], but
+    /// hints must know nothing of those frames.
     pub fn caution<L>(
         &mut self,
         trust: &TrustParams,
         of_row: impl Fn(&Row) -> L + Sync,
         hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
     ) -> Caution {
-        let of_pixel = |solver: &mut RowSolver, (row, setting): (usize, &RowSetting), model: &Model, x: usize, hints: &[Hint]| {
+        let of_pixel = |solver: &mut RowSolver,
+                        (row, setting): (usize, &RowSetting),
+                        model: &Model,
+                        x: usize,
+                        hints: &[Hint]| {
             let cautious = CAUTIONS.map(|caution| {
                 let mut hints = hints.to_vec();
                 take_care(&mut hints, caution);
@@ -186,11 +228,18 @@ impl Again {
         Caution::choose(self.meta.extent, &lost, trust)
     }
 
-    /// Widens standard deviations so far as frames that were held out show that to be needed with the same hints as will be given; they must know
-    /// nothing of those frames.
-    pub fn widen<L>(&mut self, of_row: impl Fn(&Row) -> L + Sync, hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync) {
-        let of_pixel =
-            |solver: &mut RowSolver, (_, setting): (usize, &RowSetting), model: &Model, x: usize, hints: &[Hint]| solver.misses(model, setting, x, hints);
+    /// Widens standard deviations so far as frames that were held out show that to be needed with the same
+    /// hints as will be given; they must know nothing of those frames.
+    pub fn widen<L>(
+        &mut self,
+        of_row: impl Fn(&Row) -> L + Sync,
+        hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
+    ) {
+        let of_pixel = |solver: &mut RowSolver,
+                        (_, setting): (usize, &RowSetting),
+                        model: &Model,
+                        x: usize,
+                        hints: &[Hint]| solver.misses(model, setting, x, hints);
         let factor = estimate::too_narrow_by(&mut self.ask(of_row, hints_of, of_pixel));
         self.rows.iter_mut().for_each(|row| row.setting.sigma_factor = factor);
     }
@@ -214,12 +263,18 @@ impl Again {
             };
             pixels.into_iter().flat_map(of_pixel).collect()
         };
-        let asked: Vec<Vec<T>> = rows.par_iter_mut().skip(stride / 2).step_by(stride).map_init(RowSolver::default, ask_row).collect();
+        let asked: Vec<Vec<T>> = rows
+            .par_iter_mut()
+            .skip(stride / 2)
+            .step_by(stride)
+            .map_init(RowSolver::default, ask_row)
+            .collect();
         asked.into_iter().flatten().collect()
     }
 
-    /// Solves every pixel with the hints that `hints_of` gives for a row and column, from what `of_row` says of the row; its last argument but one is how exactly a pixel knows its light
-    /// by itself, natural-log units. Standard deviations are found in the last round only.
+    /// Solves every pixel with the hints that `hints_of` gives for a row and column, from what `of_row` says
+    /// of the row; its last argument but one is how exactly a pixel knows its light by itself, natural-log
+    /// units. Standard deviations are found in the last round only.
     pub fn solve<L>(
         &mut self,
         cx: &Context,
@@ -240,7 +295,8 @@ impl Again {
             cx.advance(1)?;
             Ok(band)
         };
-        let solved: Result<Vec<TrackBand>, NodeError> = rows.par_iter_mut().map_init(RowSolver::default, solve_row).collect();
+        let solved: Result<Vec<TrackBand>, NodeError> =
+            rows.par_iter_mut().map_init(RowSolver::default, solve_row).collect();
         Ok(TrackBand::concat(solved?))
     }
 }

@@ -1,7 +1,8 @@
 //! How careful to be with hints, for each region of the sensor: what predicts frames that were held out best.
 //!
-//! Pixels spread over the sensor are solved without some of their frames, with hints trusted more or less, and asked for those frames. A
-//! region takes the caution that served the pixels near it best; far ones count a little, so that a few lucky hits choose nothing.
+//! Pixels spread over the sensor are solved without some of their frames, with hints trusted more or less,
+//! and asked for those frames. A region takes the caution that served the pixels near it best; far ones count
+//! a little, so that a few lucky hits choose nothing.
 
 use super::trust::TrustParams;
 use photocurrent_core::Extent;
@@ -12,7 +13,8 @@ pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.06
 /// Side of the squares that share a caution, pixels.
 const SQUARE: u32 = 4;
 
-/// Trusts pseudo-measurements less by a factor of their variances; infinity removes them all. A factor below 1 makes them no more exact than they say.
+/// Trusts pseudo-measurements less by a factor of their variances; infinity removes them all. A factor below
+/// 1 makes them no more exact than they say.
 pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
     if caution.is_infinite() {
         hints.clear();
@@ -42,7 +44,8 @@ impl Caution {
     /// Of what pixels lost that are spread over the sensor.
     pub fn choose(extent: Extent, lost: &[Lost], params: &TrustParams) -> Caution {
         let TrustParams { clear_gain, near, everywhere, .. } = *params;
-        let mean = |n: usize| lost.iter().map(|lost| lost.errors[n]).sum::<f64>() / usize::max(lost.len(), 1) as f64;
+        let mean =
+            |n: usize| lost.iter().map(|lost| lost.errors[n]).sum::<f64>() / usize::max(lost.len(), 1) as f64;
         let means: [f64; CAUTIONS.len()] = std::array::from_fn(mean);
         let (columns, lines) = (extent.width.div_ceil(SQUARE), extent.height.div_ceil(SQUARE));
         let of_square = |column: u32, line: u32| {
@@ -60,7 +63,10 @@ impl Caution {
             });
             CAUTIONS[best]
         };
-        let of_square = (0..lines).flat_map(|line| (0..columns).map(move |column| (column, line))).map(|(column, line)| of_square(column, line)).collect();
+        let of_square = (0..lines)
+            .flat_map(|line| (0..columns).map(move |column| (column, line)))
+            .map(|(column, line)| of_square(column, line))
+            .collect();
         Caution { columns: columns as usize, of_square }
     }
 
@@ -81,7 +87,8 @@ mod tests {
 
     const EXTENT: Extent = Extent { width: 60, height: 20 };
 
-    /// Left of column 30 hints help by `left` of an error of 1, right of it by `right`; more the more they are trusted.
+    /// Left of column 30 hints help by `left` of an error of 1, right of it by `right`; more the more they
+    /// are trusted.
     fn halves(left: f64, right: f64) -> Vec<Lost> {
         let lost = |x: usize, y: usize| {
             let gain = if x < 30 { left } else { right };

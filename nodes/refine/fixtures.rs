@@ -31,18 +31,32 @@ pub(super) fn sensor() -> Arc<Sensor> {
 /// What that sensor records of light whose logarithm is `log(x, y, ms)`.
 pub(super) fn record(log: impl Fn(usize, usize, f64) -> f64) -> (EventStream, FrameSequence) {
     let t_ns: Vec<i64> = (0..=END_NS / 50_000).map(|n| n * 50_000).collect();
-    let exposures: Vec<Exposure> = (0..5).map(|l| Exposure::new(l * 8_800_000, l * 8_800_000 + 4_000_000)).collect();
+    let exposures: Vec<Exposure> =
+        (0..5).map(|l| Exposure::new(l * 8_800_000, l * 8_800_000 + 4_000_000)).collect();
     let front_end = FrontEnd { tau_0_s: 20e-6, alpha_s: 2e-3 };
-    let pixel =
-        Pixel { front_end, threshold_on: 0.25, threshold_off: 0.25, latency_ns: 1_000, latency_spread_ns: 0.0, refractory_ns: 50_000, log_step: LOG_STEP };
+    let pixel = Pixel {
+        front_end,
+        threshold_on: 0.25,
+        threshold_off: 0.25,
+        latency_ns: 1_000,
+        latency_spread_ns: 0.0,
+        refractory_ns: 50_000,
+        log_step: LOG_STEP,
+    };
     let (mut events, mut dn) = (Vec::new(), Vec::new());
     for y in 0..EXTENT.height {
         for x in 0..EXTENT.width {
-            let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log(x as usize, y as usize, t as f64 * 1e-6))).collect();
+            let current: Vec<f64> =
+                t_ns.iter().map(|&t| libm::exp(log(x as usize, y as usize, t as f64 * 1e-6))).collect();
             let light = LinearLight::new(&t_ns, &current);
             let site = Site { x, y, width: EXTENT.width, height: EXTENT.height, seed: 0 };
             let fired = simulate(
-                &Chain { pixel, reset: photocurrent_core::sensor::Reset::Resample, effects: &[], tolerance: photocurrent_sensor::forward::TOLERANCE },
+                &Chain {
+                    pixel,
+                    reset: photocurrent_core::sensor::Reset::Resample,
+                    effects: &[],
+                    tolerance: photocurrent_sensor::forward::TOLERANCE,
+                },
                 &site,
                 &light,
                 0,
@@ -56,7 +70,12 @@ pub(super) fn record(log: impl Fn(usize, usize, f64) -> f64) -> (EventStream, Fr
                 t: fired.event.t_off_ns,
                 t_in: Some(fired.event.t_in_ns),
             }));
-            dn.push(exposures.iter().map(|&exposure| (GAIN * light.integral(exposure)) as f32).collect::<Vec<f32>>());
+            dn.push(
+                exposures
+                    .iter()
+                    .map(|&exposure| (GAIN * light.integral(exposure)) as f32)
+                    .collect::<Vec<f32>>(),
+            );
         }
     }
     let frames = testing::captured(EXTENT, exposures, 0, |l, x, y| dn[(y * EXTENT.width + x) as usize][l]);
@@ -66,7 +85,9 @@ pub(super) fn record(log: impl Fn(usize, usize, f64) -> f64) -> (EventStream, Fr
 /// A texture that slides by 0.7 and 0.2 pixels a millisecond.
 pub(super) fn texture(x: usize, y: usize, ms: f64) -> f64 {
     let (x, y) = (x as f64 - 0.7 * ms, y as f64 - 0.2 * ms);
-    4.6 + 0.3 * libm::sin(0.8 * x + 0.3) * libm::cos(0.7 * y) + 0.2 * libm::sin(0.4 * x - 0.9 * y) + 0.1 * libm::sin(1.3 * x + 0.5 * y)
+    4.6 + 0.3 * libm::sin(0.8 * x + 0.3) * libm::cos(0.7 * y)
+        + 0.2 * libm::sin(0.4 * x - 0.9 * y)
+        + 0.1 * libm::sin(1.3 * x + 0.5 * y)
 }
 
 /// Light that swings in every pixel as it pleases.
@@ -84,7 +105,11 @@ pub(super) fn solve(events: &EventStream, frames: &FrameSequence) -> TrackSet {
 
 /// Rms error of log light, every half millisecond from the first frame to the last.
 pub(super) fn error(tracks: &TrackSet, log: impl Fn(usize, usize, f64) -> f64) -> f64 {
-    let tracks = LogTracks::new(EXTENT, tracks.read(EXTENT.rows()).unwrap(), &Arc::new(Fired::new(std::iter::empty())));
+    let tracks = LogTracks::new(
+        EXTENT,
+        tracks.read(EXTENT.rows()).unwrap(),
+        &Arc::new(Fired::new(std::iter::empty())),
+    );
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 0..EXTENT.height as usize {
         for x in 0..EXTENT.width as usize {

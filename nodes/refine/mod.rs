@@ -1,4 +1,5 @@
-//! Photocurrent that is known already, solved again with more knowledge; and frames of it, refined by a network.
+//! Photocurrent that is known already, solved again with more knowledge; and frames of it, refined by a
+//! network.
 
 mod again;
 mod caution;

@@ -1,16 +1,21 @@
 //! `refine/motion`: tracks solved again, with what neighbours know.
 //!
-//! Idea: where something moves, neighbouring pixels see the same light one after the other. A pixel that had no event for a while knows little
-//! about its light, but what passed its neighbours a moment ago passes it now. So the motion is found from the tracks themselves,
-//! every pixel's light is predicted by its neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
-//! measurement in addition to its own events and frames ([`photocurrent_sensor::map::Hint`]). Better tracks give a better motion: a few rounds.
+//! Idea: where something moves, neighbouring pixels see the same light one after the other. A pixel that had
+//! no event for a while knows little about its light, but what passed its neighbours a moment ago passes it
+//! now. So the motion is found from the tracks themselves, every pixel's light is predicted by its
+//! neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
+//! measurement in addition to its own events and frames ([`photocurrent_sensor::map::Hint`]). Better tracks
+//! give a better motion: a few rounds.
 //!
-//! The error of what neighbours say is measured, not assumed: past and future neighbours must agree with each other, and with the pixel's own
-//! events and frames. Where they do not (something is uncovered, two things move through each other, nothing moves at all), the pixel stays
-//! as it was. And before every round the whole is tried on pixels without one frame in three: they must predict those frames better with what neighbours say than without, region by
-//! region, or it is left away there ([`Caution`]).
+//! The error of what neighbours say is measured, not assumed: past and future neighbours must agree with each
+//! other, and with the pixel's own events and frames. Where they do not (something is uncovered, two things
+//! move through each other, nothing moves at all), the pixel stays as it was. And before every round the
+//! whole is tried on pixels without one frame in three: they must predict those frames better with what
+//! neighbours say than without, region by region, or it is left away there ([`Caution`]).
 //!
-//! Limits: with fewer than four frames nothing can be tried, and tracks stay as they are; it needs the whole sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after the other. Light that changes without moving is what it must reject, not what it can use.
+//! Limits: with fewer than four frames nothing can be tried, and tracks stay as they are; it needs the whole
+//! sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after
+//! the other. Light that changes without moving is what it must reject, not what it can use.
 
 mod advect;
 #[cfg(test)]
@@ -45,11 +50,23 @@ pub(super) struct Neighbours<'a> {
 impl Neighbours<'_> {
     /// Do pixels without some of their frames predict those better with what neighbours say than without?
     pub fn caution(&self, again: &mut Again) -> Caution {
-        again.caution(self.trust, |_| (), |(), row, x, threshold, hints| self.ask(row, x, &kept(row.frames_of(x)), threshold, hints))
+        again.caution(
+            self.trust,
+            |_| (),
+            |(), row, x, threshold, hints| self.ask(row, x, &kept(row.frames_of(x)), threshold, hints),
+        )
     }
 
-    /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully as `least`.
-    pub fn hints(&self, row: &Row, x: usize, threshold: f64, (caution, least): (&Caution, f64), hints: &mut Vec<Hint>) {
+    /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully
+    /// as `least`.
+    pub fn hints(
+        &self,
+        row: &Row,
+        x: usize,
+        threshold: f64,
+        (caution, least): (&Caution, f64),
+        hints: &mut Vec<Hint>,
+    ) {
         let caution = f64::max(caution.at(x, row.row as usize), least);
         if caution.is_finite() {
             self.ask(row, x, row.frames_of(x), threshold, hints);
@@ -59,14 +76,16 @@ impl Neighbours<'_> {
 
     fn ask(&self, row: &Row, x: usize, frames: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>) {
         let Neighbours { log, flow, motion, doubt, sensor, step_ns, trust } = *self;
-        let say = |t_ns: i64| advect::neighbours(log, (flow, motion, doubt), (x, row.row as usize), row.span(), t_ns);
+        let say = |t_ns: i64| {
+            advect::neighbours(log, (flow, motion, doubt), (x, row.row as usize), row.span(), t_ns)
+        };
         let measured = row.measured(x, sensor, log.extent, frames, threshold);
         Trust::new(trust).hints(say, log, (row.span(), step_ns), &measured, hints);
     }
 }
 
-/// Where another motion explains a place not clearly worse than the one that is taken, the predictions have this part of
-/// the square by which the two differ as a further variance.
+/// Where another motion explains a place not clearly worse than the one that is taken, the predictions have
+/// this part of the square by which the two differ as a further variance.
 const DOUBT: f64 = 0.5;
 
 /// Parameters of `refine/motion`: its own, and those of `solve/map`.
@@ -97,13 +116,15 @@ pub struct RefineMotion {
 impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
-        about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
+        about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the \
+                motion.",
         revision: 18,
         grain: Grain::Whole,
         draws: false,
         exports: false,
         sources: &[
-            "Lucas and Kanade, An iterative image registration technique with an application to stereo vision, IJCAI 1981",
+            "Lucas and Kanade, An iterative image registration technique with an application to stereo \
+             vision, IJCAI 1981",
             "Jiang et al., CVPR 2024, Eqs. (1)-(5)",
         ],
         example: r#"
@@ -130,7 +151,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let meta = self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
+        let meta =
+            self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
         let mut tracks = input.tracks.read(cx.rows())?;
         let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
@@ -142,7 +164,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
             let flow = Flow::of_tracks(&log, span, &activity, (motion, DOUBT > 0.0));
-            let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: DOUBT, sensor: &sensor, step_ns, trust };
+            let neighbours =
+                Neighbours { log: &log, flow: &flow, motion, doubt: DOUBT, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);
             tracks = again.solve(
                 cx,

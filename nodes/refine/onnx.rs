@@ -1,20 +1,29 @@
-//! `refine/onnx`: frames without the noise and artefacts that solving pixel by pixel leaves, by a trained network.
+//! `refine/onnx`: frames without the noise and artefacts that solving pixel by pixel leaves, by a trained
+//! network.
 //!
-//! Idea: a solver that looks at one pixel at a time does not know that neighbours belong together; a network that has seen many solved frames together with the truth
-//! does (Jiang et al., CVPR 2024, section 4.2). It is shown a frame and, where they are connected, each value's standard deviation, the events near the frame's
-//! instant and the nearest captured frame, as shares of white, and gives the frame once more. `data/weights/refine.onnx` is one that was trained for this
-//! (`training/`); its change is multiplied by a gate that is exactly zero further than five pixels from any event near the instant, so what stands still stays as it is.
+//! Idea: a solver that looks at one pixel at a time does not know that neighbours belong together; a network
+//! that has seen many solved frames together with the truth does (Jiang et al., CVPR 2024, section 4.2). It
+//! is shown a frame and, where they are connected, each value's standard deviation, the events near the
+//! frame's instant and the nearest captured frame, as shares of white, and gives the frame once more.
+//! `data/weights/refine.onnx` is one that was trained for this (`training/`); its change is multiplied by a
+//! gate that is exactly zero further than five pixels from any event near the instant, so what stands still
+//! stays as it is.
 //!
-//! What bounds the harm on frames unlike those it was trained on is the solver's own knowledge: a value changes by two of its standard deviations at most (`most_sigmas`), and a
-//! pixel that never fired not at all (`quiet`): all its frames say what its light is, and the network sees one instant.
+//! What bounds the harm on frames unlike those it was trained on is the solver's own knowledge: a value
+//! changes by two of its standard deviations at most (`most_sigmas`), and a pixel that never fired not at all
+//! (`quiet`): all its frames say what its light is, and the network sees one instant.
 //!
-//! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after the other.
+//! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after
+//! the other.
 //!
-//! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF, each event counted as 1 at the instant and linearly less up to
-//! `window` away); its output: `refined` \[1, 1, h, w\]. Sides are multiples of 16. An unconnected `sigma` or `captured` is zeros; without `events` all is ones, and every pixel may change.
+//! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF,
+//! each event counted as 1 at the instant and linearly less up to `window` away); its output: `refined`
+//! \[1, 1, h, w\]. Sides are multiples of 16. An unconnected `sigma` or `captured` is zeros; without `events`
+//! all is ones, and every pixel may change.
 //!
-//! Limits: it changes what it was trained to change, noise of `solve/map`; other solvers' frames may get worse. Each frame is seen alone. Sums of f32
-//! depend on the processor: results agree between machines to about 1e-6 of white, not to the last bit.
+//! Limits: it changes what it was trained to change, noise of `solve/map`; other solvers' frames may get
+//! worse. Each frame is seen alone. Sums of f32 depend on the processor: results agree between machines to
+//! about 1e-6 of white, not to the last bit.
 
 pub mod tiles;
 
@@ -27,7 +36,8 @@ use crate::reconstruct::{black_level, nearest_frame};
 use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{
-    Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+    Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta,
+    Node, NodeError, PortMetas, Sensor,
 };
 use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
 use rayon::prelude::*;
@@ -40,14 +50,17 @@ use tiles::{MULTIPLE, Span, spans};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The network: an ONNX file, `data/weights/refine.onnx` of this project or one of yours; relative to the manifest that names it.
+    /// The network: an ONNX file, `data/weights/refine.onnx` of this project or one of yours; relative to the
+    /// manifest that names it.
     pub weights: InputPath,
     /// An ONNX Runtime library (version 1.24 or newer) that runs it; absent = the embedded backend.
     pub runtime: Option<InputPath>,
-    /// DN of white; absent = below which 99.9 percent of the values of `captured` lie, or of `frames` where that is not connected.
+    /// DN of white; absent = below which 99.9 percent of the values of `captured` lie, or of `frames` where
+    /// that is not connected.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub white: Option<f64>,
-    /// How far from a frame's instant events count; absent = the mean period of `captured`, or 10 ms where that is not connected or has one frame.
+    /// How far from a frame's instant events count; absent = the mean period of `captured`, or 10 ms where
+    /// that is not connected or has one frame.
     #[schemars(extend("x-min" = "1 us", "x-max" = "10 s"))]
     pub window: Option<Duration>,
     /// Sides of the squares into which a frame is cut, pixels, a multiple of 16.
@@ -56,7 +69,8 @@ pub struct Params {
     /// How much of a square's surroundings is shown to the network on each side, pixels, a multiple of 16.
     #[schemars(range(min = 0, max = 1024))]
     pub overlap: u32,
-    /// How many of its standard deviations a value changes at most; where `sigma` is not connected or not known nothing limits it.
+    /// How many of its standard deviations a value changes at most; where `sigma` is not connected or not
+    /// known nothing limits it.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub most_sigmas: f64,
     /// Whether pixels without a single event in all of `events` change too.
@@ -65,7 +79,16 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Params { weights: InputPath::default(), runtime: None, white: None, window: None, tile: 256, overlap: 64, most_sigmas: 2.0, quiet: false }
+        Params {
+            weights: InputPath::default(),
+            runtime: None,
+            white: None,
+            window: None,
+            tile: 256,
+            overlap: 64,
+            most_sigmas: 2.0,
+            quiet: false,
+        }
     }
 }
 
@@ -117,14 +140,18 @@ impl Connected<'_> {
     fn check(&self) -> Result<(), NodeError> {
         let frames = self.frames;
         if frames.colour.is_mosaic() {
-            return Err(NodeError::usage(format!("refine/onnx works on grey or RGB frames, and these are {}", frames.colour))
-                .hint("make colour pictures of them first, with render/demosaic"));
+            return Err(NodeError::usage(format!(
+                "refine/onnx works on grey or RGB frames, and these are {}",
+                frames.colour
+            ))
+            .hint("make colour pictures of them first, with render/demosaic"));
         }
         if let Some(sigma) = self.sigma
             && (sigma.extent, sigma.colour, &sigma.times) != (frames.extent, frames.colour, &frames.times)
         {
             return Err(NodeError::usage(format!(
-                "`sigma` has {} frames of {} pixels, {}, and `frames` {} of {} pixels, {}, or their exposures differ",
+                "`sigma` has {} frames of {} pixels, {}, and `frames` {} of {} pixels, {}, or their \
+                 exposures differ",
                 sigma.times.len(),
                 sigma.extent,
                 sigma.colour,
@@ -136,11 +163,20 @@ impl Connected<'_> {
         }
         if let Some(events) = self.events {
             if events.extent != frames.extent {
-                return Err(NodeError::usage(format!("the events are of {} pixels, and the frames of {}", events.extent, frames.extent))
-                    .hint("render the whole sensor, without `roi`; where frames have more pixels than events, leave `events` out"));
+                return Err(NodeError::usage(format!(
+                    "the events are of {} pixels, and the frames of {}",
+                    events.extent, frames.extent
+                ))
+                .hint(
+                    "render the whole sensor, without `roi`; where frames have more pixels than \
+                           events, leave `events` out",
+                ));
             }
             if !addresses(events.extent) {
-                return Err(NodeError::usage(format!("frames of {} are larger than events can address", frames.extent)));
+                return Err(NodeError::usage(format!(
+                    "frames of {} are larger than events can address",
+                    frames.extent
+                )));
             }
         }
         if let Some(captured) = self.captured
@@ -159,7 +195,10 @@ impl Connected<'_> {
 impl RefineOnnx {
     fn unreadable(&self, error: &std::io::Error) -> NodeError {
         NodeError::files(photocurrent_core::error::cannot_read(self.params.weights.path(), error))
-            .hint("name data/weights/refine.onnx of this project; paths are relative to the manifest that names them")
+            .hint(
+                "name data/weights/refine.onnx of this project; paths are relative to the manifest that \
+                   names them",
+            )
             .param("weights")
     }
 
@@ -167,17 +206,26 @@ impl RefineOnnx {
         let path = self.params.weights.path();
         let content = std::fs::read(path).map_err(|error| self.unreadable(&error))?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        let network = onnx::load(&name, content, self.params.runtime.as_ref().map(InputPath::path)).map_err(|error| match error.param {
-            Some(_) => error,
-            None => error.param("weights"),
-        })?;
+        let network = onnx::load(&name, content, self.params.runtime.as_ref().map(InputPath::path)).map_err(
+            |error| match error.param {
+                Some(_) => error,
+                None => error.param("weights"),
+            },
+        )?;
         let sockets = network.sockets();
         let lacks = |name: &&str| !sockets.inputs.iter().any(|input| input == name);
-        if INPUTS.iter().any(lacks) || sockets.inputs.len() != INPUTS.len() || !sockets.outputs.iter().any(|output| output == OUTPUT) {
-            return Err(NodeError::input(format!("{name} takes {} and gives {}", list(&sockets.inputs), list(&sockets.outputs)))
-                .note(format!("a refinement network takes {} and gives `{OUTPUT}`", list(&INPUTS)))
-                .hint("name data/weights/refine.onnx of this project, or run other networks by baseline/onnx")
-                .param("weights"));
+        if INPUTS.iter().any(lacks)
+            || sockets.inputs.len() != INPUTS.len()
+            || !sockets.outputs.iter().any(|output| output == OUTPUT)
+        {
+            return Err(NodeError::input(format!(
+                "{name} takes {} and gives {}",
+                list(&sockets.inputs),
+                list(&sockets.outputs)
+            ))
+            .note(format!("a refinement network takes {} and gives `{OUTPUT}`", list(&INPUTS)))
+            .hint("name data/weights/refine.onnx of this project, or run other networks by baseline/onnx")
+            .param("weights"));
         }
         Ok(network)
     }
@@ -187,15 +235,22 @@ impl RefineOnnx {
         let white = match self.params.white {
             Some(white) => white,
             None => {
-                let mut known: Vec<f32> = frames.read_rows(frames.rows())?.dn.into_iter().filter(|dn| dn.is_finite()).collect();
+                let mut known: Vec<f32> =
+                    frames.read_rows(frames.rows())?.dn.into_iter().filter(|dn| dn.is_finite()).collect();
                 let at = ((known.len() as f64 * BELOW_WHITE) as usize).min(known.len().saturating_sub(1));
-                let white = if known.is_empty() { black } else { f64::from(*known.select_nth_unstable_by(at, f32::total_cmp).1) };
+                let white = if known.is_empty() {
+                    black
+                } else {
+                    f64::from(*known.select_nth_unstable_by(at, f32::total_cmp).1)
+                };
                 cx.note(format!("white is {white:.1} DN, below which 99.9 % of the values lie"));
                 white
             }
         };
         if white <= black {
-            return Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).hint("state a larger `white`").param("white"));
+            return Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN"))
+                .hint("state a larger `white`")
+                .param("white"));
         }
         Ok(white - black)
     }
@@ -208,7 +263,8 @@ fn list(names: &[impl AsRef<str>]) -> String {
 impl Node for RefineOnnx {
     const DECL: Decl = Decl {
         kind: "refine/onnx",
-        about: "Frames with less noise and fewer artefacts, by a trained network that changes a value by its standard deviation at most, and nothing where no event is near.",
+        about: "Frames with less noise and fewer artefacts, by a trained network that changes a value by \
+                its standard deviation at most, and nothing where no event is near.",
         revision: 3,
         grain: Grain::Whole,
         draws: false,
@@ -235,9 +291,11 @@ params = { weights = "data/weights/refine.onnx" }
         for (name, value) in [("tile", params.tile), ("overlap", params.overlap)] {
             if !(value as usize).is_multiple_of(MULTIPLE) {
                 let next = (value as usize).next_multiple_of(MULTIPLE);
-                return Err(NodeError::usage(format!("`{name}` is {value}, which is no multiple of {MULTIPLE}"))
-                    .hint(format!("set `{name} = {next}`"))
-                    .param(name));
+                return Err(NodeError::usage(format!(
+                    "`{name}` is {value}, which is no multiple of {MULTIPLE}"
+                ))
+                .hint(format!("set `{name} = {next}`"))
+                .param(name));
             }
         }
         Ok(RefineOnnx { params })
@@ -248,7 +306,13 @@ params = { weights = "data/weights/refine.onnx" }
         let optional = |name| inputs.has(name).then(|| inputs.frames(name)).transpose();
         let (sigma, captured) = (optional("sigma")?, optional("captured")?);
         let events = inputs.has("events").then(|| inputs.events("events")).transpose()?;
-        Connected { frames, sigma: sigma.map(|meta| &**meta), events: events.map(|meta| &**meta), captured: captured.map(|meta| &**meta) }.check()?;
+        Connected {
+            frames,
+            sigma: sigma.map(|meta| &**meta),
+            events: events.map(|meta| &**meta),
+            captured: captured.map(|meta| &**meta),
+        }
+        .check()?;
         if inputs.has("sensor") {
             clock_offset(inputs.sensor("sensor")?)?;
         }
@@ -261,8 +325,15 @@ params = { weights = "data/weights/refine.onnx" }
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let meta = input.frames.meta.clone();
         let of = |frames: &Option<FrameSequence>| frames.as_ref().map(|frames| frames.meta.clone());
-        let (sigma, captured, events) = (of(&input.sigma), of(&input.captured), input.events.as_ref().map(|events| events.meta.clone()));
-        Connected { frames: &meta, sigma: sigma.as_deref(), events: events.as_deref(), captured: captured.as_deref() }.check()?;
+        let (sigma, captured, events) =
+            (of(&input.sigma), of(&input.captured), input.events.as_ref().map(|events| events.meta.clone()));
+        Connected {
+            frames: &meta,
+            sigma: sigma.as_deref(),
+            events: events.as_deref(),
+            captured: captured.as_deref(),
+        }
+        .check()?;
         let network = self.load()?;
         let mut block = FrameBlock::zeros(0..meta.times.len(), meta.extent.rows(), meta.row_values());
         if block.dn.is_empty() {
@@ -271,19 +342,40 @@ params = { weights = "data/weights/refine.onnx" }
         let shown = input.captured.as_ref().filter(|captured| !captured.is_empty());
         let black = black_level(input.sensor.as_deref());
         let white = self.white(shown.unwrap_or(&input.frames), black, cx)?;
-        let period = shown.and_then(|captured| captured.meta.times.mean_period_ns()).filter(|period| *period >= 1.0);
-        let reach_ns = self.params.window.map(Duration::ns).or(period.map(|ns| ns as i64)).unwrap_or(WINDOW_NS);
-        let shift_ns = input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+        let period =
+            shown.and_then(|captured| captured.meta.times.mean_period_ns()).filter(|period| *period >= 1.0);
+        let reach_ns =
+            self.params.window.map(Duration::ns).or(period.map(|ns| ns as i64)).unwrap_or(WINDOW_NS);
+        let shift_ns =
+            input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
         // Thresholds are not asked for: events are counted.
         let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns };
-        let timeline = input.events.as_ref().map(|events| Ok::<_, NodeError>(Timeline::new(&events.read(events.rows())?, &rule))).transpose()?;
+        let timeline = input
+            .events
+            .as_ref()
+            .map(|events| Ok::<_, NodeError>(Timeline::new(&events.read(events.rows())?, &rule)))
+            .transpose()?;
         cx.begin(meta.times.len() as u64, "frames");
         let silent = match &timeline {
-            Some(timeline) if !self.params.quiet => timeline.silent((meta.extent.width as usize, meta.extent.height as usize)),
+            Some(timeline) if !self.params.quiet => {
+                timeline.silent((meta.extent.width as usize, meta.extent.height as usize))
+            }
             _ => Vec::new(),
         };
-        let work = Work { params: &self.params, silent, network: &*network, input: &input, shown, timeline, black, white, reach_ns, cx };
-        let tasks: Vec<_> = block.dn.chunks_exact_mut(meta.row_values() * meta.extent.height as usize).enumerate().collect();
+        let work = Work {
+            params: &self.params,
+            silent,
+            network: &*network,
+            input: &input,
+            shown,
+            timeline,
+            black,
+            white,
+            reach_ns,
+            cx,
+        };
+        let tasks: Vec<_> =
+            block.dn.chunks_exact_mut(meta.row_values() * meta.extent.height as usize).enumerate().collect();
         tasks.into_par_iter().try_for_each(|(frame, out)| work.frame(frame, out))?;
         Ok(Out { frames: FrameSequence::in_memory(meta, block) })
     }
@@ -320,9 +412,14 @@ struct Planes {
 impl Planes {
     fn tile(&self, (first, count): (usize, usize), x: Span, y: Span) -> Tensor {
         let height = self.values.len() / (self.channels * self.width);
-        let row = |channel: usize, at: usize| &self.values[(channel * height + at.min(height - 1)) * self.width..][..self.width];
-        let rows = (first..first + count).flat_map(|channel| (y.start..y.start + y.seen).map(move |at| row(channel, at)));
-        let values = rows.flat_map(|row| (x.start..x.start + x.seen).map(move |at| row[at.min(row.len() - 1)])).collect();
+        let row = |channel: usize, at: usize| {
+            &self.values[(channel * height + at.min(height - 1)) * self.width..][..self.width]
+        };
+        let rows = (first..first + count)
+            .flat_map(|channel| (y.start..y.start + y.seen).map(move |at| row(channel, at)));
+        let values = rows
+            .flat_map(|row| (x.start..x.start + x.seen).map(move |at| row[at.min(row.len() - 1)]))
+            .collect();
         Tensor { shape: vec![1, count, y.seen, x.seen], values }
     }
 }
@@ -338,7 +435,10 @@ impl Work<'_> {
         let of_channel = |channel: usize| {
             let share = &share;
             picture.chunks_exact(width * channels).enumerate().flat_map(move |(y, row)| {
-                row.iter().skip(channel).step_by(channels).map(move |dn| if dn.is_finite() { share(*dn, y as u32) as f32 } else { 0.0 })
+                row.iter()
+                    .skip(channel)
+                    .step_by(channels)
+                    .map(move |dn| if dn.is_finite() { share(*dn, y as u32) as f32 } else { 0.0 })
             })
         };
         Planes { channels, width, values: (0..channels).flat_map(of_channel).collect() }
@@ -346,26 +446,41 @@ impl Work<'_> {
 
     fn frame(&self, frame: usize, out: &mut [f32]) -> Result<(), NodeError> {
         let meta = self.meta();
-        let (width, height, channels) = (meta.extent.width as usize, meta.extent.height as usize, meta.channels() as usize);
-        let flat = |share: f32, channels: usize| Planes { channels, width, values: vec![share; channels * width * height] };
+        let (width, height, channels) =
+            (meta.extent.width as usize, meta.extent.height as usize, meta.channels() as usize);
+        let flat = |share: f32, channels: usize| Planes {
+            channels,
+            width,
+            values: vec![share; channels * width * height],
+        };
         let read = |frames: &FrameSequence, at: usize| frames.read(at..at + 1, frames.rows());
         let instant = meta.times.exposure(frame, meta.extent.height / 2).mid().0;
         let stated = read(&self.input.frames, frame)?.dn;
-        self.cx.count(stated.iter().filter(|dn| !dn.is_finite()).count() as u64, "values are not known (NaN) and stay so; the network sees black there");
+        self.cx.count(
+            stated.iter().filter(|dn| !dn.is_finite()).count() as u64,
+            "values are not known \
+                                                            (NaN) and stay so; the network sees black there",
+        );
         let picture = self.planes(&stated, |dn, _| (f64::from(dn) - self.black) / self.white);
-        let known = self.input.sigma.as_ref().map(|sigma| read(sigma, frame)).transpose()?.map(|block| block.dn);
+        let known =
+            self.input.sigma.as_ref().map(|sigma| read(sigma, frame)).transpose()?.map(|block| block.dn);
         let sigma = match &known {
             Some(sigma) => self.planes(sigma, |dn, _| f64::from(dn) / self.white),
             None => flat(0.0, channels),
         };
-        let most_dn = |value: usize| match known.as_ref().map(|sigma| self.params.most_sigmas * f64::from(sigma[value])) {
+        let most_dn = |value: usize| match known
+            .as_ref()
+            .map(|sigma| self.params.most_sigmas * f64::from(sigma[value]))
+        {
             _ if self.silent.get(value / channels).is_some_and(|silent| *silent) => 0.0,
             Some(most) if most >= 0.0 => most,
             _ => f64::INFINITY,
         };
         let captured = self.captured(frame, instant)?.unwrap_or_else(|| flat(0.0, channels));
         let events = match &self.timeline {
-            Some(timeline) => Planes { channels: 2, width, values: timeline.near(instant, self.reach_ns, (width, height)) },
+            Some(timeline) => {
+                Planes { channels: 2, width, values: timeline.near(instant, self.reach_ns, (width, height)) }
+            }
             None => flat(1.0, 2),
         };
         let side = |side: usize| spans(side, self.params.tile as usize, self.params.overlap as usize);
@@ -373,20 +488,34 @@ impl Work<'_> {
             for x in side(width) {
                 let counts = events.tile((0, 2), x, y);
                 for channel in 0..channels {
-                    let tensors = [picture.tile((channel, 1), x, y), sigma.tile((channel, 1), x, y), captured.tile((channel, 1), x, y)];
+                    let tensors = [
+                        picture.tile((channel, 1), x, y),
+                        sigma.tile((channel, 1), x, y),
+                        captured.tile((channel, 1), x, y),
+                    ];
                     let [shown, spread, before] = &tensors;
-                    let inputs = [("frame", shown), ("sigma", spread), ("events", &counts), ("captured", before)];
+                    let inputs =
+                        [("frame", shown), ("sigma", spread), ("events", &counts), ("captured", before)];
                     let refined = self.network.run(&inputs, OUTPUT)?;
                     if refined.values.len() != shown.values.len() {
                         return Err(other_shape(&refined.shape, &shown.shape));
                     }
                     for row in y.kept..y.end {
                         for column in x.kept..x.end {
-                            let (at, here) = ((row - y.start) * x.seen + column - x.start, (row * width + column) * channels + channel);
-                            // The change is added, so that a value that the network leaves alone keeps its bits.
-                            let change = (f64::from(refined.values[at]) - f64::from(shown.values[at])) * self.white;
+                            let (at, here) = (
+                                (row - y.start) * x.seen + column - x.start,
+                                (row * width + column) * channels + channel,
+                            );
+                            // The change is added, so that a value that the network leaves alone keeps its
+                            // bits.
+                            let change =
+                                (f64::from(refined.values[at]) - f64::from(shown.values[at])) * self.white;
                             let most = most_dn(here);
-                            out[here] = if stated[here].is_finite() { (f64::from(stated[here]) + change.clamp(-most, most)) as f32 } else { stated[here] };
+                            out[here] = if stated[here].is_finite() {
+                                (f64::from(stated[here]) + change.clamp(-most, most)) as f32
+                            } else {
+                                stated[here]
+                            };
                         }
                     }
                 }
@@ -395,7 +524,8 @@ impl Work<'_> {
         self.cx.advance(1)
     }
 
-    /// The captured frame nearest to an instant, ns, as if exposed like frame `frame`; none where no frames are shown.
+    /// The captured frame nearest to an instant, ns, as if exposed like frame `frame`; none where no frames
+    /// are shown.
     fn captured(&self, frame: usize, instant: i64) -> Result<Option<Planes>, NodeError> {
         let Some(captured) = self.shown else { return Ok(None) };
         let meta = self.meta();

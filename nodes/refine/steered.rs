@@ -1,16 +1,19 @@
 //! `refine/steered`: tracks smoothed along the motion, without solving anything again.
 //!
-//! Idea: what moves draws lines of equal light through space and time. The structure tensor of the film of log light, the mean of its gradients' squares
-//! around a point, says how much light changes in every direction there: large across such a line, nothing along it. So each pixel's light is averaged
-//! under a Gaussian that reaches as far as light changes by no more than the noise: along an edge and its motion, not across them. Where light is
-//! the same in no direction the Gaussian closes by itself, and the pixel keeps what it has.
+//! Idea: what moves draws lines of equal light through space and time. The structure tensor of the film of
+//! log light, the mean of its gradients' squares around a point, says how much light changes in every
+//! direction there: large across such a line, nothing along it. So each pixel's light is averaged under a
+//! Gaussian that reaches as far as light changes by no more than the noise: along an edge and its motion, not
+//! across them. Where light is the same in no direction the Gaussian closes by itself, and the pixel keeps
+//! what it has.
 //!
-//! Only moving pixels are touched, and knots stay where they are: each gets the film's correction at its instant (of a held value, the mean over the hold).
+//! Only moving pixels are touched, and knots stay where they are: each gets the film's correction at its
+//! instant (of a held value, the mean over the hold).
 //!
-//! Limits: it knows nothing of events and frames, so it removes noise and with it whatever is finer than the Gaussian. It is meant for rough solutions;
-//! `pipelines/ablations/steered.toml` shows what it does to better ones.
-//! Motion of more than about a pixel in a step of the film is not seen. The film takes eight bytes for each pixel and step
-//! of the rows that are worked on.
+//! Limits: it knows nothing of events and frames, so it removes noise and with it whatever is finer than the
+//! Gaussian. It is meant for rough solutions; `pipelines/ablations/steered.toml` shows what it does to better
+//! ones. Motion of more than about a pixel in a step of the film is not seen. The film takes eight bytes for
+//! each pixel and step of the rows that are worked on.
 
 #[cfg(test)]
 mod tests;
@@ -18,7 +21,10 @@ mod tests;
 use crate::spans::check_steps;
 use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Between, Colour, Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Rows, TrackBand, TrackSet, TracksMeta};
+use photocurrent_core::{
+    Between, Colour, Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Rows, TrackBand, TrackSet,
+    TracksMeta,
+};
 use photocurrent_sensor::elementary::exp;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -41,14 +47,21 @@ pub struct Params {
     /// Pictures of the film lie so far apart: about the time in which things move by half a pixel.
     #[schemars(extend("x-min" = "10 us", "x-max" = "1 s"))]
     pub step: Duration,
-    /// Pixels whose light ranges over less stand still and stay bit by bit as they are, natural-log units: below a threshold of the sensor.
+    /// Pixels whose light ranges over less stand still and stay bit by bit as they are, natural-log units:
+    /// below a threshold of the sensor.
     #[schemars(range(min = 0.0))]
     pub least_change: f64,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params { noise: 0.035, reach: 1.5, reach_time: Duration::new(800_000), step: Duration::new(250_000), least_change: 0.15 }
+        Params {
+            noise: 0.035,
+            reach: 1.5,
+            reach_time: Duration::new(800_000),
+            step: Duration::new(250_000),
+            least_change: 0.15,
+        }
     }
 }
 
@@ -82,8 +95,10 @@ impl Node for RefineSteered {
         draws: false,
         exports: false,
         sources: &[
-            "Bigun and Granlund, Optimal orientation detection of linear symmetry, ICCV 1987: the structure tensor",
-            "Takeda, Farsiu and Milanfar, Kernel regression for image processing and reconstruction, IEEE Trans. Image Processing 16 (2), 2007: steering",
+            "Bigun and Granlund, Optimal orientation detection of linear symmetry, ICCV 1987: the structure \
+             tensor",
+            "Takeda, Farsiu and Milanfar, Kernel regression for image processing and reconstruction, IEEE \
+             Trans. Image Processing 16 (2), 2007: steering",
         ],
         example: r#"
 [nodes.solve]
@@ -119,8 +134,12 @@ in   = { tracks = "solve.tracks" }
         let band = input.tracks.read(cx.rows().with_halo(HALO, meta.extent.rows()))?;
         let film = Film::new(&band, &meta, self.params.step.ns());
         let kernel = Kernel::new(&self.params);
-        let rows: Result<Vec<TrackBand>, NodeError> =
-            cx.rows().iter().into_par_iter().map(|row| self.smooth_row(&film, &kernel, &band, row, &meta, cx)).collect();
+        let rows: Result<Vec<TrackBand>, NodeError> = cx
+            .rows()
+            .iter()
+            .into_par_iter()
+            .map(|row| self.smooth_row(&film, &kernel, &band, row, &meta, cx))
+            .collect();
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(without_sigma(&meta)), TrackBand::concat(rows?)) })
     }
 }
@@ -138,11 +157,20 @@ fn check(tracks: &TracksMeta) -> Result<(), NodeError> {
     if tracks.colour == Colour::Mono {
         return Ok(());
     }
-    Err(NodeError::usage(format!("refine/steered works on grey tracks, and these are {}", tracks.colour)).hint("leave the node out"))
+    Err(NodeError::usage(format!("refine/steered works on grey tracks, and these are {}", tracks.colour))
+        .hint("leave the node out"))
 }
 
 impl RefineSteered {
-    fn smooth_row(&self, film: &Film, kernel: &Kernel, band: &TrackBand, row: u32, meta: &TracksMeta, cx: &Context) -> Result<TrackBand, NodeError> {
+    fn smooth_row(
+        &self,
+        film: &Film,
+        kernel: &Kernel,
+        band: &TrackBand,
+        row: u32,
+        meta: &TracksMeta,
+        cx: &Context,
+    ) -> Result<TrackBand, NodeError> {
         let mut out = TrackBand::begin(row, meta.extent.width);
         let y = (row - film.rows.start) as usize;
         let tensors = Tensors::of_row(film, y);
@@ -154,13 +182,16 @@ impl RefineSteered {
                 continue;
             }
             for (n, correction) in corrections.iter_mut().enumerate() {
-                *correction = kernel.mean(film, &tensors.at(x as usize, n), (x as usize, y, n)) - film.at(x as usize, y)[n];
+                *correction = kernel.mean(film, &tensors.at(x as usize, n), (x as usize, y, n))
+                    - film.at(x as usize, y)[n];
             }
             let knot = |k: usize| {
                 let t = track.t[k];
                 let correction = match meta.between {
                     Between::LogLinear => film.between(&corrections, t),
-                    Between::Hold => film.mean(&corrections, t, track.t.get(k + 1).copied().unwrap_or(meta.span.end.0)),
+                    Between::Hold => {
+                        film.mean(&corrections, t, track.t.get(k + 1).copied().unwrap_or(meta.span.end.0))
+                    }
                 };
                 (t, (f64::from(track.photocurrent[k]) * exp(correction)) as f32)
             };
@@ -192,7 +223,11 @@ impl Film {
             let mut values = Vec::with_capacity(width as usize * count);
             for x in 0..width {
                 let track = band.pixel(x, y);
-                let log: Vec<f64> = track.photocurrent.iter().map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE))).collect();
+                let log: Vec<f64> = track
+                    .photocurrent
+                    .iter()
+                    .map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE)))
+                    .collect();
                 let mut after = 0;
                 for n in 0..count {
                     let t = start_ns + n as i64 * step_ns;
@@ -203,7 +238,8 @@ impl Film {
                         _ if log.is_empty() => 0.0,
                         (0, _) => log[0],
                         (after, Between::LogLinear) if after < log.len() => {
-                            let share = (t - track.t[after - 1]) as f64 / (track.t[after] - track.t[after - 1]) as f64;
+                            let share = (t - track.t[after - 1]) as f64
+                                / (track.t[after] - track.t[after - 1]) as f64;
                             log[after - 1] + share * (log[after] - log[after - 1])
                         }
                         (after, _) => log[after - 1],
@@ -214,7 +250,15 @@ impl Film {
         };
         let values: Vec<Vec<f64>> = band.rows().iter().into_par_iter().map(row_of).collect();
         let known = band.offsets().windows(2).map(|pixel| pixel[0] < pixel[1]).collect();
-        Film { rows: band.rows(), width: width as usize, start_ns, step_ns, count, values: values.concat(), known }
+        Film {
+            rows: band.rows(),
+            width: width as usize,
+            start_ns,
+            step_ns,
+            count,
+            values: values.concat(),
+            known,
+        }
     }
 
     fn pixel(&self, x: usize, y: usize) -> usize {
@@ -228,7 +272,9 @@ impl Film {
 
     /// Does a pixel's log light range over more than `least`?
     fn moves(&self, x: usize, y: usize, least: f64) -> bool {
-        let (low, high) = self.at(x, y).iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &u| (f64::min(low, u), f64::max(high, u)));
+        let (low, high) = self.at(x, y).iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &u| {
+            (f64::min(low, u), f64::max(high, u))
+        });
         self.known[self.pixel(x, y)] && high - low > least
     }
 
@@ -240,13 +286,15 @@ impl Film {
         values[before] + share * (values[after] - values[before])
     }
 
-    /// Their mean from an instant to another: of the two ends and of all instants in the middle, by trapezoids.
+    /// Their mean from an instant to another: of the two ends and of all instants in the middle, by
+    /// trapezoids.
     fn mean(&self, values: &[f64], from_ns: i64, to_ns: i64) -> f64 {
         if to_ns <= from_ns {
             return self.between(values, from_ns);
         }
         let next = (from_ns - self.start_ns).max(-1).div_euclid(self.step_ns) + 1;
-        let inside = (next..self.count as i64).map(|n| self.start_ns + n * self.step_ns).take_while(|&t| t < to_ns);
+        let inside =
+            (next..self.count as i64).map(|n| self.start_ns + n * self.step_ns).take_while(|&t| t < to_ns);
         let mut last = (from_ns, self.between(values, from_ns));
         let mut sum = 0.0;
         for t in inside.chain([to_ns]) {
@@ -266,7 +314,8 @@ const POOLED_STEPS: usize = 2;
 /// A symmetric 3 x 3 matrix: xx, xy, yy, xt, yt, tt.
 type Tensor = [f64; 6];
 
-/// The structure tensors of a row: mean products of gradients, natural-log units per pixel and per step of the film.
+/// The structure tensors of a row: mean products of gradients, natural-log units per pixel and per step of
+/// the film.
 struct Tensors {
     count: usize,
     values: Vec<Tensor>,
@@ -283,7 +332,9 @@ impl Tensors {
             for row in top..=bottom {
                 add_products(film, x, row, &mut column);
             }
-            let pooled = |n: usize| mean(&column[n.saturating_sub(POOLED_STEPS)..usize::min(n + POOLED_STEPS + 1, count)]);
+            let pooled = |n: usize| {
+                mean(&column[n.saturating_sub(POOLED_STEPS)..usize::min(n + POOLED_STEPS + 1, count)])
+            };
             columns.push((0..count).map(pooled).collect());
         }
         let rows = (bottom - top + 1) as f64;
@@ -292,7 +343,9 @@ impl Tensors {
             let around = &columns[x.saturating_sub(POOLED)..usize::min(x + POOLED + 1, width)];
             for n in 0..count {
                 let mut tensor = [0.0; 6];
-                around.iter().for_each(|column| tensor.iter_mut().zip(column[n]).for_each(|(sum, value)| *sum += value));
+                around.iter().for_each(|column| {
+                    tensor.iter_mut().zip(column[n]).for_each(|(sum, value)| *sum += value)
+                });
                 values.push(tensor.map(|sum| sum / (rows * around.len() as f64)));
             }
         }
@@ -310,7 +363,8 @@ fn mean(tensors: &[Tensor]) -> Tensor {
     sum.map(|sum| sum / tensors.len() as f64)
 }
 
-/// Adds the products of a pixel's gradients at all instants; a pixel next to an unknown one has no gradient in that direction.
+/// Adds the products of a pixel's gradients at all instants; a pixel next to an unknown one has no gradient
+/// in that direction.
 fn add_products(film: &Film, x: usize, y: usize, column: &mut [Tensor]) {
     let (width, height, count) = (film.width, film.rows.len(), film.count);
     if !film.known[film.pixel(x, y)] {
@@ -353,7 +407,11 @@ struct Kernel {
 impl Kernel {
     fn new(params: &Params) -> Kernel {
         let steps = params.step.ns() as f64 / params.reach_time.ns() as f64;
-        Kernel { per_noise: 1.0 / (params.noise * params.noise), window: 1.0 / (params.reach * params.reach), window_steps: steps * steps }
+        Kernel {
+            per_noise: 1.0 / (params.noise * params.noise),
+            window: 1.0 / (params.reach * params.reach),
+            window_steps: steps * steps,
+        }
     }
 
     /// Mean log light around a pixel and instant.
@@ -367,7 +425,8 @@ impl Kernel {
                     continue;
                 }
                 let (dx, dy) = (column as f64 - x as f64, row as f64 - y as f64);
-                let (space, mixed) = (dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, 2.0 * (dx * xt + dy * yt));
+                let (space, mixed) =
+                    (dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, 2.0 * (dx * xt + dy * yt));
                 // What is least over all instants is already too far.
                 if space - mixed * mixed / (4.0 * tt) > NEGLIGIBLE {
                     continue;

@@ -1,8 +1,10 @@
 //! How far a predicted light may be trusted, and the hints that are left of it.
 //!
-//! Whoever predicts a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of the pixel's own events. So they are the judge of what lies between frames: seen
-//! through the sensor, the predicted light must bring the voltage to a threshold when they fired, and to no frame value another one than the pixel's own. What it misses them by is its error there, and
-//! so is what two sources contradict each other by. All of it can only widen the error.
+//! Whoever predicts a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of
+//! the pixel's own events. So they are the judge of what lies between frames: seen through the sensor, the
+//! predicted light must bring the voltage to a threshold when they fired, and to no frame value another one
+//! than the pixel's own. What it misses them by is its error there, and so is what two sources contradict
+//! each other by. All of it can only widen the error.
 
 mod params;
 
@@ -40,7 +42,8 @@ type Miss = (i64, f64, f64);
 #[derive(Clone, Debug)]
 pub(super) struct Posed {
     pub model: Model,
-    /// What effects add to the photocurrent of the event path; measurements, hints and solutions are those of the sum.
+    /// What effects add to the photocurrent of the event path; measurements, hints and solutions are those of
+    /// the sum.
     pub added: f64,
 }
 
@@ -61,7 +64,8 @@ pub(super) struct Measured<'a> {
 pub(super) struct Trust {
     params: TrustParams,
     said: Vec<Said>,
-    /// The variance that each of them would have by itself: the floor, and what a small error of its place brings where light changes fast.
+    /// The variance that each of them would have by itself: the floor, and what a small error of its place
+    /// brings where light changes fast.
     expected: Vec<f64>,
     own: Vec<Miss>,
     /// The same of what two sources contradict each other by.
@@ -88,37 +92,62 @@ impl Trust {
         }
     }
 
-    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` predicts; none where it has nothing to say, or the pixel's measurements disagree.
-    /// Where nothing is said the pixel's own `tracks` stand.
-    pub fn hints(&mut self, say: impl Fn(i64) -> Option<Said>, tracks: &LogTracks, steps: ((i64, i64), i64), measured: &Measured<'_>, hints: &mut Vec<Hint>) {
+    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` predicts; none
+    /// where it has nothing to say, or the pixel's measurements disagree. Where nothing is said the pixel's
+    /// own `tracks` stand.
+    pub fn hints(
+        &mut self,
+        say: impl Fn(i64) -> Option<Said>,
+        tracks: &LogTracks,
+        steps: ((i64, i64), i64),
+        measured: &Measured<'_>,
+        hints: &mut Vec<Hint>,
+    ) {
         hints.clear();
         if !self.look(say, tracks, steps, measured) {
             return;
         }
-        let TrustParams { floor, pooled, wide, one_sided, most_contradiction, together, one_error, .. } = self.params;
+        let TrustParams { floor, pooled, wide, one_sided, most_contradiction, together, one_error, .. } =
+            self.params;
         self.judge(steps.1, measured);
         self.contradicted.clear();
-        self.contradicted.extend(self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, (c + s.doubt) / (floor * floor), 1.0))));
+        self.contradicted.extend(
+            self.said
+                .iter()
+                .filter_map(|s| s.contradiction.map(|c| (s.t_ns, (c + s.doubt) / (floor * floor), 1.0))),
+        );
         let mut contradicted = Pool::new(&self.contradicted, pooled);
         let (mut own, mut widely) = (Pool::new(&self.own, pooled), Pool::new(&self.own, wide));
         for (said, expected) in self.said.iter().zip(&self.expected) {
             let contradiction = floor * floor * contradicted.at(said.t_ns);
             let own = expected * own.at(said.t_ns);
             let widely = expected * widely.at(said.t_ns);
-            let trust = 1.0 - f64::max(own, widely) / (most_contradiction * measured.threshold * measured.threshold);
+            let trust =
+                1.0 - f64::max(own, widely) / (most_contradiction * measured.threshold * measured.threshold);
             if trust <= 0.0 {
                 continue;
             }
             let mut variance = expected + contradiction + own;
             variance += said.contradiction.unwrap_or(variance * (one_sided - 1.0)) + said.doubt;
             let variance = variance / (trust * trust);
-            hints.push(Hint { t_ns: said.t_ns, log_photocurrent: said.log, variance: together * variance, for_sigma: variance });
+            hints.push(Hint {
+                t_ns: said.t_ns,
+                log_photocurrent: said.log,
+                variance: together * variance,
+                for_sigma: variance,
+            });
         }
         err_together(hints, one_error.ns());
     }
 
     /// Collects what is said to a pixel, and how the light would go on by that; is there anything?
-    fn look(&mut self, say: impl Fn(i64) -> Option<Said>, tracks: &LogTracks, (span, step_ns): ((i64, i64), i64), measured: &Measured<'_>) -> bool {
+    fn look(
+        &mut self,
+        say: impl Fn(i64) -> Option<Said>,
+        tracks: &LogTracks,
+        (span, step_ns): ((i64, i64), i64),
+        measured: &Measured<'_>,
+    ) -> bool {
         self.said.clear();
         self.t_ns.clear();
         self.log.clear();
@@ -130,7 +159,10 @@ impl Trust {
         while t_ns < span.1 {
             let said = say(t_ns).map(|said| Said { log: sum(measured.sensor.added, said.log), ..said });
             self.said.extend(said);
-            if let Some(log) = said.map(|said| said.log).or_else(|| tracks.at(x, y, t_ns).map(|log| sum(measured.sensor.added, log))) {
+            if let Some(log) = said
+                .map(|said| said.log)
+                .or_else(|| tracks.at(x, y, t_ns).map(|log| sum(measured.sensor.added, log)))
+            {
                 self.t_ns.push(t_ns);
                 self.log.push(log);
             }
@@ -150,7 +182,11 @@ impl Trust {
         let variance = |k: usize| {
             let (before, after) = (&said[k.saturating_sub(1)], &said[usize::min(k + 1, said.len() - 1)]);
             let apart_ns = after.t_ns - before.t_ns;
-            let slope = if apart_ns > 0 && apart_ns <= 2 * step_ns { (after.log - before.log) / (apart_ns as f64 * 1e-6) } else { 0.0 };
+            let slope = if apart_ns > 0 && apart_ns <= 2 * step_ns {
+                (after.log - before.log) / (apart_ns as f64 * 1e-6)
+            } else {
+                0.0
+            };
             let off = slope * late_ms;
             *floor * *floor + off * off
         };
@@ -160,15 +196,29 @@ impl Trust {
 
     /// What the pixel's own events and frames miss the predicted light by, seen through the sensor.
     fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
-        let Trust { params: TrustParams { floor, frame_weight, .. }, said, expected, own, t_ns, log, seen, .. } = self;
-        let Measured { sensor: Posed { model: sensor, .. }, extent, place: (x, y), events, frames, .. } = *measured;
+        let Trust {
+            params: TrustParams { floor, frame_weight, .. },
+            said,
+            expected,
+            own,
+            t_ns,
+            log,
+            seen,
+            ..
+        } = self;
+        let Measured { sensor: Posed { model: sensor, .. }, extent, place: (x, y), events, frames, .. } =
+            *measured;
         own.clear();
         let track = Track::new(t_ns, log, SEEN_NS);
         let site = Site { x: x as u32, y: y as u32, width: extent.width, height: extent.height, seed: 0 };
         conditional(sensor, &[], &Look { site, track: &track, seen: None, events, frames }, seen);
         let near = |t_ns: i64| {
             let after = said.partition_point(|said| said.t_ns < t_ns);
-            let at = [after.checked_sub(1), Some(after)].into_iter().flatten().filter(|k| *k < said.len()).min_by_key(|k| (said[*k].t_ns - t_ns).abs());
+            let at = [after.checked_sub(1), Some(after)]
+                .into_iter()
+                .flatten()
+                .filter(|k| *k < said.len())
+                .min_by_key(|k| (said[*k].t_ns - t_ns).abs());
             at.filter(|k| (said[*k].t_ns - t_ns).abs() <= step_ns).map(|k| expected[k])
         };
         // Thresholds jump from event to event, as far as that is stated.
@@ -191,8 +241,13 @@ impl Trust {
             let (there, predicted) = (frame.dn - sensor.number.black_level, dn - sensor.number.black_level);
             if is_said && there > frame.sigma_dn && predicted > 0.0 {
                 let (off, noise) = (libm::log(predicted / there), frame.sigma_dn / there);
-                // An edge that is a little late changes little over an exposure: a frame allows for the floor alone, and for its noise.
-                own.push((i64::midpoint(frame.start_ns, frame.end_ns), f64::max(off * off - noise * noise, 0.0) / (*floor * *floor), *frame_weight));
+                // An edge that is a little late changes little over an exposure: a frame allows for the floor
+                // alone, and for its noise.
+                own.push((
+                    i64::midpoint(frame.start_ns, frame.end_ns),
+                    f64::max(off * off - noise * noise, 0.0) / (*floor * *floor),
+                    *frame_weight,
+                ));
             }
         }
         own.sort_by_key(|(t_ns, ..)| *t_ns);
@@ -215,7 +270,8 @@ fn err_together(hints: &mut [Hint], within_ns: i64) {
     }
 }
 
-/// Means of squares around instants that are asked in rising order; each weighs less the farther away it is, and a little of one is in all of them.
+/// Means of squares around instants that are asked in rising order; each weighs less the farther away it is,
+/// and a little of one is in all of them.
 struct Pool<'a> {
     /// Instants, squares, weights, in order of time.
     list: &'a [Miss],
@@ -264,7 +320,8 @@ mod tests {
         4.0 + 2.0 * (up - down)
     }
 
-    /// Of a pixel that sees these squares with thresholds of 0.4, when they are predicted late and too bright.
+    /// Of a pixel that sees these squares with thresholds of 0.4, when they are predicted late and too
+    /// bright.
     fn hints(late_ms: f64, brighter: f64) -> Vec<Hint> {
         doubted(late_ms, brighter, 0.0)
     }
@@ -275,25 +332,60 @@ mod tests {
         sensor.comparator.threshold_off = Some(0.4);
         sensor.frames.gain = Some(GAIN);
         let sensor = Posed { model: Model::of(&sensor), added: 0.0 };
-        let light: Vec<(i64, f64)> = (0..=4800).map(|n| (n * 10_000, libm::exp(squares(n as f64 * 0.01)))).collect();
+        let light: Vec<(i64, f64)> =
+            (0..=4800).map(|n| (n * 10_000, libm::exp(squares(n as f64 * 0.01)))).collect();
         let mut band = TrackBand::begin(0, 1);
         band.push(light.iter().map(|(t, i)| (*t, *i as f32)));
         let tracks = LogTracks::new(EXTENT, band, &Arc::new(Fired::new(std::iter::empty())));
         // Each edge is 2 high: a crossing of 0.4 every tenth of a millisecond.
-        let edges = (0..8).flat_map(|edge| [0.1, 0.2, 0.3, 0.4].map(|ms| (((6.0 * f64::from(edge) + ms) * 1e6) as i64, if edge % 2 == 0 { 1 } else { -1 })));
-        let event = |(t_in_ns, polarity): (i64, i8)| MapEvent { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity, is_lone: false };
+        let edges = (0..8).flat_map(|edge| {
+            [0.1, 0.2, 0.3, 0.4]
+                .map(|ms| (((6.0 * f64::from(edge) + ms) * 1e6) as i64, if edge % 2 == 0 { 1 } else { -1 }))
+        });
+        let event = |(t_in_ns, polarity): (i64, i8)| MapEvent {
+            t_in_ns,
+            t_off_ns: t_in_ns + 1_000,
+            polarity,
+            is_lone: false,
+        };
         let events: Vec<MapEvent> = edges.map(event).collect();
         let (t, i): (Vec<i64>, Vec<f64>) = light.into_iter().unzip();
         let light = LinearLight::new(&t, &i);
         let frame = |l: i64| {
             let exposure = Exposure::new(l * 9_000_000, l * 9_000_000 + 6_000_000);
-            MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn: GAIN * light.integral(exposure), sigma_dn: 1.0, saturated: false }
+            MapFrame {
+                start_ns: exposure.start.0,
+                end_ns: exposure.end.0,
+                dn: GAIN * light.integral(exposure),
+                sigma_dn: 1.0,
+                saturated: false,
+            }
         };
         let frames: Vec<MapFrame> = (0..5).map(frame).collect();
-        let say = |t_ns: i64| Some(Said { t_ns, log: squares(t_ns as f64 * 1e-6 - late_ms + 12.0) + brighter, contradiction: Some(0.0), doubt });
-        let measured = Measured { sensor: &sensor, extent: EXTENT, place: (0, 0), events: &events, frames: &frames, threshold: 0.4 };
+        let say = |t_ns: i64| {
+            Some(Said {
+                t_ns,
+                log: squares(t_ns as f64 * 1e-6 - late_ms + 12.0) + brighter,
+                contradiction: Some(0.0),
+                doubt,
+            })
+        };
+        let measured = Measured {
+            sensor: &sensor,
+            extent: EXTENT,
+            place: (0, 0),
+            events: &events,
+            frames: &frames,
+            threshold: 0.4,
+        };
         let mut hints = Vec::new();
-        Trust::new(&TrustParams::default()).hints(say, &tracks, ((0, 48_000_000), 100_000), &measured, &mut hints);
+        Trust::new(&TrustParams::default()).hints(
+            say,
+            &tracks,
+            ((0, 48_000_000), 100_000),
+            &measured,
+            &mut hints,
+        );
         hints
     }
 
@@ -308,7 +400,10 @@ mod tests {
         assert!(worst < 0.1 * 0.1, "{worst}");
         let floor = TrustParams::default().floor;
         // Where they are steep they are off by up to 0.12.
-        let is_doubted = |hint: &&&Hint| (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6 || hint.variance > 2.0 * floor * floor;
+        let is_doubted = |hint: &&&Hint| {
+            (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6
+                || hint.variance > 2.0 * floor * floor
+        };
         assert_eq!(steep.iter().filter(is_doubted).count(), steep.len());
     }
 
@@ -316,7 +411,10 @@ mod tests {
     fn what_is_in_doubt_is_no_more_exact_than_its_doubt() {
         let (plain, doubted) = (hints(0.0, 0.0), doubted(0.0, 0.0, 0.04));
         assert_eq!(plain.len(), doubted.len());
-        assert!(plain.iter().any(|hint| hint.variance < 0.01) && doubted.iter().all(|hint| hint.variance >= TrustParams::default().together * 0.04));
+        assert!(
+            plain.iter().any(|hint| hint.variance < 0.01)
+                && doubted.iter().all(|hint| hint.variance >= TrustParams::default().together * 0.04)
+        );
     }
 
     #[test]
@@ -324,20 +422,27 @@ mod tests {
         let hints = hints(0.0, 0.0);
         // All lie within 48 ms: the information of all together is the mean one of a single hint.
         let information = hints.iter().map(|hint| 1.0 / hint.for_sigma).sum::<f64>();
-        let single = hints.iter().map(|hint| TrustParams::default().together / hint.variance).sum::<f64>() / hints.len() as f64;
+        let single = hints.iter().map(|hint| TrustParams::default().together / hint.variance).sum::<f64>()
+            / hints.len() as f64;
         assert!((information / single - 1.0).abs() < 1e-9, "{information} and {single}");
         // Those who trust them more hold the light more by them, and know it no better.
         for (caution, held, known) in [(0.25, 0.25, 1.0), (4.0, 4.0, 4.0)] {
             let mut taken = hints.clone();
             crate::refine::caution::take_care(&mut taken, caution);
-            assert!(taken.iter().zip(&hints).all(|(now, then)| now.variance == held * then.variance && now.for_sigma == known * then.for_sigma));
+            assert!(
+                taken.iter().zip(&hints).all(|(now, then)| now.variance == held * then.variance
+                    && now.for_sigma == known * then.for_sigma)
+            );
         }
     }
 
     #[test]
     fn hints_far_apart_have_errors_of_their_own() {
-        // A second of hints, one each millisecond: 100 on either side of one in the middle, and none before the first.
-        let mut hints: Vec<Hint> = (0..1000).map(|k| Hint { t_ns: k * 1_000_000, log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 }).collect();
+        // A second of hints, one each millisecond: 100 on either side of one in the middle, and none before
+        // the first.
+        let mut hints: Vec<Hint> = (0..1000)
+            .map(|k| Hint { t_ns: k * 1_000_000, log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 })
+            .collect();
         err_together(&mut hints, 200_000_000);
         assert_eq!([0, 500, 999].map(|n: usize| hints[n].for_sigma), [101.0, 201.0, 101.0]);
     }
@@ -350,9 +455,12 @@ mod tests {
 
     #[test]
     fn events_between_frames_judge_what_frames_cannot_see() {
-        // Half a millisecond early or late: exposures collect nearly the same, but events do not fire in time.
+        // Half a millisecond early or late: exposures collect nearly the same, but events do not fire in
+        // time.
         let (right, late) = (hints(0.0, 0.0), hints(0.5, 0.0));
-        let usual = |hints: &[Hint]| hints.iter().map(|hint| libm::sqrt(hint.variance)).sum::<f64>() / hints.len().max(1) as f64;
+        let usual = |hints: &[Hint]| {
+            hints.iter().map(|hint| libm::sqrt(hint.variance)).sum::<f64>() / hints.len().max(1) as f64
+        };
         assert!(
             late.len() < right.len() / 2 || usual(&late) > 3.0 * usual(&right),
             "{} of {}: {} and {}",

@@ -1,9 +1,12 @@
-//! What the description's `[effects]` do to frames that are rendered as the camera would have captured them: the exposures they really have, and what is read of the charge.
+//! What the description's `[effects]` do to frames that are rendered as the camera would have captured them:
+//! the exposures they really have, and what is read of the charge.
 //!
-//! A frame that is rendered at a captured one stands for the same reading, so the same effects act on it ([`photocurrent_sensor::effects`]); frames at instants that nobody captured
-//! show the light itself. What is drawn (gains of frames) has no prediction and is left out.
+//! A frame that is rendered at a captured one stands for the same reading, so the same effects act on it
+//! ([`photocurrent_sensor::effects`]); frames at instants that nobody captured show the light itself. What is
+//! drawn (gains of frames) has no prediction and is left out.
 //!
-//! Limit: the frame before one that is asked for is taken as exposed right before it, which matters to image lag alone.
+//! Limit: the frame before one that is asked for is taken as exposed right before it, which matters to image
+//! lag alone.
 
 use photocurrent_core::{Exposure, FrameScale, NodeError, Sensor};
 use photocurrent_sensor::effects::{Reading, RowSite, Site, from_description};
@@ -26,7 +29,8 @@ impl Readout {
         if scale != FrameScale::Captured || sensor.effects.is_empty() {
             return Ok(None);
         }
-        let effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+        let effects = from_description(&sensor.effects)
+            .map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
         let undo = Undo::new(effects);
         Ok((!undo.is_none()).then(|| Readout { undo, model: Model::of(sensor) }))
     }
@@ -37,12 +41,19 @@ impl Readout {
         self.undo.known().iter().fold(exposure, |exposure, effect| effect.exposure(&row, exposure))
     }
 
-    /// The digital number that is read where the stated sensor would read `dn`, and would have read `before` of the frame before.
+    /// The digital number that is read where the stated sensor would read `dn`, and would have read `before`
+    /// of the frame before.
     pub fn read(&self, number: DigitalNumber, site: &Site, frame: usize, dn: f64, before: f64) -> f64 {
         let charge = |dn: f64| (dn - number.black_level) / number.gain;
-        let reading =
-            Reading { frame, previous_charge: charge(before), gain: number.gain, black_level: number.black_level, saturation: self.model.saturation_dn };
-        let read = self.undo.known().iter().fold(charge(dn), |charge, effect| effect.charge(site, &reading, charge));
+        let reading = Reading {
+            frame,
+            previous_charge: charge(before),
+            gain: number.gain,
+            black_level: number.black_level,
+            saturation: self.model.saturation_dn,
+        };
+        let read =
+            self.undo.known().iter().fold(charge(dn), |charge, effect| effect.charge(site, &reading, charge));
         self.undo.known().iter().fold(number.of(read), |dn, effect| effect.dn(site, &reading, dn))
     }
 }

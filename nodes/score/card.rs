@@ -1,14 +1,16 @@
 //! Metric cards: what has to be said with a number, so that it can be compared with another one.
 //!
-//! Figures of one name differ between papers because channel, value range, crop, weights and matching of frames are not stated. Every scorer fills in
-//! a [`Card`]; no field can be forgotten, and the text has one form: `definition: key = text; key = text`, keys in one order.
+//! Figures of one name differ between papers because channel, value range, crop, weights and matching of
+//! frames are not stated. Every scorer fills in a [`Card`]; no field can be forgotten, and the text has one
+//! form: `definition: key = text; key = text`, keys in one order.
 
 use photocurrent_core::{Colour, FramesMeta};
 
 /// How numbers were measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Card {
-    /// Metric and version of its definition: `psnr.v1`. The version rises when the number for the same pictures changes.
+    /// Metric and version of its definition: `psnr.v1`. The version rises when the number for the same
+    /// pictures changes.
     pub definition: &'static str,
     /// Which channel, in which encoding.
     pub channel: String,
@@ -84,7 +86,8 @@ mod tests {
         };
         let text = String::from(card);
         let (definition, fields) = text.split_once(": ").unwrap();
-        let fields: Vec<(&str, &str)> = fields.split("; ").map(|field| field.split_once(" = ").unwrap()).collect();
+        let fields: Vec<(&str, &str)> =
+            fields.split("; ").map(|field| field.split_once(" = ").unwrap()).collect();
         assert_eq!(definition, "test.v1");
         assert_eq!(
             fields.iter().map(|(key, _)| *key).collect::<Vec<_>>(),

@@ -1,4 +1,5 @@
-//! Frames with their true frames: the loop, the peak and the rows of scores that all full-reference metrics share.
+//! Frames with their true frames: the loop, the peak and the rows of scores that all full-reference metrics
+//! share.
 
 use super::matching::match_frames;
 use photocurrent_core::quantity::Duration;
@@ -19,19 +20,34 @@ impl<'a> Pairs<'a> {
     ///
     /// # Errors
     /// As [`match_frames`].
-    pub fn new(frames: &'a FrameSequence, reference: &'a FrameSequence, tolerance: Duration) -> Result<Pairs<'a>, NodeError> {
-        Ok(Pairs { frames, reference, pairs: match_frames(&frames.meta, &reference.meta, tolerance.ns())?, tolerance })
+    pub fn new(
+        frames: &'a FrameSequence,
+        reference: &'a FrameSequence,
+        tolerance: Duration,
+    ) -> Result<Pairs<'a>, NodeError> {
+        Ok(Pairs {
+            frames,
+            reference,
+            pairs: match_frames(&frames.meta, &reference.meta, tolerance.ns())?,
+            tolerance,
+        })
     }
 
-    /// What `compare` says about (frame, true frame), each as [row][x * channels + channel], in the order of the frames.
+    /// What `compare` says about (frame, true frame), each as [row][x * channels + channel], in the order of
+    /// the frames.
     ///
     /// # Errors
     /// When a frame cannot be read, `compare` fails, or the user interrupts.
-    pub fn map<T: Send>(&self, cx: &Context, compare: impl Fn(&[f32], &[f32]) -> Result<T, NodeError> + Sync) -> Result<Vec<T>, NodeError> {
+    pub fn map<T: Send>(
+        &self,
+        cx: &Context,
+        compare: impl Fn(&[f32], &[f32]) -> Result<T, NodeError> + Sync,
+    ) -> Result<Vec<T>, NodeError> {
         self.each(cx, |_, picture, reference| compare(picture, reference))
     }
 
-    /// The same with the frame of the same place in a third sequence, of the same size and length as the frames: (frame, true frame, third).
+    /// The same with the frame of the same place in a third sequence, of the same size and length as the
+    /// frames: (frame, true frame, third).
     ///
     /// # Errors
     /// As [`Pairs::map`].
@@ -41,10 +57,16 @@ impl<'a> Pairs<'a> {
         third: &FrameSequence,
         compare: impl Fn(&[f32], &[f32], &[f32]) -> Result<T, NodeError> + Sync,
     ) -> Result<Vec<T>, NodeError> {
-        self.each(cx, |l, picture, reference| compare(picture, reference, &third.read(l..l + 1, third.rows())?.dn))
+        self.each(cx, |l, picture, reference| {
+            compare(picture, reference, &third.read(l..l + 1, third.rows())?.dn)
+        })
     }
 
-    fn each<T: Send>(&self, cx: &Context, compare: impl Fn(usize, &[f32], &[f32]) -> Result<T, NodeError> + Sync) -> Result<Vec<T>, NodeError> {
+    fn each<T: Send>(
+        &self,
+        cx: &Context,
+        compare: impl Fn(usize, &[f32], &[f32]) -> Result<T, NodeError> + Sync,
+    ) -> Result<Vec<T>, NodeError> {
         cx.begin(self.pairs.len() as u64, "frames");
         let one = |&(l, reference): &(usize, usize)| {
             let picture = self.frames.read(l..l + 1, self.frames.rows())?;
@@ -58,16 +80,27 @@ impl<'a> Pairs<'a> {
 
     /// One score a frame, and their mean; frames that were not measured (NaN) do not enter it.
     pub fn scores(&self, metric: &str, unit: &str, values: &[f64]) -> Vec<Score> {
-        let score = |frame, t_ns, value| Score { metric: metric.into(), frame, t_ns, value, unit: unit.into() };
+        let score =
+            |frame, t_ns, value| Score { metric: metric.into(), frame, t_ns, value, unit: unit.into() };
         let exposures = &self.frames.meta.times.exposures;
-        let mut scores: Vec<Score> = self.pairs.iter().zip(values).map(|((l, _), value)| score(*l as i64, exposures[*l].mid().0, *value)).collect();
+        let mut scores: Vec<Score> = self
+            .pairs
+            .iter()
+            .zip(values)
+            .map(|((l, _), value)| score(*l as i64, exposures[*l].mid().0, *value))
+            .collect();
         scores.push(score(-1, 0, mean_of_measured(values)));
         scores
     }
 
     /// For the card.
     pub fn describe(&self) -> String {
-        format!("{} of {} matched by middle of exposure within {}", self.pairs.len(), self.frames.len(), self.tolerance)
+        format!(
+            "{} of {} matched by middle of exposure within {}",
+            self.pairs.len(),
+            self.frames.len(),
+            self.tolerance
+        )
     }
 }
 
@@ -87,11 +120,18 @@ pub struct Peak {
 }
 
 impl Peak {
-    /// What was stated; else saturation above black of the description, else the largest value of `frames`; `whose` says in messages what these are: "true".
+    /// What was stated; else saturation above black of the description, else the largest value of `frames`;
+    /// `whose` says in messages what these are: "true".
     ///
     /// # Errors
-    /// When the frames are black, or lie above a stated peak for the most part: then it belongs to another range of values.
-    pub fn find(stated: Option<f64>, sensor: Option<&Sensor>, frames: &FrameSequence, whose: &str) -> Result<Peak, NodeError> {
+    /// When the frames are black, or lie above a stated peak for the most part: then it belongs to another
+    /// range of values.
+    pub fn find(
+        stated: Option<f64>,
+        sensor: Option<&Sensor>,
+        frames: &FrameSequence,
+        whose: &str,
+    ) -> Result<Peak, NodeError> {
         let (dn, from) = match (stated, sensor.and_then(saturation_above_black)) {
             (Some(peak), _) => (peak, "stated".to_string()),
             (None, Some(peak)) => (peak, "saturation of the sensor above black".to_string()),
@@ -99,7 +139,8 @@ impl Peak {
         };
         // A sequence without any finite value has an infinitely small largest one.
         if !(dn > 0.0 && dn.is_finite()) {
-            return Err(NodeError::input(format!("the {whose} frames are black: there is no peak")).hint("state `peak_dn`"));
+            return Err(NodeError::input(format!("the {whose} frames are black: there is no peak"))
+                .hint("state `peak_dn`"));
         }
         // Nothing exceeds the largest value.
         if !from.starts_with("largest") {
@@ -125,9 +166,12 @@ fn check_range(peak: f64, frames: &FrameSequence, whose: &str) -> Result<(), Nod
     if 2 * above <= all {
         return Ok(());
     }
-    Err(NodeError::input(format!("{above} of {all} {whose} values lie above the peak of {peak} DN: it is of another range of values"))
-        .note(format!("the largest {whose} value is {} DN", largest(frames)?))
-        .hint("state `peak_dn`, or correct `frames.saturation_dn` of the sensor description"))
+    Err(NodeError::input(format!(
+        "{above} of {all} {whose} values lie above the peak of {peak} DN: it is of \
+                                  another range of values"
+    ))
+    .note(format!("the largest {whose} value is {} DN", largest(frames)?))
+    .hint("state `peak_dn`, or correct `frames.saturation_dn` of the sensor description"))
 }
 
 /// Saturation above black, when the description states a saturation.
@@ -145,7 +189,8 @@ fn largest(frames: &FrameSequence) -> Result<f64, NodeError> {
     Ok(peak)
 }
 
-/// A value for metrics that cannot leave out a pixel: one that is not known (NaN) counts as 0 DN, so that a method gains nothing by it.
+/// A value for metrics that cannot leave out a pixel: one that is not known (NaN) counts as 0 DN, so that a
+/// method gains nothing by it.
 pub fn known(value: f32) -> f64 {
     if value.is_finite() { f64::from(value) } else { 0.0 }
 }

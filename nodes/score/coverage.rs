@@ -1,11 +1,14 @@
-//! `score/coverage`: are standard deviations honest? How often the truth lies within one, two and three of them.
+//! `score/coverage`: are standard deviations honest? How often the truth lies within one, two and three of
+//! them.
 //!
-//! `z = (value - truth) / sigma` for every value. Were the errors normal and the standard deviations right, 68.27, 95.45 and 99.73 % of all |z| would lie
-//! below one, two and three, and the root mean square of z would be one. Lower parts mean that standard deviations are too small: the picture is
-//! less known than it says.
+//! `z = (value - truth) / sigma` for every value. Were the errors normal and the standard deviations right,
+//! 68.27, 95.45 and 99.73 % of all |z| would lie below one, two and three, and the root mean square of z
+//! would be one. Lower parts mean that standard deviations are too small: the picture is less known than it
+//! says.
 //!
-//! Limits: errors of one picture are not independent, so a part's own uncertainty is larger than its number of values suggests. Values
-//! that are not known (NaN, or without a standard deviation) are left out and counted.
+//! Limits: errors of one picture are not independent, so a part's own uncertainty is larger than its number
+//! of values suggests. Values that are not known (NaN, or without a standard deviation) are left out and
+//! counted.
 
 use super::card::{Card, MEAN, OWN, linear_dn};
 use super::compare::{Pairs, Peak};
@@ -14,7 +17,9 @@ use super::region::Region;
 use super::roi::Roi;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::TableMeta;
-use photocurrent_core::{Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth};
+use photocurrent_core::{
+    Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -58,7 +63,8 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
-        /// Per frame, and pooled as the mean over frames: `within_1_sigma`, `within_2_sigma` and `within_3_sigma`, %, `rms_z`, and `sigma_dn`, the median standard deviation, DN.
+        /// Per frame, and pooled as the mean over frames: `within_1_sigma`, `within_2_sigma` and
+        /// `within_3_sigma`, %, `rms_z`, and `sigma_dn`, the median standard deviation, DN.
         scores: Arc<Table>,
     }
 }
@@ -104,14 +110,24 @@ in   = { frames = "render.frames", sigma = "render.sigma", truth = "recording.tr
         let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;
         let peak = Peak::find(None, input.sensor.as_deref(), &input.truth.0, "true")?;
         let mask = self.params.region.mask_in(self.params.roi, &input.truth.0, peak.dn)?;
-        let counted = pairs.map_with(cx, &input.sigma, |picture, reference, sigma| Ok(Counted::of(picture, reference, sigma, &mask)))?;
-        cx.count(counted.iter().map(|counted| counted.unknown).sum(), "values were not known, or not how well, and are left out");
+        let counted = pairs.map_with(cx, &input.sigma, |picture, reference, sigma| {
+            Ok(Counted::of(picture, reference, sigma, &mask))
+        })?;
+        cx.count(
+            counted.iter().map(|counted| counted.unknown).sum(),
+            "values were not known, or not how \
+                                                            well, and are left out",
+        );
         let mut scores = Vec::new();
         for (n, (_, name)) in WITHIN.iter().enumerate() {
-            let parts: Vec<f64> = counted.iter().map(|counted| 100.0 * counted.within[n] as f64 / counted.known as f64).collect();
+            let parts: Vec<f64> = counted
+                .iter()
+                .map(|counted| 100.0 * counted.within[n] as f64 / counted.known as f64)
+                .collect();
             scores.extend(pairs.scores(name, "%", &parts));
         }
-        let rms: Vec<f64> = counted.iter().map(|counted| (counted.squares / counted.known as f64).sqrt()).collect();
+        let rms: Vec<f64> =
+            counted.iter().map(|counted| (counted.squares / counted.known as f64).sqrt()).collect();
         scores.extend(pairs.scores("rms_z", "", &rms));
         let sigma: Vec<f64> = counted.iter().map(|counted| counted.median).collect();
         scores.extend(pairs.scores("sigma_dn", "DN", &sigma));
@@ -136,7 +152,8 @@ fn belong(frames: &FramesMeta, sigma: &FramesMeta) -> Result<(), NodeError> {
     if frames == sigma {
         return Ok(());
     }
-    Err(NodeError::usage("`sigma` is of other size, times or scale than `frames`").hint("connect the outputs `frames` and `sigma` of one render/rows"))
+    Err(NodeError::usage("`sigma` is of other size, times or scale than `frames`")
+        .hint("connect the outputs `frames` and `sigma` of one render/rows"))
 }
 
 /// What was counted in one frame.
@@ -150,9 +167,12 @@ struct Counted {
 
 impl Counted {
     fn of(picture: &[f32], reference: &[f32], sigma: &[f32], mask: &[bool]) -> Counted {
-        let mut counted = Counted { within: [0; WITHIN.len()], known: 0, unknown: 0, squares: 0.0, median: f64::NAN };
+        let mut counted =
+            Counted { within: [0; WITHIN.len()], known: 0, unknown: 0, squares: 0.0, median: f64::NAN };
         let mut sigmas = Vec::new();
-        for (((value, reference), sigma), _) in picture.iter().zip(reference).zip(sigma).zip(mask).filter(|(_, counts)| **counts) {
+        for (((value, reference), sigma), _) in
+            picture.iter().zip(reference).zip(sigma).zip(mask).filter(|(_, counts)| **counts)
+        {
             if !(value.is_finite() && *sigma > 0.0) {
                 counted.unknown += 1;
                 continue;
@@ -185,27 +205,48 @@ mod tests {
         testing::captured(EXTENT, vec![Exposure::new(0, 100)], 0, dn)
     }
 
-    fn pooled(frames: FrameSequence, sigma: FrameSequence, truth: FrameSequence) -> (Vec<(String, f64)>, Vec<String>) {
+    fn pooled(
+        frames: FrameSequence,
+        sigma: FrameSequence,
+        truth: FrameSequence,
+    ) -> (Vec<(String, f64)>, Vec<String>) {
         let node = ScoreCoverage { params: Params::default() };
         let input = In { frames, sigma, truth: Truth(truth), sensor: None };
         let (out, notes) = testing::with_context(EXTENT.rows(), &["scores"], |cx| node.run(input, cx));
         let table = out.unwrap().scores;
-        (table.as_scores().unwrap().into_iter().filter(|score| score.frame < 0).map(|score| (score.metric.clone(), score.value)).collect(), notes)
+        (
+            table
+                .as_scores()
+                .unwrap()
+                .into_iter()
+                .filter(|score| score.frame < 0)
+                .map(|score| (score.metric.clone(), score.value))
+                .collect(),
+            notes,
+        )
     }
 
     #[test]
     fn normal_errors_of_the_stated_size_lie_where_the_normal_distribution_says() {
-        let normal = |x: u32, y: u32| 100.0 + 4.0 * Random::new(5, &[u64::from(x), u64::from(y)]).normal() as f32;
-        let (scores, _) = pooled(frames(|_, x, y| normal(x, y)), frames(|_, _, _| 4.0), frames(|_, _, _| 100.0));
+        let normal =
+            |x: u32, y: u32| 100.0 + 4.0 * Random::new(5, &[u64::from(x), u64::from(y)]).normal() as f32;
+        let (scores, _) =
+            pooled(frames(|_, x, y| normal(x, y)), frames(|_, _, _| 4.0), frames(|_, _, _| 100.0));
         // Of ten thousand values, parts are good to 0.5, 0.2 and 0.05 %.
-        for ((metric, value), (expected, tolerance)) in scores.iter().zip([(68.27, 1.5), (95.45, 0.7), (99.73, 0.2), (1.0, 0.02), (4.0, 1e-6)]) {
+        for ((metric, value), (expected, tolerance)) in
+            scores.iter().zip([(68.27, 1.5), (95.45, 0.7), (99.73, 0.2), (1.0, 0.02), (4.0, 1e-6)])
+        {
             assert!((value - expected).abs() < tolerance, "{metric}: {value}");
         }
     }
 
     #[test]
     fn what_is_not_known_is_left_out_and_counted() {
-        let (scores, notes) = pooled(frames(|_, x, _| if x == 0 { f32::NAN } else { 103.0 }), frames(|_, _, _| 2.0), frames(|_, _, _| 100.0));
+        let (scores, notes) = pooled(
+            frames(|_, x, _| if x == 0 { f32::NAN } else { 103.0 }),
+            frames(|_, _, _| 2.0),
+            frames(|_, _, _| 100.0),
+        );
         assert_eq!(scores.iter().map(|(_, value)| *value).collect::<Vec<_>>(), [0.0, 100.0, 100.0, 1.5, 2.0]);
         assert_eq!(notes, ["100 values were not known, or not how well, and are left out"]);
     }
@@ -214,7 +255,12 @@ mod tests {
     fn standard_deviations_of_other_frames_are_refused() {
         let node = ScoreCoverage { params: Params::default() };
         let other = testing::captured(EXTENT, vec![Exposure::new(0, 200)], 0, |_, _, _| 1.0);
-        let input = In { frames: frames(|_, _, _| 1.0), sigma: other, truth: Truth(frames(|_, _, _| 1.0)), sensor: None };
+        let input = In {
+            frames: frames(|_, _, _| 1.0),
+            sigma: other,
+            truth: Truth(frames(|_, _, _| 1.0)),
+            sensor: None,
+        };
         let (out, _) = testing::with_context(EXTENT.rows(), &["scores"], |cx| node.run(input, cx).map(drop));
         assert_eq!(out.unwrap_err().message, "`sigma` is of other size, times or scale than `frames`");
     }

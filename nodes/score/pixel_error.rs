@@ -1,12 +1,15 @@
 //! `score/pixel_error`: single pixels over time, with the truth: DN and the settled voltage V_DC.
 //!
-//! A mean over pictures hides what happens in the one pixel that a fast object passes. Here chosen pixels are followed through all frames (the paper's
-//! Fig. 8): their DN, the photocurrent that it stands for by Eq. (5), and `V_DC = ln i` of Eq. (6), each with that of the true frame.
-//! `V_FE` is what the front end makes of that light by Eqs. (1) and (2): it settles towards each frame's V_DC, with the time constant of that frame's photocurrent, from
-//! one middle of an exposure to the next. It is close to the pixel's own voltage where frames follow each other faster than the front end does.
-//! Errors in V_DC are relative errors of the light: 0.1 is about 10 %, whether the pixel is bright or dark.
+//! A mean over pictures hides what happens in the one pixel that a fast object passes. Here chosen pixels are
+//! followed through all frames (the paper's Fig. 8): their DN, the photocurrent that it stands for by Eq.
+//! (5), and `V_DC = ln i` of Eq. (6), each with that of the true frame. `V_FE` is what the front end makes of
+//! that light by Eqs. (1) and (2): it settles towards each frame's V_DC, with the time constant of that
+//! frame's photocurrent, from one middle of an exposure to the next. It is close to the pixel's own voltage
+//! where frames follow each other faster than the front end does. Errors in V_DC are relative errors of the
+//! light: 0.1 is about 10 %, whether the pixel is bright or dark.
 //!
-//! Limits: V_DC is that of the mean light over a frame's virtual exposure, not of an instant. A DN at or below black has none.
+//! Limits: V_DC is that of the mean light over a frame's virtual exposure, not of an instant. A DN at or
+//! below black has none.
 
 use super::card::{Card, MEAN, OWN};
 use super::compare::mean_of_measured;
@@ -14,8 +17,13 @@ use super::matching::match_frames;
 use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, Score, TableMeta};
-use photocurrent_core::{Colour, Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Table, Truth};
-use photocurrent_sensor::front_end::{FrontEnd, settle, settled_photocurrent, settled_voltage, time_constant};
+use photocurrent_core::{
+    Colour, Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor,
+    Table, Truth,
+};
+use photocurrent_sensor::front_end::{
+    FrontEnd, settle, settled_photocurrent, settled_voltage, time_constant,
+};
 use photocurrent_sensor::model::Model;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -63,9 +71,11 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
-        /// `pixel_error_dn` and `pixel_error_v_dc`: mean absolute error over the pixels, per frame and pooled.
+        /// `pixel_error_dn` and `pixel_error_v_dc`: mean absolute error over the pixels, per frame and
+        /// pooled.
         scores: Arc<Table>,
-        /// The pixels over time: `x`, `y`, `frame`, `t_ns`, DN and V_DC with truth and error, and V_FE with truth where the description states the front end.
+        /// The pixels over time: `x`, `y`, `frame`, `t_ns`, DN and V_DC with truth and error, and V_FE with
+        /// truth where the description states the front end.
         pixels: Arc<Table>,
     }
 }
@@ -76,14 +86,31 @@ pub struct ScorePixelError {
 }
 
 impl ScorePixelError {
-    fn check(&self, frames: &FramesMeta, truth: &FramesMeta, sensor: &Sensor) -> Result<Vec<(usize, usize)>, NodeError> {
-        if let Some(pixel) = self.params.pixels.iter().find(|pixel| pixel.x >= frames.extent.width || pixel.y >= frames.extent.height) {
-            return Err(NodeError::usage(format!("the pixel ({}, {}) is outside, the frames have {}", pixel.x, pixel.y, frames.extent))
-                .hint(format!("keep `x` below {}, and `y` below {}", frames.extent.width, frames.extent.height))
-                .param("pixels"));
+    fn check(
+        &self,
+        frames: &FramesMeta,
+        truth: &FramesMeta,
+        sensor: &Sensor,
+    ) -> Result<Vec<(usize, usize)>, NodeError> {
+        if let Some(pixel) = self
+            .params
+            .pixels
+            .iter()
+            .find(|pixel| pixel.x >= frames.extent.width || pixel.y >= frames.extent.height)
+        {
+            return Err(NodeError::usage(format!(
+                "the pixel ({}, {}) is outside, the frames have {}",
+                pixel.x, pixel.y, frames.extent
+            ))
+            .hint(format!("keep `x` below {}, and `y` below {}", frames.extent.width, frames.extent.height))
+            .param("pixels"));
         }
         if frames.colour != Colour::Mono {
-            return Err(NodeError::usage(format!("the frames are {}, and V_DC is that of one photodiode", frames.colour)).hint("connect grey frames"));
+            return Err(NodeError::usage(format!(
+                "the frames are {}, and V_DC is that of one photodiode",
+                frames.colour
+            ))
+            .hint("connect grey frames"));
         }
         sensor.need_all(&[("frames.gain", sensor.frames.gain.is_some())], "score/pixel_error")?;
         match_frames(frames, truth, self.params.tolerance.ns())
@@ -130,7 +157,9 @@ params = { pixels = [{ x = 64, y = 48 }] }
         let gain = sensor.need(sensor.frames.gain, "frames.gain", "score/pixel_error")?;
         let black = sensor.frames.black_level_dn.unwrap_or(0.0);
         // Eq. (5) the other way round: the mean photocurrent over the exposure that the DN stands for.
-        let v_dc = |dn: f64, seconds: f64| if dn > black { settled_voltage((dn - black) / (gain * seconds)) } else { f64::NAN };
+        let v_dc = |dn: f64, seconds: f64| {
+            if dn > black { settled_voltage((dn - black) / (gain * seconds)) } else { f64::NAN }
+        };
         let follow = |&(l, j): &(usize, usize), &Pixel { x, y }: &Pixel| -> Result<Follow, NodeError> {
             let value = |frames: &FrameSequence, l: usize| -> Result<f64, NodeError> {
                 let row = Rows { start: y, end: y + 1 };
@@ -139,9 +168,16 @@ params = { pixels = [{ x = 64, y = 48 }] }
             let exposure = frames.meta.times.exposure(l, y);
             let (dn, dn_true) = (value(frames, l)?, value(truth, j)?);
             let there = truth.meta.times.exposure(j, y);
-            let seconds = [scale_seconds(frames.meta.scale, exposure), scale_seconds(truth.meta.scale, there)];
+            let seconds =
+                [scale_seconds(frames.meta.scale, exposure), scale_seconds(truth.meta.scale, there)];
             let v_dc = [v_dc(dn, seconds[0]), v_dc(dn_true, seconds[1])];
-            Ok(Follow { pixel: Pixel { x, y }, frame: l as i64, t_ns: exposure.mid().0, dn: [dn, dn_true], v_dc })
+            Ok(Follow {
+                pixel: Pixel { x, y },
+                frame: l as i64,
+                t_ns: exposure.mid().0,
+                dn: [dn, dn_true],
+                v_dc,
+            })
         };
         cx.begin(pairs.len() as u64, "frames");
         let mut rows: Vec<Follow> = Vec::new();
@@ -151,23 +187,40 @@ params = { pixels = [{ x = 64, y = 48 }] }
             }
             cx.advance(1)?;
         }
-        cx.count(rows.iter().filter(|row| row.dn[0].is_nan()).count() as u64, "values were not known (NaN) and left out");
-        cx.count(rows.iter().filter(|row| row.dn[0] <= black || row.dn[1] <= black).count() as u64, "values are at or below black and have no V_DC");
+        cx.count(
+            rows.iter().filter(|row| row.dn[0].is_nan()).count() as u64,
+            "values were not known (NaN) \
+                                                            and left out",
+        );
+        cx.count(
+            rows.iter().filter(|row| row.dn[0] <= black || row.dn[1] <= black).count() as u64,
+            "values are at or below black and have no V_DC",
+        );
         let within = self.params.tolerance;
-        let matched = format!("{} of {} matched by middle of exposure within {within}", pairs.len(), frames.len());
+        let matched =
+            format!("{} of {} matched by middle of exposure within {within}", pairs.len(), frames.len());
         let card = self.card(matched, format!("DN as they are, black level {black} DN, gain {gain}"));
-        let times: Vec<(i64, i64)> = pairs.iter().map(|(l, _)| (*l as i64, frames.meta.times.exposures[*l].mid().0)).collect();
+        let times: Vec<(i64, i64)> =
+            pairs.iter().map(|(l, _)| (*l as i64, frames.meta.times.exposures[*l].mid().0)).collect();
         let mut scores = Vec::new();
         type Reading = fn(&Follow) -> [f64; 2];
-        let metrics: [(&str, &str, Reading); 2] = [("pixel_error_dn", "DN", |row| row.dn), ("pixel_error_v_dc", "", |row| row.v_dc)];
+        let metrics: [(&str, &str, Reading); 2] =
+            [("pixel_error_dn", "DN", |row| row.dn), ("pixel_error_v_dc", "", |row| row.v_dc)];
         for (metric, unit, of) in metrics {
-            let score = |frame, t_ns, value| Score { metric: metric.into(), frame, t_ns, value, unit: unit.into() };
+            let score =
+                |frame, t_ns, value| Score { metric: metric.into(), frame, t_ns, value, unit: unit.into() };
             let error = |row: &Follow| (of(row)[0] - of(row)[1]).abs();
-            let each: Vec<f64> = rows.chunks(self.params.pixels.len()).map(|rows| mean_of_measured(&rows.iter().map(error).collect::<Vec<_>>())).collect();
+            let each: Vec<f64> = rows
+                .chunks(self.params.pixels.len())
+                .map(|rows| mean_of_measured(&rows.iter().map(error).collect::<Vec<_>>()))
+                .collect();
             scores.extend(times.iter().zip(&each).map(|((frame, t_ns), value)| score(*frame, *t_ns, *value)));
             scores.push(score(-1, 0, mean_of_measured(&each)));
         }
-        Ok(Out { scores: Arc::new(Table::scores(scores, card)), pixels: Arc::new(self.followed(&rows, sensor)) })
+        Ok(Out {
+            scores: Arc::new(Table::scores(scores, card)),
+            pixels: Arc::new(self.followed(&rows, sensor)),
+        })
     }
 }
 
@@ -203,12 +256,15 @@ impl ScorePixelError {
             return table;
         }
         let front_end = Model::of(sensor).pixel.front_end;
-        let column = |which: usize| Column::Numbers(front_end_voltages(rows, which, self.params.pixels.len(), &front_end));
+        let column = |which: usize| {
+            Column::Numbers(front_end_voltages(rows, which, self.params.pixels.len(), &front_end))
+        };
         table.with("v_fe", column(0)).with("v_fe_true", column(1))
     }
 }
 
-/// V_FE of every row, of the frames (`which` 0) or the true ones (1): it starts settled, and holds while V_DC is not known. `pixels` rows are of one frame.
+/// V_FE of every row, of the frames (`which` 0) or the true ones (1): it starts settled, and holds while V_DC
+/// is not known. `pixels` rows are of one frame.
 fn front_end_voltages(rows: &[Follow], which: usize, pixels: usize, front_end: &FrontEnd<f64>) -> Vec<f64> {
     let mut voltages = vec![f64::NAN; rows.len()];
     for first in 0..pixels {
@@ -219,7 +275,12 @@ fn front_end_voltages(rows: &[Follow], which: usize, pixels: usize, front_end: &
                 continue;
             }
             voltages[at] = last.map_or(settled, |(before_ns, voltage)| {
-                settle(voltage, settled, (t_ns - before_ns) as f64 * 1e-9, time_constant(front_end, settled_photocurrent(settled)))
+                settle(
+                    voltage,
+                    settled,
+                    (t_ns - before_ns) as f64 * 1e-9,
+                    time_constant(front_end, settled_photocurrent(settled)),
+                )
             });
             last = Some((t_ns, voltages[at]));
         }
@@ -258,16 +319,31 @@ mod tests {
 
     /// Two exposures of 10 ms, 1 ms from row to row.
     fn frames(dn: impl FnMut(usize, u32, u32) -> f32) -> FrameSequence {
-        testing::captured(EXTENT, vec![Exposure::new(0, 10_000_000), Exposure::new(20_000_000, 30_000_000)], 1_000_000, dn)
+        testing::captured(
+            EXTENT,
+            vec![Exposure::new(0, 10_000_000), Exposure::new(20_000_000, 30_000_000)],
+            1_000_000,
+            dn,
+        )
     }
 
     fn node(pixels: &[(u32, u32)]) -> ScorePixelError {
-        ScorePixelError { params: Params { pixels: pixels.iter().map(|&(x, y)| Pixel { x, y }).collect(), ..Params::default() } }
+        ScorePixelError {
+            params: Params {
+                pixels: pixels.iter().map(|&(x, y)| Pixel { x, y }).collect(),
+                ..Params::default()
+            },
+        }
     }
 
-    fn run(pixels: &[(u32, u32)], given: FrameSequence, truth: FrameSequence) -> Result<(Out, Vec<String>), NodeError> {
+    fn run(
+        pixels: &[(u32, u32)],
+        given: FrameSequence,
+        truth: FrameSequence,
+    ) -> Result<(Out, Vec<String>), NodeError> {
         let input = In { frames: given, truth: Truth(truth), sensor: Arc::new(sensor()) };
-        let (out, notes) = testing::with_context(EXTENT.rows(), &["scores", "pixels"], |cx| node(pixels).run(input, cx));
+        let (out, notes) =
+            testing::with_context(EXTENT.rows(), &["scores", "pixels"], |cx| node(pixels).run(input, cx));
         Ok((out?, notes))
     }
 
@@ -280,16 +356,29 @@ mod tests {
 
     #[test]
     fn the_voltage_is_the_logarithm_of_the_light_above_black() {
-        // 30 DN are 20 above black: 20 / (1000 x 10 ms) = 2; the truth's 50 DN are 4. Their logarithms differ by ln 2.
-        let (out, _) = run(&[(1, 2)], frames(|l, x, y| if (l, x, y) == (1, 1, 2) { 30.0 } else { 50.0 }), frames(|_, _, _| 50.0)).unwrap();
+        // 30 DN are 20 above black: 20 / (1000 x 10 ms) = 2; the truth's 50 DN are 4. Their logarithms differ
+        // by ln 2.
+        let (out, _) = run(
+            &[(1, 2)],
+            frames(|l, x, y| if (l, x, y) == (1, 1, 2) { 30.0 } else { 50.0 }),
+            frames(|_, _, _| 50.0),
+        )
+        .unwrap();
         let (v_dc, error) = (numbers(&out.pixels, "v_dc"), numbers(&out.pixels, "v_dc_error"));
-        assert!((v_dc[0] - 2.0 * std::f64::consts::LN_2).abs() < 1e-12 && (v_dc[1] - std::f64::consts::LN_2).abs() < 1e-12, "{v_dc:?}");
+        assert!(
+            (v_dc[0] - 2.0 * std::f64::consts::LN_2).abs() < 1e-12
+                && (v_dc[1] - std::f64::consts::LN_2).abs() < 1e-12,
+            "{v_dc:?}"
+        );
         assert!(error[0] == 0.0 && (error[1] + std::f64::consts::LN_2).abs() < 1e-12, "{error:?}");
         assert_eq!(numbers(&out.pixels, "dn_error"), [0.0, -20.0]);
         // Row 2 is exposed 2 ms later than row 0.
         assert_eq!(out.pixels.column("t_ns"), Some(&Column::Integers(vec![7_000_000, 27_000_000])));
         let scores = out.scores.as_scores().unwrap();
-        assert_eq!(scores[..3].iter().map(|s| (s.frame, s.value)).collect::<Vec<_>>(), [(0, 0.0), (1, 20.0), (-1, 10.0)]);
+        assert_eq!(
+            scores[..3].iter().map(|s| (s.frame, s.value)).collect::<Vec<_>>(),
+            [(0, 0.0), (1, 20.0), (-1, 10.0)]
+        );
         assert!((scores[5].value - std::f64::consts::LN_2 / 2.0).abs() < 1e-12);
     }
 
@@ -298,23 +387,45 @@ mod tests {
         use photocurrent_core::quantity::Duration;
         let mut sensor = sensor();
         // Middles lie 20 ms apart; at a photocurrent of 4, tau = 5 ms + 60 ms / 4 = 20 ms.
-        (sensor.front_end.tau_0, sensor.front_end.alpha) = (Some(Duration::new(5_000_000)), Some(Duration::new(60_000_000)));
+        (sensor.front_end.tau_0, sensor.front_end.alpha) =
+            (Some(Duration::new(5_000_000)), Some(Duration::new(60_000_000)));
         let step = frames(|l, _, _| [30.0, 50.0][l]);
         let input = In { frames: frames(|_, _, _| 50.0), truth: Truth(step), sensor: Arc::new(sensor) };
-        let (out, _) = testing::with_context(EXTENT.rows(), &["scores", "pixels"], |cx| node(&[(1, 2), (0, 0)]).run(input, cx));
+        let (out, _) = testing::with_context(EXTENT.rows(), &["scores", "pixels"], |cx| {
+            node(&[(1, 2), (0, 0)]).run(input, cx)
+        });
         let pixels = out.unwrap().pixels;
         let (low, high) = (std::f64::consts::LN_2, 2.0 * std::f64::consts::LN_2);
-        let expected = [low, low, high - (high - low) / std::f64::consts::E, high - (high - low) / std::f64::consts::E];
-        assert!(numbers(&pixels, "v_fe").iter().all(|voltage| (voltage - high).abs() < 1e-12), "still light stays settled");
+        let expected =
+            [low, low, high - (high - low) / std::f64::consts::E, high - (high - low) / std::f64::consts::E];
+        assert!(
+            numbers(&pixels, "v_fe").iter().all(|voltage| (voltage - high).abs() < 1e-12),
+            "still light stays settled"
+        );
         let found = numbers(&pixels, "v_fe_true");
-        assert!(found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12), "{found:?}");
+        assert!(
+            found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12),
+            "{found:?}"
+        );
     }
 
     #[test]
     fn what_is_not_known_or_not_above_black_is_counted() {
-        let (out, notes) = run(&[(0, 0), (1, 0)], frames(|_, x, _| if x == 0 { f32::NAN } else { 10.0 }), frames(|_, _, _| 50.0)).unwrap();
+        let (out, notes) = run(
+            &[(0, 0), (1, 0)],
+            frames(|_, x, _| if x == 0 { f32::NAN } else { 10.0 }),
+            frames(|_, _, _| 50.0),
+        )
+        .unwrap();
         assert_eq!(out.scores.as_scores().unwrap()[0].value, 40.0, "of the known pixel");
-        assert_eq!(notes, ["2 values are at or below black and have no V_DC", "2 values were not known (NaN) and left out"]);
+        assert_eq!(
+            notes,
+            [
+                "2 values are at or below black and have no V_DC",
+                "2 values were not known \
+                                                            (NaN) and left out"
+            ]
+        );
         assert!(out.scores.as_scores().unwrap()[5].value.is_nan());
     }
 
@@ -322,9 +433,23 @@ mod tests {
     fn pixels_outside_no_pixels_and_other_sizes_are_refused() {
         let same = || frames(|_, _, _| 50.0);
         let error = run(&[(1, 1), (4, 0)], same(), same()).err().unwrap();
-        assert_eq!((error.message.as_str(), error.param.as_deref()), ("the pixel (4, 0) is outside, the frames have 4 x 3", Some("pixels")));
-        assert!(ScorePixelError::build(Params::default()).err().unwrap().message.contains("`pixels` is empty"));
-        let other = testing::captured(Extent { width: 5, height: 3 }, vec![Exposure::new(0, 10_000_000)], 1_000_000, |_, _, _| 0.0);
+        assert_eq!(
+            (error.message.as_str(), error.param.as_deref()),
+            (
+                "the pixel (4, 0) is outside, the \
+                                                            frames have 4 x 3",
+                Some("pixels")
+            )
+        );
+        assert!(
+            ScorePixelError::build(Params::default()).err().unwrap().message.contains("`pixels` is empty")
+        );
+        let other = testing::captured(
+            Extent { width: 5, height: 3 },
+            vec![Exposure::new(0, 10_000_000)],
+            1_000_000,
+            |_, _, _| 0.0,
+        );
         assert!(run(&[(1, 1)], same(), other).err().unwrap().message.contains("the reference is 5 x 3"));
         let error = node(&[(1, 1)]).check(&same().meta, &same().meta, &Sensor::unknown("test")).unwrap_err();
         assert!(format!("{error}").contains("frames.gain"), "{error}");

@@ -1,10 +1,11 @@
 //! `score/psnr`: peak signal-to-noise ratio against true frames, per frame and pooled.
 //!
-//! `PSNR = 10 log10(peak^2 / MSE)` on linear DN, no gamma, no clipping, no affine fitting. The peak is the sensor's saturation above black when a sensor
-//! description is connected, a given number, or the largest true value. A frame is compared with the true frame whose middle of exposure agrees.
+//! `PSNR = 10 log10(peak^2 / MSE)` on linear DN, no gamma, no clipping, no affine fitting. The peak is the
+//! sensor's saturation above black when a sensor description is connected, a given number, or the largest
+//! true value. A frame is compared with the true frame whose middle of exposure agrees.
 //!
-//! Limits: PSNR is global; it says little about edges. A value that is not known (NaN) counts as zero DN, so that a method gains nothing by
-//! leaving pixels out; how many there were is said.
+//! Limits: PSNR is global; it says little about edges. A value that is not known (NaN) counts as zero DN, so
+//! that a method gains nothing by leaving pixels out; how many there were is said.
 
 use super::card::{Card, MEAN, OWN, linear_dn};
 use super::compare::{Pairs, Peak, UNKNOWN};
@@ -13,7 +14,9 @@ use super::region::Region;
 use super::roi::Roi;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::TableMeta;
-use photocurrent_core::{Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth};
+use photocurrent_core::{
+    Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -25,7 +28,8 @@ pub const PSNR_CEILING_DB: f64 = 120.0;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// DN that counts as peak, above black; absent = saturation of the connected sensor, else the largest true value.
+    /// DN that counts as peak, above black; absent = saturation of the connected sensor, else the largest
+    /// true value.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub peak_dn: Option<f64>,
     /// Which pixels count.
@@ -102,7 +106,8 @@ params = { region = "moving" }
         let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;
         let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), &input.truth.0, "true")?;
         let mask = self.params.region.mask_in(self.params.roi, &input.truth.0, peak.dn)?;
-        let compared = pairs.map(cx, |picture, reference| Ok(mean_square_error(picture, reference, &mask)))?;
+        let compared =
+            pairs.map(cx, |picture, reference| Ok(mean_square_error(picture, reference, &mask)))?;
         cx.count(compared.iter().map(|(_, unknown)| unknown).sum(), UNKNOWN);
         let psnr: Vec<f64> = compared.iter().map(|(mse, _)| psnr_db(*mse, peak.dn)).collect();
         let card = Card {
@@ -148,17 +153,25 @@ mod tests {
     fn run(params: Params, frames: FrameSequence, truth: FrameSequence) -> (Arc<Table>, Vec<String>) {
         let node = ScorePsnr { params };
         let rows = frames.rows();
-        let (out, notes) = testing::with_context(rows, &["scores"], |cx| node.run(In { frames, truth: Truth(truth), sensor: None }, cx));
+        let (out, notes) = testing::with_context(rows, &["scores"], |cx| {
+            node.run(In { frames, truth: Truth(truth), sensor: None }, cx)
+        });
         (out.unwrap().scores, notes)
     }
 
     fn constant(dn: f32) -> FrameSequence {
-        testing::captured(Extent { width: 4, height: 3 }, vec![Exposure::new(0, 100), Exposure::new(1000, 1100)], 0, |_, _, _| dn)
+        testing::captured(
+            Extent { width: 4, height: 3 },
+            vec![Exposure::new(0, 100), Exposure::new(1000, 1100)],
+            0,
+            |_, _, _| dn,
+        )
     }
 
     #[test]
     fn an_error_of_a_tenth_of_the_peak_is_twenty_decibels() {
-        let (table, _) = run(Params { peak_dn: Some(100.0), ..Params::default() }, constant(60.0), constant(50.0));
+        let (table, _) =
+            run(Params { peak_dn: Some(100.0), ..Params::default() }, constant(60.0), constant(50.0));
         let scores = table.as_scores().unwrap();
         assert_eq!(scores.len(), 3);
         assert!(scores.iter().all(|s| (s.value - 20.0).abs() < 1e-12));
@@ -179,9 +192,14 @@ mod tests {
     fn a_peak_of_another_range_gives_a_reason_and_no_number() {
         let node = ScorePsnr { params: Params { peak_dn: Some(1.0), ..Params::default() } };
         let input = In { frames: constant(60.0), truth: Truth(constant(50.0)), sensor: None };
-        let (out, _) = testing::with_context(input.frames.rows(), &["scores"], |cx| node.run(input, cx).map(drop));
+        let (out, _) =
+            testing::with_context(input.frames.rows(), &["scores"], |cx| node.run(input, cx).map(drop));
         let error = out.unwrap_err();
-        assert_eq!(error.message, "24 of 24 true values lie above the peak of 1 DN: it is of another range of values");
+        assert_eq!(
+            error.message,
+            "24 of 24 true values lie above the peak of 1 DN: it is of another range \
+                                   of values"
+        );
         assert_eq!(error.notes, ["the largest true value is 50 DN"]);
     }
 
@@ -193,7 +211,8 @@ mod tests {
 
     #[test]
     fn unknown_values_are_counted_and_do_not_help() {
-        let (table, notes) = run(Params { peak_dn: Some(50.0), ..Params::default() }, constant(f32::NAN), constant(50.0));
+        let (table, notes) =
+            run(Params { peak_dn: Some(50.0), ..Params::default() }, constant(f32::NAN), constant(50.0));
         assert_eq!(table.as_scores().unwrap()[0].value, 0.0);
         assert_eq!(notes, ["24 values were not known (NaN) and counted as 0 DN"]);
     }

@@ -35,9 +35,13 @@ impl Roi {
         if fits(self.x, self.width, extent.width) && fits(self.y, self.height, extent.height) {
             return Ok(());
         }
-        Err(NodeError::usage(format!("`roi` asks for {} x {} pixels at ({}, {}), and the frames have {extent}", self.width, self.height, self.x, self.y))
-            .hint(format!("keep `x + width` within {}, and `y + height` within {}", extent.width, extent.height))
-            .param("roi"))
+        Err(NodeError::usage(format!(
+            "`roi` asks for {} x {} pixels at ({}, {}), and the frames have \
+                                      {extent}",
+            self.width, self.height, self.x, self.y
+        ))
+        .hint(format!("keep `x + width` within {}, and `y + height` within {}", extent.width, extent.height))
+        .param("roi"))
     }
 
     /// Is a pixel inside?
@@ -62,7 +66,9 @@ mod tests {
         for inside in [roi(0, 0, 10, 8), roi(9, 7, 1, 1), Roi::whole(extent)] {
             assert!(inside.check(extent).is_ok(), "{inside:?}");
         }
-        for outside in [roi(0, 0, 11, 8), roi(0, 1, 10, 8), roi(10, 0, 1, 1), roi(0, 0, 0, 1), roi(5, 0, u32::MAX, 1)] {
+        for outside in
+            [roi(0, 0, 11, 8), roi(0, 1, 10, 8), roi(10, 0, 1, 1), roi(0, 0, 0, 1), roi(5, 0, u32::MAX, 1)]
+        {
             let error = outside.check(extent).unwrap_err();
             assert_eq!(error.param.as_deref(), Some("roi"), "{outside:?}");
             assert!(error.message.ends_with("and the frames have 10 x 8"), "{}", error.message);

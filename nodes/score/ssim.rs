@@ -1,11 +1,14 @@
 //! `score/ssim`: structural similarity to true frames, per frame and pooled.
 //!
-//! The index of Wang et al. 2004 with their window: Gaussian, sigma 1.5 pixels, 11 x 11, weighted moments without the sample correction, `K1 = 0.01`,
-//! `K2 = 0.03`. It is what scikit-image calls `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)`, to the last digits:
-//! moments near the border mirror the picture, and the mean leaves out the 5 pixels whose window does not fit.
+//! The index of Wang et al. 2004 with their window: Gaussian, sigma 1.5 pixels, 11 x 11, weighted moments
+//! without the sample correction, `K1 = 0.01`, `K2 = 0.03`. It is what scikit-image calls
+//! `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)`, to the last
+//! digits: moments near the border mirror the picture, and the mean leaves out the 5 pixels whose window does
+//! not fit.
 //!
-//! Calculated on linear DN; the two constants are relative to full scale, so `peak_dn` changes the number. Several channels are measured one by one.
-//! Limits: like PSNR it is taken over the whole picture unless `region` or `roi` say otherwise, and it is sensitive to noise in flat areas.
+//! Calculated on linear DN; the two constants are relative to full scale, so `peak_dn` changes the number.
+//! Several channels are measured one by one. Limits: like PSNR it is taken over the whole picture unless
+//! `region` or `roi` say otherwise, and it is sensitive to noise in flat areas.
 
 use super::card::{Card, MEAN, OWN, linear_dn};
 use super::compare::{Pairs, Peak, UNKNOWN, known, unknown};
@@ -14,7 +17,9 @@ use super::region::Region;
 use super::roi::Roi;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::TableMeta;
-use photocurrent_core::{Context, Decl, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth};
+use photocurrent_core::{
+    Context, Decl, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -29,7 +34,8 @@ const K2: f64 = 0.03;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// DN that counts as full scale, above black; absent = saturation of the connected sensor, else the largest true value.
+    /// DN that counts as full scale, above black; absent = saturation of the connected sensor, else the
+    /// largest true value.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub peak_dn: Option<f64>,
     /// Over which pixels the mean is taken; windows reach beyond them.
@@ -77,7 +83,11 @@ fn check_size(extent: Extent) -> Result<(), NodeError> {
     if extent.width >= window && extent.height >= window {
         return Ok(());
     }
-    Err(NodeError::usage(format!("the frames have {extent}, and the window of the index is {window} x {window} pixels")).hint("score larger frames"))
+    Err(NodeError::usage(format!(
+        "the frames have {extent}, and the window of the index is {window} x \
+                                  {window} pixels"
+    ))
+    .hint("score larger frames"))
 }
 
 impl Node for ScoreSsim {
@@ -88,7 +98,8 @@ impl Node for ScoreSsim {
         grain: Grain::Whole,
         draws: false,
         exports: false,
-        sources: &["Wang, Bovik, Sheikh, Simoncelli: Image quality assessment, IEEE Transactions on Image Processing 13(4), 2004"],
+        sources: &["Wang, Bovik, Sheikh, Simoncelli: Image quality assessment, IEEE Transactions on Image \
+                    Processing 13(4), 2004"],
         example: r#"
 [nodes.ssim]
 kind   = "score/ssim"
@@ -124,9 +135,13 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
             cx.count(unknown(picture), UNKNOWN);
             let (mut sum, mut count) = (0.0, 0u64);
             for channel in 0..channels {
-                let take = |picture: &[f32]| -> Vec<f64> { picture.iter().skip(channel).step_by(channels).map(|value| known(*value)).collect() };
+                let take = |picture: &[f32]| -> Vec<f64> {
+                    picture.iter().skip(channel).step_by(channels).map(|value| known(*value)).collect()
+                };
                 let map = ssim_map(&take(picture), &take(reference), extent, peak.dn);
-                for (value, _) in map.iter().zip(mask.iter().skip(channel).step_by(channels)).filter(|(_, counts)| **counts) {
+                for (value, _) in
+                    map.iter().zip(mask.iter().skip(channel).step_by(channels)).filter(|(_, counts)| **counts)
+                {
                     sum += value;
                     count += 1;
                 }
@@ -160,17 +175,22 @@ fn interior(mut mask: Vec<bool>, extent: Extent, channels: usize) -> Result<Vec<
     if mask.contains(&true) {
         Ok(mask)
     } else {
-        Err(NodeError::input(format!("no pixel of the region is {RADIUS} pixels or more from the border, where the window fits"))
-            .hint("choose another `roi` or `region`"))
+        Err(NodeError::input(format!(
+            "no pixel of the region is {RADIUS} pixels or more from the border, \
+                                      where the window fits"
+        ))
+        .hint("choose another `roi` or `region`"))
     }
 }
 
-/// The index at every pixel, row-major; `picture` and `reference` are planes of `extent`, `range` is full scale.
+/// The index at every pixel, row-major; `picture` and `reference` are planes of `extent`, `range` is full
+/// scale.
 pub fn ssim_map(picture: &[f64], reference: &[f64], extent: Extent, range: f64) -> Vec<f64> {
     let smooth = |plane: Vec<f64>| smoothed(&plane, extent);
     let product = |a: &[f64], b: &[f64]| smooth(a.iter().zip(b).map(|(a, b)| a * b).collect());
     let (mean_x, mean_y) = (smooth(picture.to_vec()), smooth(reference.to_vec()));
-    let (xx, yy, xy) = (product(picture, picture), product(reference, reference), product(picture, reference));
+    let (xx, yy, xy) =
+        (product(picture, picture), product(reference, reference), product(picture, reference));
     let (c1, c2) = ((K1 * range) * (K1 * range), (K2 * range) * (K2 * range));
     let index = |i: usize| {
         let (mx, my) = (mean_x[i], mean_y[i]);
@@ -182,7 +202,10 @@ pub fn ssim_map(picture: &[f64], reference: &[f64], extent: Extent, range: f64) 
 
 /// A plane under the Gaussian window, mirrored at the border (the border's pixel stands twice).
 fn smoothed(plane: &[f64], extent: Extent) -> Vec<f64> {
-    let mut weights: Vec<f64> = (0..=2 * RADIUS).map(|k| k as f64 - RADIUS as f64).map(|d| libm::exp(-d * d / (2.0 * SIGMA * SIGMA))).collect();
+    let mut weights: Vec<f64> = (0..=2 * RADIUS)
+        .map(|k| k as f64 - RADIUS as f64)
+        .map(|d| libm::exp(-d * d / (2.0 * SIGMA * SIGMA)))
+        .collect();
     let sum: f64 = weights.iter().sum();
     weights.iter_mut().for_each(|weight| *weight /= sum);
     let (width, height) = (extent.width as usize, extent.height as usize);
@@ -204,7 +227,8 @@ fn smoothed(plane: &[f64], extent: Extent) -> Vec<f64> {
     result
 }
 
-/// The index in a line of `size` that stands at place `at` of the line widened by the radius on both sides; `size` is at least the window's.
+/// The index in a line of `size` that stands at place `at` of the line widened by the radius on both sides;
+/// `size` is at least the window's.
 fn mirrored(at: usize, size: usize) -> usize {
     match at.checked_sub(RADIUS) {
         None => RADIUS - 1 - at,
@@ -225,7 +249,8 @@ mod tests {
     const MEAN_110: f64 = 0.9421811469900938;
     const MEAN_ROI: f64 = 0.9390860510408798;
     const MEAN_COLOUR: f64 = 0.5935489187309128;
-    const AT: [f64; 5] = [0.9685444965652491, 0.9461182777922551, 0.939101281348231, 0.9732695109128996, 0.9327139814544612];
+    const AT: [f64; 5] =
+        [0.9685444965652491, 0.9461182777922551, 0.939101281348231, 0.9732695109128996, 0.9327139814544612];
 
     /// Whole numbers, so that another program makes the very same pictures.
     fn reference(x: u32, y: u32) -> f32 {
@@ -242,9 +267,15 @@ mod tests {
 
     fn run(params: Params, frames: FrameSequence, truth: FrameSequence) -> Result<f64, NodeError> {
         let input = In { frames, truth: Truth(truth), sensor: None };
-        let (out, _) = testing::with_context(SIZE.rows(), &["scores"], |cx| ScoreSsim { params }.run(input, cx));
+        let (out, _) =
+            testing::with_context(SIZE.rows(), &["scores"], |cx| ScoreSsim { params }.run(input, cx));
         let scores = out?.scores.as_scores().unwrap();
-        assert_eq!(scores[0].value.to_bits(), scores[1].value.to_bits(), "the mean of one frame is that frame's");
+        assert_eq!(
+            scores[0].value.to_bits(),
+            scores[1].value.to_bits(),
+            "the mean of one frame is that \
+                                                            frame's"
+        );
         Ok(scores[0].value)
     }
 
@@ -252,14 +283,17 @@ mod tests {
         Params { peak_dn: Some(peak_dn), ..Params::default() }
     }
 
-    /// Values of scikit-image 0.26: `structural_similarity(a, b, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=..., full=True)`.
+    /// Values of scikit-image 0.26: `structural_similarity(a, b, gaussian_weights=True, sigma=1.5,
+    /// use_sample_covariance=False, data_range=..., full=True)`.
     #[test]
     fn the_index_is_that_of_scikit_image() {
         for (range, expected) in [(255.0, MEAN_255), (110.0, MEAN_110)] {
             let found = run(params(range), grey(picture), grey(reference)).unwrap();
             assert!((found - expected).abs() < 1e-9, "{range}: {found}");
         }
-        let plane = |dn: fn(u32, u32) -> f32| -> Vec<f64> { (0..14).flat_map(|y| (0..17).map(move |x| f64::from(dn(x, y)))).collect() };
+        let plane = |dn: fn(u32, u32) -> f32| -> Vec<f64> {
+            (0..14).flat_map(|y| (0..17).map(move |x| f64::from(dn(x, y)))).collect()
+        };
         let map = ssim_map(&plane(reference), &plane(picture), SIZE, 255.0);
         for ((x, y), expected) in [(0, 0), (5, 5), (8, 7), (16, 13), (11, 6)].into_iter().zip(AT) {
             assert!((map[y * 17 + x] - expected).abs() < 1e-9, "({x}, {y}): {}", map[y * 17 + x]);
@@ -277,7 +311,12 @@ mod tests {
     fn channels_are_measured_one_by_one() {
         let colour = |dn: &dyn Fn(u32, u32) -> [f32; 3]| {
             let times = FrameTimes::new(vec![Exposure::new(0, 100)], 0).unwrap();
-            let meta = FramesMeta { extent: SIZE, colour: photocurrent_core::Colour::Rgb, times, scale: FrameScale::Captured };
+            let meta = FramesMeta {
+                extent: SIZE,
+                colour: photocurrent_core::Colour::Rgb,
+                times,
+                scale: FrameScale::Captured,
+            };
             let mut block = FrameBlock::zeros(0..1, SIZE.rows(), 51);
             block.dn = (0..14).flat_map(|y| (0..17).flat_map(move |x| dn(x, y))).collect();
             FrameSequence::in_memory(Arc::new(meta), block)
@@ -298,7 +337,11 @@ mod tests {
     fn where_no_window_fits_there_is_a_reason_and_no_number() {
         let roi = Some(Roi { x: 0, y: 0, width: 5, height: 14 });
         let error = run(Params { roi, ..params(255.0) }, grey(picture), grey(reference)).unwrap_err();
-        assert!(error.message.starts_with("no pixel of the region is 5 pixels or more from the border"), "{}", error.message);
+        assert!(
+            error.message.starts_with("no pixel of the region is 5 pixels or more from the border"),
+            "{}",
+            error.message
+        );
         assert!(check_size(Extent { width: 10, height: 40 }).unwrap_err().message.contains("11 x 11"));
         assert!(check_size(Extent { width: 11, height: 11 }).is_ok());
     }

@@ -1,11 +1,15 @@
-//! Frames as pictures of 8 bits that can be compared by eye: one black, one white, one exposure for all sequences of a scene.
+//! Frames as pictures of 8 bits that can be compared by eye: one black, one white, one exposure for all
+//! sequences of a scene.
 //!
-//! A DN of a longer exposure stands for less light. Every frame is shown as if it had been exposed as long as the first sequence's:
-//! `black + (DN - black) x ratio of exposures`. For looking, never for scores; what is not known (NaN) is black.
+//! A DN of a longer exposure stands for less light. Every frame is shown as if it had been exposed as long as
+//! the first sequence's: `black + (DN - black) x ratio of exposures`. For looking, never for scores; what is
+//! not known (NaN) is black.
 
 use crate::write::display::{Curve, Look};
 use crate::write::picture::Picture;
-use photocurrent_core::{Colour, DataType, Extent, FrameScale, FrameSequence, NodeError, Sensor, Truth, Value};
+use photocurrent_core::{
+    Colour, DataType, Extent, FrameScale, FrameSequence, NodeError, Sensor, Truth, Value,
+};
 use png::BitDepth;
 
 /// Frames that can be shown.
@@ -26,13 +30,19 @@ pub struct Tone {
 }
 
 impl Tone {
-    /// After the first sequence of a scene; black level and saturation are the sensor's, where they are stated.
+    /// After the first sequence of a scene; black level and saturation are the sensor's, where they are
+    /// stated.
     ///
     /// # Errors
     /// When frames cannot be read.
     pub fn of(first: &Shown, sensor: Option<&Sensor>) -> Result<Tone, NodeError> {
         let look = Look::of(&first.frames, sensor, None)?;
-        Ok(Tone { black: look.black, white: look.white, exposure_ns: first.exposure_ns(), curve: look.curve() })
+        Ok(Tone {
+            black: look.black,
+            white: look.white,
+            exposure_ns: first.exposure_ns(),
+            curve: look.curve(),
+        })
     }
 
     /// A DN of an exposure (ns) as if it had lasted as long as those of the pictures.
@@ -46,7 +56,9 @@ impl Shown {
     pub fn of(value: Value) -> Option<Shown> {
         let is_truth = value.data_type() == DataType::Truth;
         match value {
-            Value::Frames(frames) | Value::Truth(Truth(frames)) if !frames.is_empty() => Some(Shown { frames, is_truth }),
+            Value::Frames(frames) | Value::Truth(Truth(frames)) if !frames.is_empty() => {
+                Some(Shown { frames, is_truth })
+            }
             _ => None,
         }
     }
@@ -112,16 +124,30 @@ impl Shown {
                 for channel in 0..channels {
                     let all = (0..shrink).flat_map(|row| {
                         let values = block.row(frame, y * shrink + row);
-                        (0..shrink).map(move |column| f64::from(values[(x * shrink + column) as usize * channels + channel]))
+                        (0..shrink).map(move |column| {
+                            f64::from(values[(x * shrink + column) as usize * channels + channel])
+                        })
                     });
                     let mean = all.sum::<f64>() / f64::from(shrink * shrink);
                     codes.push(tone.curve.of(tone.shown_dn(mean, own_ns) as f32));
                 }
             }
         }
-        let picture = Picture { width, height, channels: channels as u32, depth: BitDepth::Eight, bytes: &codes, comment: None };
+        let picture = Picture {
+            width,
+            height,
+            channels: channels as u32,
+            depth: BitDepth::Eight,
+            bytes: &codes,
+            comment: None,
+        };
         let mut file = Vec::new();
-        picture.encode_small(&mut file).map_err(|error| NodeError::failed(format!("a picture cannot be encoded: {error}")))?;
+        picture.encode_small(&mut file).map_err(|error| {
+            NodeError::failed(format!(
+                "a picture cannot be \
+                                                            encoded: {error}"
+            ))
+        })?;
         Ok(file)
     }
 }
@@ -142,8 +168,10 @@ mod tests {
     fn a_longer_exposure_of_the_same_light_looks_the_same() {
         let extent = Extent { width: 4, height: 2 };
         // Black is 10 DN; 40 DN of light in 1 ms are 120 DN in 3 ms.
-        let short = testing::captured(extent, vec![Exposure::new(0, 1_000_000)], 0, |_, x, _| 10.0 + 10.0 * x as f32);
-        let long = testing::captured(extent, vec![Exposure::new(0, 3_000_000)], 0, |_, x, _| 10.0 + 30.0 * x as f32);
+        let short =
+            testing::captured(extent, vec![Exposure::new(0, 1_000_000)], 0, |_, x, _| 10.0 + 10.0 * x as f32);
+        let long =
+            testing::captured(extent, vec![Exposure::new(0, 3_000_000)], 0, |_, x, _| 10.0 + 30.0 * x as f32);
         let mut sensor = Sensor::unknown("test");
         sensor.frames.black_level_dn = Some(10.0);
         let [short, long] = [short, long].map(|frames| Shown::of(Value::Frames(frames)).unwrap());
@@ -152,8 +180,13 @@ mod tests {
         let found = codes(&short.png(0, &tone, 1).unwrap());
         assert_eq!((found.0, found.1, found.2[0], found.2[3]), (4, 2, 0, 255));
         assert_eq!(codes(&long.png(0, &tone, 1).unwrap()), found);
-        // 2 x 2 pixels are one: means of 0 and 10, 20 and 30 DN above black, of 30: sRGB codes of 1/6 and 5/6.
+        // 2 x 2 pixels are one: means of 0 and 10, 20 and 30 DN above black, of 30: sRGB codes of 1/6 and
+        // 5/6.
         assert_eq!(codes(&short.png(0, &tone, 2).unwrap()).2, [113, 235]);
-        assert!(short.is_captured() && !short.is_truth() && Shown::of(Value::Sensor(std::sync::Arc::new(sensor))).is_none());
+        assert!(
+            short.is_captured()
+                && !short.is_truth()
+                && Shown::of(Value::Sensor(std::sync::Arc::new(sensor))).is_none()
+        );
     }
 }

@@ -1,16 +1,21 @@
 //! The simulated camera: what a described sensor makes of the light on one row of pixels.
 //!
-//! Everything the simulators share: when frames are exposed, how charge becomes a noisy whole number, how a pixel's events come about
-//! ([`photocurrent_sensor::forward`]) with the effects of the sensor description. Every pixel has its own random numbers, so row bands do not matter.
+//! Everything the simulators share: when frames are exposed, how charge becomes a noisy whole number, how a
+//! pixel's events come about ([`photocurrent_sensor::forward`]) with the effects of the sensor description.
+//! Every pixel has its own random numbers, so row bands do not matter.
 //!
-//! An effect that couples all pixels (a queue on their way out) does nothing until [`Camera::inform`] gives it the load.
+//! An effect that couples all pixels (a queue on their way out) does nothing until [`Camera::inform`] gives
+//! it the load.
 //!
 //! Limits: photon noise only in the frames; the random part of the readout latency is drawn per event.
 
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
-use photocurrent_core::{Colour, DataType, EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_core::{
+    Colour, DataType, EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor,
+    TimeSpan,
+};
 use photocurrent_sensor::array::{self, Array};
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
@@ -35,18 +40,29 @@ impl Timing {
     ///
     /// # Errors
     /// When the exposure does not fit the frame period, or no frame fits the span.
-    pub fn frame_times(&self, span: TimeSpan, height: u32, row_time_ns: i64) -> Result<FrameTimes, NodeError> {
+    pub fn frame_times(
+        &self,
+        span: TimeSpan,
+        height: u32,
+        row_time_ns: i64,
+    ) -> Result<FrameTimes, NodeError> {
         let (exposure, period) = (self.exposure.ns(), 1e9 / self.frame_rate.hz());
         if exposure as f64 > period {
-            return Err(NodeError::usage(format!("an exposure of {} does not fit the frame period of {:.0} us", self.exposure, period / 1e3))
-                .note(format!("the period is one over `frame_rate = \"{}\"`", self.frame_rate))
-                .hint("make `exposure` shorter or `frame_rate` lower")
-                .param("exposure"));
+            return Err(NodeError::usage(format!(
+                "an exposure of {} does not fit the frame period of {:.0} us",
+                self.exposure,
+                period / 1e3
+            ))
+            .note(format!("the period is one over `frame_rate = \"{}\"`", self.frame_rate))
+            .hint("make `exposure` shorter or `frame_rate` lower")
+            .param("exposure"));
         }
         let last_row = row_time_ns * i64::from(height - 1);
         let starts = (0..).map(|l| span.start.0 + (f64::from(l) * period).round() as i64);
-        let exposures: Vec<Exposure> =
-            starts.take_while(|start| start + exposure + last_row <= span.end.0).map(|start| Exposure::new(start, start + exposure)).collect();
+        let exposures: Vec<Exposure> = starts
+            .take_while(|start| start + exposure + last_row <= span.end.0)
+            .map(|start| Exposure::new(start, start + exposure))
+            .collect();
         if exposures.is_empty() {
             return Err(NodeError::usage(format!("no frame fits into {}", Duration::new(span.length_ns())))
                 .hint("make `duration` longer or `exposure` shorter")
@@ -75,8 +91,8 @@ impl Camera {
     /// From a description, with events and frames of the given extents.
     ///
     /// # Errors
-    /// When it leaves out what a simulation needs, its effects are not understood, pixels would be blind for longer than there is light, or the
-    /// frames do not fit. `who` is the asker.
+    /// When it leaves out what a simulation needs, its effects are not understood, pixels would be blind for
+    /// longer than there is light, or the frames do not fit. `who` is the asker.
     pub fn new(
         sensor: &Sensor,
         timing: &Timing,
@@ -93,12 +109,19 @@ impl Camera {
             ("frames.row_time", sensor.frames.row_time.is_some()),
         ];
         sensor.need_all(&[StepRule::needs(sensor).as_slice(), &stated].concat(), who)?;
-        let effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
-        if let Some(refractory) = sensor.readout.refractory.filter(|refractory| refractory.ns() > span.length_ns()) {
-            let message = format!("`readout.refractory` is {refractory}, and the light lasts {}", Duration::new(span.length_ns()));
+        let effects = from_description(&sensor.effects)
+            .map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+        if let Some(refractory) =
+            sensor.readout.refractory.filter(|refractory| refractory.ns() > span.length_ns())
+        {
+            let message = format!(
+                "`readout.refractory` is {refractory}, and the light lasts {}",
+                Duration::new(span.length_ns())
+            );
             return Err(NodeError::usage(message)
                 .note("a pixel is blind for its refractory period after each event: no second one could be seen")
-                .hint("check the unit of `readout.refractory` in the sensor description, usually 1 us to 10 ms, or make the light longer")
+                .hint("check the unit of `readout.refractory` in the sensor description, usually 1 us to 10 \
+                       ms, or make the light longer")
                 .blames(DataType::Sensor));
         }
         let coupling = effects.iter().map(|effect| effect.informed(&[]).is_some()).collect();
@@ -108,8 +131,24 @@ impl Camera {
         let times = timing.frame_times(span, frames.height, row_time_ns)?;
         let frames = FramesMeta { extent: frames, colour, times, scale: FrameScale::Captured };
         let moved = photocurrent_solve::pixel_events::clock_offset(sensor)?.offset_ns;
-        let events = EventsMeta { extent: events, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
-        Ok(Camera { events, frames, model, effects, coupling, channel_gains: channel_gains(sensor)?, span, seed })
+        let events = EventsMeta {
+            extent: events,
+            span: Some(span.moved(moved)),
+            has_t_in: true,
+            has_step: false,
+            t_resolution_ns: None,
+            count_hint: None,
+        };
+        Ok(Camera {
+            events,
+            frames,
+            model,
+            effects,
+            coupling,
+            channel_gains: channel_gains(sensor)?,
+            span,
+            seed,
+        })
     }
 
     /// Rows above and below whose light reaches a pixel through its effects.
@@ -122,22 +161,26 @@ impl Camera {
         &self.effects
     }
 
-    /// The id of an effect that couples all pixels, if the description has one: then no row can be simulated before [`Camera::inform`].
+    /// The id of an effect that couples all pixels, if the description has one: then no row can be simulated
+    /// before [`Camera::inform`].
     pub fn couples(&self) -> Option<&'static str> {
         self.effects.iter().zip(&self.coupling).find_map(|(effect, couples)| couples.then(|| effect.id()))
     }
 
-    /// Gives the effects that couple all pixels what the whole array does; `load` is in order of true off-pixel time.
+    /// Gives the effects that couple all pixels what the whole array does; `load` is in order of true
+    /// off-pixel time.
     pub fn inform(&mut self, load: &[ArrayEvent]) {
         array::inform(&mut self.effects, load);
     }
 
-    /// How much later than without load an event of pixel (x, y) that fires at `t_in_ns` resets its pixel, nanoseconds.
+    /// How much later than without load an event of pixel (x, y) that fires at `t_in_ns` resets its pixel,
+    /// nanoseconds.
     pub fn delay_ns(&self, x: u32, y: u32, t_in_ns: i64) -> i64 {
         let site = self.site(self.events.extent, x, y);
         let coupling = self.effects.iter().zip(&self.coupling).filter(|(_, couples)| **couples);
         // Load and instant say it all: the numbers of this stream stay unused ([`Effect::informed`]).
-        let latencies = coupling.map(|(effect, _)| effect.latency(&site, &mut Random::new(self.seed, &[]), t_in_ns));
+        let latencies =
+            coupling.map(|(effect, _)| effect.latency(&site, &mut Random::new(self.seed, &[]), t_in_ns));
         latencies.map(|latency| latency.shown_ns + latency.hidden_ns).sum()
     }
 
@@ -145,7 +188,8 @@ impl Camera {
         Site { x, y, width: extent.width, height: extent.height, seed: self.seed }
     }
 
-    /// Everything that pixel (x, y) fires in `seen`, the light of the event path: lost events, and those that leave after the end, too.
+    /// Everything that pixel (x, y) fires in `seen`, the light of the event path: lost events, and those that
+    /// leave after the end, too.
     pub fn fired(&self, x: u32, y: u32, seen: &LinearLight) -> Vec<Fired> {
         self.array().fired(&self.site(self.events.extent, x, y), seen, self.draws(x, y))
     }
@@ -164,7 +208,13 @@ impl Camera {
     pub fn record(&self, x: u32, y: u32, seen: &LinearLight, events: &mut Vec<Event>) {
         for event in self.array().recorded(&self.site(self.events.extent, x, y), seen, self.draws(x, y)) {
             let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
-            events.push(Event { x: x as u16, y: y as u16, polarity, t: event.t_off_ns, t_in: Some(event.t_in_ns) });
+            events.push(Event {
+                x: x as u16,
+                y: y as u16,
+                polarity,
+                t: event.t_off_ns,
+                t_in: Some(event.t_in_ns),
+            });
         }
     }
 
@@ -172,7 +222,8 @@ impl Camera {
     pub fn frame_values(&self, value: u32, y: u32, light: &LinearLight) -> Vec<f64> {
         let gain = gain_of(self.model.number.gain, &self.channel_gains, self.frames.colour, value, y);
         let number = DigitalNumber { gain, ..self.model.number };
-        let exposures: Vec<Exposure> = (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
+        let exposures: Vec<Exposure> =
+            (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
         let mut random = Random::new(self.seed, &[value.into(), y.into(), 2]);
         let site = self.site(self.frames.extent, value / self.frames.channels(), y);
         let exact = self.array().frame_values(&site, light, number, &exposures);
@@ -184,7 +235,11 @@ impl Camera {
 fn recorded(model: &Model, exact: f64, random: &mut Random) -> f64 {
     // Photon counts are large enough for the normal limit of the Poisson distribution.
     let signal = (exact - model.number.black_level).max(0.0);
-    let shot = if model.dn_per_electron > 0.0 { (signal * model.dn_per_electron).sqrt() * random.normal() } else { 0.0 };
+    let shot = if model.dn_per_electron > 0.0 {
+        (signal * model.dn_per_electron).sqrt() * random.normal()
+    } else {
+        0.0
+    };
     let read = model.read_noise_dn * random.normal();
     (exact + shot + read).round().clamp(0.0, model.saturation_dn)
 }

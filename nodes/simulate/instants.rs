@@ -1,8 +1,10 @@
-//! Which instants of a changing light to keep, so that straight lines between them are as good as the light itself.
+//! Which instants of a changing light to keep, so that straight lines between them are as good as the light
+//! itself.
 //!
-//! Light is looked at in panels of four steps. Where one does not lie on the line between the ends, the panel is halved, if need be
-//! down to nanoseconds; where the scene says that nothing changes, time is skipped. Of all instants looked at, only those are kept without which a line would
-//! leave the tolerance: one pass with a cone of slopes that all instants since the last kept one allow.
+//! Light is looked at in panels of four steps. Where one does not lie on the line between the ends, the panel
+//! is halved, if need be down to nanoseconds; where the scene says that nothing changes, time is skipped. Of
+//! all instants looked at, only those are kept without which a line would leave the tolerance: one pass with
+//! a cone of slopes that all instants since the last kept one allow.
 
 /// How light is sampled over a span that begins at 0.
 #[derive(Clone, Copy, Debug)]
@@ -13,12 +15,14 @@ pub struct Sampler {
     pub step_ns: i64,
     /// How far the logarithm of light between kept instants may be off, natural-log units.
     pub tolerance: f64,
-    /// Do things turn back at once, so that they may touch a pixel for less than a step? Then a pause is only taken as one when `still_until` says so.
+    /// Do things turn back at once, so that they may touch a pixel for less than a step? Then a pause is only
+    /// taken as one when `still_until` says so.
     pub graze: bool,
 }
 
 impl Sampler {
-    /// The kept instants of `light`; `still_until` says up to when it is constant from an instant on, for certain.
+    /// The kept instants of `light`; `still_until` says up to when it is constant from an instant on, for
+    /// certain.
     pub fn sample(&self, light: impl Fn(i64) -> f64, still_until: impl Fn(i64) -> i64) -> Vec<(i64, f64)> {
         let mut thinned = Thinned::new((0, light(0)), 0.5 * self.tolerance);
         let panel = 4 * self.step_ns.max(1);
@@ -38,20 +42,29 @@ impl Sampler {
         thinned.finish()
     }
 
-    fn panel(&self, scene: (&impl Fn(i64) -> f64, &impl Fn(i64) -> i64), from: (i64, f64), to: (i64, f64), thinned: &mut Thinned) {
+    fn panel(
+        &self,
+        scene: (&impl Fn(i64) -> f64, &impl Fn(i64) -> i64),
+        from: (i64, f64),
+        to: (i64, f64),
+        thinned: &mut Thinned,
+    ) {
         let (light, still_until) = scene;
         let length = to.0 - from.0;
         if length < 4 {
             return thinned.add(to);
         }
-        let inside = [length / 4, length / 2, length - length / 4].map(|after| (from.0 + after, light(from.0 + after)));
-        // A kink anywhere shows at these instants with a good part of its error, but may be where light is weakest.
+        let inside = [length / 4, length / 2, length - length / 4]
+            .map(|after| (from.0 + after, light(from.0 + after)));
+        // A kink anywhere shows at these instants with a good part of its error, but may be where light is
+        // weakest.
         let weakest = inside.iter().fold(from.1.min(to.1), |least, seen| least.min(seen.1));
         let bends = |seen: &(i64, f64)| {
             let line = from.1 + (to.1 - from.1) * ((seen.0 - from.0) as f64 / length as f64);
             (seen.1 - line).abs() > 0.25 * self.tolerance * weakest
         };
-        // What grazes a pixel may come and go between two looks: a flat panel must be known to stand still, or be looked at more closely.
+        // What grazes a pixel may come and go between two looks: a flat panel must be known to stand still,
+        // or be looked at more closely.
         let flat = from.1 == to.1 && inside.iter().all(|seen| seen.1 == from.1);
         let may_graze = self.graze && flat && length > self.step_ns / 32 && still_until(from.0) < to.0;
         if may_graze || inside.iter().any(bends) {
@@ -83,7 +96,8 @@ impl Thinned {
         self.add_within(next, self.tolerance * next.1);
     }
 
-    /// Adds an instant, of which the line may be off by `margin` if it does not stay; in the unit of the light.
+    /// Adds an instant, of which the line may be off by `margin` if it does not stay; in the unit of the
+    /// light.
     pub(super) fn add_within(&mut self, next: (i64, f64), margin: f64) {
         let slope = |from: (i64, f64), to: f64| (to - from.1) / (next.0 - from.0) as f64;
         let mut anchor = self.kept[self.kept.len() - 1];
@@ -93,7 +107,10 @@ impl Thinned {
             anchor = self.last;
             self.slopes = (f64::NEG_INFINITY, f64::INFINITY);
         }
-        self.slopes = (self.slopes.0.max(slope(anchor, next.1 - margin)), self.slopes.1.min(slope(anchor, next.1 + margin)));
+        self.slopes = (
+            self.slopes.0.max(slope(anchor, next.1 - margin)),
+            self.slopes.1.min(slope(anchor, next.1 + margin)),
+        );
         self.last = next;
     }
 
@@ -127,8 +144,14 @@ mod tests {
         let wave = |t: i64| 2.0 + libm::sin(t as f64 * 2e-5);
         let ramp = |t: i64| 0.03 + 0.9 * ((t - 312_345) as f64 / 111_111.0).clamp(0.0, 1.0);
         let (smooth, edge) = (SAMPLER.sample(wave, |t| t), SAMPLER.sample(ramp, |t| t));
-        assert!(worst(&smooth, wave) < 1e-3 && worst(&edge, ramp) < 1e-3, "{} {}", worst(&smooth, wave), worst(&edge, ramp));
-        // A wave bends by 1 in (50 us)^2 at most: lines of 4.5 us are needed; an edge is a line with two ends.
+        assert!(
+            worst(&smooth, wave) < 1e-3 && worst(&edge, ramp) < 1e-3,
+            "{} {}",
+            worst(&smooth, wave),
+            worst(&edge, ramp)
+        );
+        // A wave bends by 1 in (50 us)^2 at most: lines of 4.5 us are needed; an edge is a line with two
+        // ends.
         assert!(smooth.len() < 220 && edge.len() < 8, "{} {}", smooth.len(), edge.len());
         assert!(edge.is_sorted_by(|a, b| a.0 < b.0));
     }

@@ -1,10 +1,13 @@
-//! `simulate/photo`: light of a still photo that moves as stated: translation, rotation, zoom, shake; and true frames of it.
+//! `simulate/photo`: light of a still photo that moves as stated: translation, rotation, zoom, shake; and
+//! true frames of it.
 //!
-//! Real texture under motion that is known exactly at any instant ([`super::moved::motion`]), so truth is as good as the photo at any rate. Between its
-//! pixels the photo is a cubic B-spline through them, widened where it is shrunk ([`super::moved::spline`] says why). Light is looked at often enough for
-//! what passes each pixel and kept at the instants that straight lines need, as `simulate/scene` does.
+//! Real texture under motion that is known exactly at any instant ([`super::moved::motion`]), so truth is as
+//! good as the photo at any rate. Between its pixels the photo is a cubic B-spline through them, widened
+//! where it is shrunk ([`super::moved::spline`] says why). Light is looked at often enough for what passes
+//! each pixel and kept at the instants that straight lines need, as `simulate/scene` does.
 //!
-//! At time 0 the middle of the photo is in the middle of the sensor. Limits: grey, as luminance; one flat picture, so nothing covers anything else.
+//! At time 0 the middle of the photo is in the middle of the sensor. Limits: grey, as luminance; one flat
+//! picture, so nothing covers anything else.
 
 use super::moved::MovingPhoto;
 use super::moved::motion::Motion;
@@ -23,11 +26,13 @@ use std::sync::OnceLock;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The photo: a PNG, TIFF or JPEG picture, grey or RGB, 8 or 16 bits; relative to the manifest that names it.
+    /// The photo: a PNG, TIFF or JPEG picture, grey or RGB, 8 or 16 bits; relative to the manifest that names
+    /// it.
     pub path: InputPath,
     /// How stored values become linear light.
     pub transfer: Transfer,
-    /// Squares of so many pixels of the photo are averaged to one first, in linear light: for photos much larger than the sensor.
+    /// Squares of so many pixels of the photo are averaged to one first, in linear light: for photos much
+    /// larger than the sensor.
     #[schemars(range(min = 1, max = 64))]
     pub shrink: u32,
     /// Pixels of the sensor to one of the (shrunk) photo at time 0.
@@ -62,7 +67,8 @@ pub struct Params {
     /// Growth per second: after `t` seconds it is `exp(zoom t)` times as large. Less than 0 shrinks.
     #[schemars(range(min = -100.0, max = 100.0))]
     pub zoom: f64,
-    /// The pixel of the sensor about which it turns and grows; that point of the photo slides along. Default: the middle.
+    /// The pixel of the sensor about which it turns and grows; that point of the photo slides along. Default:
+    /// the middle.
     pub centre: Option<Place>,
     /// A hand that shakes: a sine along a line.
     pub shake: Shake,
@@ -72,10 +78,12 @@ pub struct Params {
     /// Exposure that true frames are scaled to: that of the captured frames they are compared with.
     #[schemars(extend("x-min" = "1 ns", "x-max" = "10 s"))]
     pub exposure: Duration,
-    /// Longest time between two looks at a pixel; shorter where a quarter of a pixel of the photo passes sooner.
+    /// Longest time between two looks at a pixel; shorter where a quarter of a pixel of the photo passes
+    /// sooner.
     #[schemars(extend("x-min" = "1 us", "x-max" = "1 s"))]
     pub sample_step: Duration,
-    /// How far the logarithm of light may be off between instants, natural-log units; a small part of a threshold.
+    /// How far the logarithm of light may be off between instants, natural-log units; a small part of a
+    /// threshold.
     #[schemars(range(min = 0.00001, max = 0.1))]
     pub tolerance: f64,
 }
@@ -152,7 +160,8 @@ const INSTANTS_PER_S: f64 = 4000.0;
 
 impl SimulatePhoto {
     fn metas(&self) -> Result<Metas, NodeError> {
-        let (extent, duration) = (Extent { width: self.params.width, height: self.params.height }, self.params.duration);
+        let (extent, duration) =
+            (Extent { width: self.params.width, height: self.params.height }, self.params.duration);
         let truth = TruthParams { rate: self.params.truth_rate, exposure: self.params.exposure };
         Metas::new(extent, duration.ns(), 2.0 + INSTANTS_PER_S * duration.seconds(), truth)
     }
@@ -169,7 +178,9 @@ impl SimulatePhoto {
         let window = Window::by_factor(picture.extent(), self.params.shrink)?;
         let extent = window.extent();
         let light = window.read(&picture, 0, extent.rows())?;
-        Ok(self.photo.get_or_init(|| Spline::new(extent.width as usize, extent.height as usize, light, self.params.outside)))
+        Ok(self.photo.get_or_init(|| {
+            Spline::new(extent.width as usize, extent.height as usize, light, self.params.outside)
+        }))
     }
 
     fn motion(&self, photo: Extent) -> Motion {
@@ -201,7 +212,8 @@ impl Node for SimulatePhoto {
         grain: Grain::Pixel,
         draws: false,
         exports: false,
-        sources: &["Unser, Aldroubi and Eden, IEEE Transactions on Signal Processing 41, 1993: B-spline interpolation"],
+        sources: &["Unser, Aldroubi and Eden, IEEE Transactions on Signal Processing 41, 1993: B-spline \
+                    interpolation"],
         example: r#"
 [nodes.photo]
 kind   = "simulate/photo"
@@ -215,13 +227,19 @@ params = { path = "street.png", speed = 2000.0, heading = 20.0, rotation = "30 r
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`path` is missing").hint("name the photo, such as `path = \"street.png\"`").param("path"));
+            return Err(NodeError::usage("`path` is missing")
+                .hint(
+                    "name the photo, such as `path = \
+                                                            \"street.png\"`",
+                )
+                .param("path"));
         }
         // Growth is monotonic: the photo is smallest at the beginning or at the end.
         let smallest = params.scale * libm::exp((params.zoom * params.duration.seconds()).min(0.0));
         if smallest * WIDEST < 1.0 {
             return Err(NodeError::usage(format!(
-                "at the end a pixel of the sensor sees {:.0} pixels of the photo in a row, at most {WIDEST} can be",
+                "at the end a pixel of the sensor sees {:.0} pixels of the photo in a row, at most {WIDEST} \
+                 can be",
                 1.0 / smallest
             ))
             .hint("average squares of the photo first (`shrink`), take a larger `scale`, or a `zoom` nearer to 0")

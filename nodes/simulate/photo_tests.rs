@@ -24,14 +24,22 @@ fn photo(width: u32, height: u32, value: impl Fn(f64, f64) -> f64) -> (TempDir, 
     let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (f64::from(x), f64::from(y))));
     let values: Vec<u16> = pixels.map(|(x, y)| (value(x, y) * 65535.0).round() as u16).collect();
     save(&path, width, height, (ColorType::Grayscale, BitDepth::Sixteen), &wide(&values));
-    let params =
-        Params { path: InputPath::new(path), transfer: Transfer::Linear, width: 24, height: 8, duration: Duration::new(40_000_000), ..Params::default() };
+    let params = Params {
+        path: InputPath::new(path),
+        transfer: Transfer::Linear,
+        width: 24,
+        height: 8,
+        duration: Duration::new(40_000_000),
+        ..Params::default()
+    };
     (folder, params)
 }
 
 fn run(params: Params, rows: Rows) -> Out {
     let node = SimulatePhoto::build(params).unwrap();
-    testing::with_context(rows, &["light", "truth"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx)).0.unwrap()
+    testing::with_context(rows, &["light", "truth"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx))
+        .0
+        .unwrap()
 }
 
 const ROWS: Rows = Rows { start: 0, end: 8 };
@@ -55,7 +63,8 @@ fn compare(out: &Out, tolerance: f64, expected: impl Fn(f64, f64, f64) -> f64) {
         for (l, exposure) in out.truth.0.meta.times.exposures.iter().enumerate() {
             let share = expected(f64::from(x), f64::from(y), exposure.start.0 as f64 * 1e-9);
             let off = (f64::from(truth.row(l, y)[x as usize]) - 5.0) / (60.0 * 6.5 * share) - 1.0;
-            // In the trough at 0.1 of white the curve is off by 0.4 (TAU / 24)^4 / 360 at most, a twentieth of a thousandth, and 16 bits by three times as much.
+            // In the trough at 0.1 of white the curve is off by 0.4 (TAU / 24)^4 / 360 at most, a twentieth
+            // of a thousandth, and 16 bits by three times as much.
             assert!(off.abs() < 3e-4, "({x}, {y}) in true frame {l} is off by {off}");
         }
     }
@@ -106,12 +115,21 @@ fn an_exponential_that_slides_fires_at_equal_intervals() {
     (ideal.front_end.tau_0, ideal.front_end.alpha) = (Some(Duration::new(0)), Some(Duration::new(0)));
     (ideal.comparator.threshold_on, ideal.comparator.threshold_off) = (Some(0.2), Some(0.2));
     (ideal.readout.refractory, ideal.frames.row_time) = (Some(Duration::new(0)), Some(Duration::new(0)));
-    let params =
-        camera::Params { frame_rate: Rate::new(100.0), exposure: Duration::new(1_000_000), latency_spread: Duration::new(0), ..camera::Params::default() };
+    let params = camera::Params {
+        frame_rate: Rate::new(100.0),
+        exposure: Duration::new(1_000_000),
+        latency_spread: Duration::new(0),
+        ..camera::Params::default()
+    };
     let node = SimulateSensor::build(params).unwrap();
-    let seen = testing::with_context(ROWS, &["events"], |cx| node.run(camera::In { light: out.light, sensor: Arc::new(ideal) }, cx)).0.unwrap();
+    let seen = testing::with_context(ROWS, &["events"], |cx| {
+        node.run(camera::In { light: out.light, sensor: Arc::new(ideal) }, cx)
+    })
+    .0
+    .unwrap();
     let events = seen.events.read(ROWS).unwrap();
-    // Log light rises by 0.03 x 1500 = 45 a second: a threshold of 0.2 every 4.444 ms, six times in 30 ms, on all 24 x 8 pixels.
+    // Log light rises by 0.03 x 1500 = 45 a second: a threshold of 0.2 every 4.444 ms, six times in 30 ms, on
+    // all 24 x 8 pixels.
     assert_eq!(events.len(), 6 * 24 * 8);
     assert!(events.on.iter().all(|on| *on == 1));
     let worst = events.t.iter().map(|t| {
@@ -119,7 +137,8 @@ fn an_exponential_that_slides_fires_at_equal_intervals() {
         (*t as f64 - n * 0.2 / 45e-9).abs()
     });
     let worst = worst.fold(0.0, f64::max);
-    // Sixteen bits step by 1.3e-4 of the darkest pixel seen; tripled by the curve and twice, for two ends: 8e-4 of log light are 18 us.
+    // Sixteen bits step by 1.3e-4 of the darkest pixel seen; tripled by the curve and twice, for two ends:
+    // 8e-4 of log light are 18 us.
     assert!(worst < 18_000.0, "{worst}");
 }
 
@@ -138,7 +157,15 @@ fn what_rests_costs_one_instant() {
 fn bands_are_rows_of_the_whole() {
     let (_folder, still) = photo(40, 30, |x, y| 0.5 + 0.2 * libm::sin(x) + 0.2 * libm::cos(1.7 * y));
     let shake = Shake { amplitude: 1.0, ..Shake::default() };
-    let params = Params { speed: 900.0, heading: 33.0, rotation: Rotation::new(-200.0), zoom: -3.0, shake, outside: Outside::Hold, ..still };
+    let params = Params {
+        speed: 900.0,
+        heading: 33.0,
+        rotation: Rotation::new(-200.0),
+        zoom: -3.0,
+        shake,
+        outside: Outside::Hold,
+        ..still
+    };
     let rows = Rows { start: 3, end: 6 };
     let (whole, band) = (run(params.clone(), ROWS), run(params, rows));
     assert_eq!(whole.light.read(rows).unwrap(), band.light.read(rows).unwrap());
@@ -150,7 +177,8 @@ fn light_stays_between_the_darkest_and_white() {
     // A step from nothing to white: the curve overshoots, light does not.
     let (_folder, still) = photo(60, 20, |x, _| if x < 30.0 { 0.0 } else { 1.0 });
     let band = run(Params { speed: 400.0, ..still }, ROWS).light.read(ROWS).unwrap();
-    let (least, most) = band.photocurrent.iter().fold((f32::MAX, 0.0_f32), |(least, most), i| (least.min(*i), most.max(*i)));
+    let (least, most) =
+        band.photocurrent.iter().fold((f32::MAX, 0.0_f32), |(least, most), i| (least.min(*i), most.max(*i)));
     assert!((least - 0.6).abs() < 1e-6 && (most - 60.0).abs() < 1e-5, "{least} {most}");
 }
 
@@ -173,13 +201,28 @@ fn photos_and_motions_that_cannot_be_are_refused() {
     let message = |params: Params| plan(params).unwrap_err().message;
     assert!(plan(still.clone()).is_ok());
     assert_eq!(message(Params::default()), "`path` is missing");
-    assert!(message(Params { path: InputPath::new("no/such.png"), ..still.clone() }).ends_with("no/such.png: there is no such file"));
-    assert_eq!(message(Params { zoom: -100.0, ..still.clone() }), "at the end a pixel of the sensor sees 55 pixels of the photo in a row, at most 16 can be");
-    assert_eq!(message(Params { shrink: 5, ..still.clone() }), "4 x 4 pixels are less than one square of 5 x 5");
+    assert!(
+        message(Params { path: InputPath::new("no/such.png"), ..still.clone() })
+            .ends_with("no/such.png: there is no such file")
+    );
+    assert_eq!(
+        message(Params { zoom: -100.0, ..still.clone() }),
+        "at the end a pixel of the sensor sees 55 \
+                                                            pixels of the photo in a row, at most 16 can be"
+    );
+    assert_eq!(
+        message(Params { shrink: 5, ..still.clone() }),
+        "4 x 4 pixels are less than one square of 5 x 5"
+    );
     let clear = folder.path().join("clear.png");
     save(Path::new(&clear), 1, 1, (ColorType::Rgba, BitDepth::Eight), &[1, 2, 3, 4]);
-    assert_eq!(message(Params { path: InputPath::new(clear), ..still.clone() }), "clear.png has transparency, and light has none");
-    let blank = PortMetas::new([("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into());
+    assert_eq!(
+        message(Params { path: InputPath::new(clear), ..still.clone() }),
+        "clear.png has transparency, and light has none"
+    );
+    let blank = PortMetas::new(
+        [("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into(),
+    );
     let error = SimulatePhoto::build(still).unwrap().plan(&blank).unwrap_err();
     assert!(format!("{error} {:?}", error.notes).contains("optics.photocurrent_per_lux"), "{error}");
 }

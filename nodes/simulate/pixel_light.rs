@@ -57,10 +57,14 @@ impl Instants {
         self.photocurrent.extend(pixel.photocurrent.iter().map(|i| f64::from(*i)));
     }
 
-    /// The weighted sum of the neighbours' light at all their instants; beyond the edge the nearest pixel stands in.
+    /// The weighted sum of the neighbours' light at all their instants; beyond the edge the nearest pixel
+    /// stands in.
     fn mix(&mut self, light: &LightBand, extent: Extent, kernel: &Kernel, x: u32, y: u32) {
         let neighbour = |tap: &Tap| {
-            let (column, row) = (stand_in(x as usize, tap.dx, extent.width as usize), stand_in(y as usize, tap.dy, extent.height as usize));
+            let (column, row) = (
+                stand_in(x as usize, tap.dx, extent.width as usize),
+                stand_in(y as usize, tap.dy, extent.height as usize),
+            );
             light.pixel(column as u32, row as u32)
         };
         self.t.clear();
@@ -68,14 +72,19 @@ impl Instants {
         self.t.sort_unstable();
         self.t.dedup();
         self.photocurrent.clear();
-        let sum = |&t: &i64| mixed(kernel, |tap| photocurrent_core::light::at(neighbour(tap), t).unwrap_or(f64::NAN));
+        let sum = |&t: &i64| {
+            mixed(kernel, |tap| photocurrent_core::light::at(neighbour(tap), t).unwrap_or(f64::NAN))
+        };
         self.photocurrent.extend(self.t.iter().map(sum));
     }
 
     fn light(&self) -> Result<LinearLight<'_>, NodeError> {
         if self.t.is_empty() || !self.photocurrent.iter().all(|i| *i > 0.0 && i.is_finite()) {
-            return Err(NodeError::input("the light has a pixel without a positive photocurrent at every instant")
-                .hint("a scene reflects more than nothing everywhere"));
+            return Err(NodeError::input(
+                "the light has a pixel without a positive photocurrent at every \
+                                         instant",
+            )
+            .hint("a scene reflects more than nothing everywhere"));
         }
         Ok(LinearLight::new(&self.t, &self.photocurrent))
     }

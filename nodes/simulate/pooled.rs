@@ -1,4 +1,5 @@
-//! The light that event pixels see, where each lies on several frame pixels or colours: the mixture of its block ([`photocurrent_sensor::pooling`]).
+//! The light that event pixels see, where each lies on several frame pixels or colours: the mixture of its
+//! block ([`photocurrent_sensor::pooling`]).
 
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::light::{Light, LightBand, LightMeta, at};
@@ -25,9 +26,13 @@ impl Pooling {
     pub fn extent(&self, light: &LightMeta) -> Result<Extent, NodeError> {
         let Extent { width, height } = light.extent;
         if !width.is_multiple_of(self.ratio) || !height.is_multiple_of(self.ratio) {
-            return Err(NodeError::usage(format!("the light has {width} x {height} pixels, and {0} x {0} lie on each event pixel", self.ratio))
-                .hint(format!("make width and height multiples of {}", self.ratio))
-                .param("pixels_per_event_pixel"));
+            return Err(NodeError::usage(format!(
+                "the light has {width} x {height} pixels, and {0} x {0} lie \
+                                                 on each event pixel",
+                self.ratio
+            ))
+            .hint(format!("make width and height multiples of {}", self.ratio))
+            .param("pixels_per_event_pixel"));
         }
         Ok(Extent { width: width / self.ratio, height: height / self.ratio })
     }
@@ -45,8 +50,14 @@ impl Pooling {
         if self.is_plain(&light.meta) {
             return Ok(light.clone());
         }
-        let meta = LightMeta { extent: self.extent(&light.meta)?, colour: Colour::Mono, count_hint: None, ..(*light.meta).clone() };
-        let rows = Rows { start: light.rows().start.div_ceil(self.ratio), end: light.rows().end / self.ratio };
+        let meta = LightMeta {
+            extent: self.extent(&light.meta)?,
+            colour: Colour::Mono,
+            count_hint: None,
+            ..(*light.meta).clone()
+        };
+        let rows =
+            Rows { start: light.rows().start.div_ceil(self.ratio), end: light.rows().end / self.ratio };
         Ok(Light::new(Arc::new(meta), rows, Arc::new(Mixture { of: light.clone(), pooling: self })))
     }
 }
@@ -59,28 +70,43 @@ struct Mixture {
 impl BandSource<LightBand> for Mixture {
     fn read(&self, rows: Rows) -> Result<LightBand, DataError> {
         let Pooling { ratio, seen } = self.pooling;
-        let (meta, whole) = (&self.of.meta, self.of.read(Rows { start: rows.start * ratio, end: rows.end * ratio })?);
+        let (meta, whole) =
+            (&self.of.meta, self.of.read(Rows { start: rows.start * ratio, end: rows.end * ratio })?);
         let (width, block_values) = (meta.extent.width / ratio, ratio * meta.colour.channels());
         let row = |y: u32| -> LightBand {
             let mut band = LightBand::begin(y, width);
             let mut instants: Vec<i64> = Vec::new();
             for x in 0..width {
                 let weights = block_weights(meta.colour, ratio, (x, y), seen);
-                let places = (0..ratio).flat_map(|dy| (0..block_values).map(move |value| (x * block_values + value, y * ratio + dy)));
-                let parts: Vec<(f64, Series<'_>)> =
-                    weights.into_iter().zip(places).filter(|(weight, _)| *weight > 0.0).map(|(weight, (value, y))| (weight, whole.pixel(value, y))).collect();
+                let places = (0..ratio).flat_map(|dy| {
+                    (0..block_values).map(move |value| (x * block_values + value, y * ratio + dy))
+                });
+                let parts: Vec<(f64, Series<'_>)> = weights
+                    .into_iter()
+                    .zip(places)
+                    .filter(|(weight, _)| *weight > 0.0)
+                    .map(|(weight, (value, y))| (weight, whole.pixel(value, y)))
+                    .collect();
                 instants.clear();
                 instants.extend(parts.iter().flat_map(|(_, part)| part.t));
                 instants.sort_unstable();
                 instants.dedup();
-                // Straight lines between the instants of all: the sum is exact. A pixel without light is left for the camera to refuse.
-                let mixed = |t: i64| parts.iter().map(|(weight, part)| weight * at(*part, t).unwrap_or(f64::NAN)).sum::<f64>() as f32;
+                // Straight lines between the instants of all: the sum is exact. A pixel without light is left
+                // for the camera to refuse.
+                let mixed = |t: i64| {
+                    parts.iter().map(|(weight, part)| weight * at(*part, t).unwrap_or(f64::NAN)).sum::<f64>()
+                        as f32
+                };
                 band.push(instants.iter().map(|&t| (t, mixed(t))));
             }
             band
         };
         let bands: Vec<LightBand> = rows.iter().into_par_iter().map(row).collect();
-        if bands.is_empty() { Ok(LightBand::begin(rows.start, width)) } else { Ok(photocurrent_core::handle::Band::concat(bands)) }
+        if bands.is_empty() {
+            Ok(LightBand::begin(rows.start, width))
+        } else {
+            Ok(photocurrent_core::handle::Band::concat(bands))
+        }
     }
 }
 
@@ -112,14 +138,22 @@ mod tests {
             0.2 * i(0, 0) + 0.25 * (i(1, 0) + i(0, 1)) + 0.3 * i(1, 1)
         };
         let rgb = |light: &LightBand, x: u32, y: u32, t: i64| {
-            let i = |c: u32| (0..4).map(|n| at(light.pixel(3 * (2 * x + n % 2) + c, 2 * y + n / 2), t).unwrap()).sum::<f64>() / 4.0;
+            let i = |c: u32| {
+                (0..4)
+                    .map(|n| at(light.pixel(3 * (2 * x + n % 2) + c, 2 * y + n / 2), t).unwrap())
+                    .sum::<f64>()
+                    / 4.0
+            };
             0.2 * i(0) + 0.5 * i(1) + 0.3 * i(2)
         };
         type By<'a> = &'a dyn Fn(&LightBand, u32, u32, i64) -> f64;
         for (name, by) in [("bayer_rggb", &bayer as By), ("rgb", &rgb as By)] {
             let own = light(Colour::named(name).unwrap(), extent);
             let pooled = Pooling { ratio: 2, seen }.light(&own).unwrap();
-            assert_eq!((pooled.meta.extent, pooled.meta.colour, pooled.rows().end), (Extent { width: 4, height: 2 }, Colour::Mono, 2));
+            assert_eq!(
+                (pooled.meta.extent, pooled.meta.colour, pooled.rows().end),
+                (Extent { width: 4, height: 2 }, Colour::Mono, 2)
+            );
             let (own, all) = (own.read(own.rows()).unwrap(), pooled.read(pooled.rows()).unwrap());
             for (x, y) in [(0, 0), (3, 0), (1, 1)] {
                 for t in [0, 1_234, 1_777, 5_000, 10_000] {

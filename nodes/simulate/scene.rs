@@ -1,13 +1,16 @@
 //! `simulate/scene`: light of a moving scene, known in closed form, and true frames of it.
 //!
-//! A scene ([`super::scenes`]) gives each pixel's reflectance at any instant; illuminance on the scene and the sensor's photocurrent per lux make it
-//! photocurrent. Light is looked at often where something moves and kept at the instants that straight lines need ([`super::instants`]). True frames
-//! are the scene itself at instants, not the sampled light, scaled as a frame of the stated exposure would read.
+//! A scene ([`super::scenes`]) gives each pixel's reflectance at any instant; illuminance on the scene and
+//! the sensor's photocurrent per lux make it photocurrent. Light is looked at often where something moves and
+//! kept at the instants that straight lines need ([`super::instants`]). True frames are the scene itself at
+//! instants, not the sampled light, scaled as a frame of the stated exposure would read.
 //!
-//! The scenes are those of the paper's simulation (Section 5): basketball, checkerboard, slingshot egg, running man, fan; its rotating disk under a
-//! stated illuminance; and two more. They are drawn from scratch: same kind of motion, not the same pictures.
+//! The scenes are those of the paper's simulation (Section 5): basketball, checkerboard, slingshot egg,
+//! running man, fan; its rotating disk under a stated illuminance; and two more. They are drawn from scratch:
+//! same kind of motion, not the same pictures.
 //!
-//! With `colour`, each pixel has red, green and blue, or the one that a mosaic of filters lets through; scenes without colours are grey behind every filter.
+//! With `colour`, each pixel has red, green and blue, or the one that a mosaic of filters lets through;
+//! scenes without colours are grey behind every filter.
 //!
 //! Limits: an ideal lens; reflectance from 0.03 to 0.95, so contrast within a scene is at most about 30.
 
@@ -42,15 +45,18 @@ pub struct Params {
     pub truth_rate: Rate,
     /// Grey, red, green and blue of every pixel, or a mosaic of filters over the pixels.
     pub colour: Colour,
-    /// Colours of the true frames; absent = those of the light. `rgb` for what is scored after `render/demosaic`.
+    /// Colours of the true frames; absent = those of the light. `rgb` for what is scored after
+    /// `render/demosaic`.
     pub truth_colour: Option<Colour>,
     /// Exposure that true frames are scaled to: that of the captured frames they are compared with.
     #[schemars(extend("x-min" = "1 ns", "x-max" = "10 s"))]
     pub exposure: Duration,
-    /// Longest time between two looks at a pixel that something may cross; shorter where things cross a quarter of a pixel sooner.
+    /// Longest time between two looks at a pixel that something may cross; shorter where things cross a
+    /// quarter of a pixel sooner.
     #[schemars(extend("x-min" = "1 us", "x-max" = "1 s"))]
     pub sample_step: Duration,
-    /// How far the logarithm of light may be off between instants, natural-log units; a small part of a threshold.
+    /// How far the logarithm of light may be off between instants, natural-log units; a small part of a
+    /// threshold.
     #[schemars(range(min = 0.00001, max = 0.1))]
     pub tolerance: f64,
     #[serde(flatten)]
@@ -92,7 +98,12 @@ impl SimulateScene {
     fn metas(&self, instants: f64) -> Result<Metas, NodeError> {
         let truth = TruthParams { rate: self.params.truth_rate, exposure: self.params.exposure };
         let colour = self.params.colour;
-        let metas = Metas::new(self.extent(), self.params.duration.ns(), instants * f64::from(colour.channels()), truth)?;
+        let metas = Metas::new(
+            self.extent(),
+            self.params.duration.ns(),
+            instants * f64::from(colour.channels()),
+            truth,
+        )?;
         Ok(metas.coloured(colour, self.params.truth_colour.unwrap_or(colour)))
     }
 
@@ -106,7 +117,8 @@ impl SimulateScene {
         Look { step: self.params.sample_step, tolerance: self.params.tolerance, graze }
     }
 
-    /// About how many instants a pixel has. The seed is not known while planning; another one gives another picture of the same kind.
+    /// About how many instants a pixel has. The seed is not known while planning; another one gives another
+    /// picture of the same kind.
     fn instants(&self) -> f64 {
         let scene = self.params.details.scene(self.params.scene, self.extent(), 0);
         source::estimated_instants(&*scene, self.look(), self.extent(), self.params.duration.ns())
@@ -135,16 +147,21 @@ params = { scene = "fan", fan = { speed = "900 rpm" }, illuminance = "300 lx", d
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if let Some(name) = params.details.set_in_vain(params.scene) {
-            let shown = serde_json::to_value(params.scene).map_err(|error| NodeError::failed(error.to_string()))?;
+            let shown =
+                serde_json::to_value(params.scene).map_err(|error| NodeError::failed(error.to_string()))?;
             return Err(NodeError::usage(format!("`{name}` is set, but the scene is {shown}"))
                 .hint(format!("write `scene = \"{name}\"`, or leave `{name}` out"))
                 .param(name));
         }
-        let (radius, extent) = (params.details.pellet.radius, Extent { width: params.width, height: params.height });
+        let (radius, extent) =
+            (params.details.pellet.radius, Extent { width: params.width, height: params.height });
         if params.scene == scenes::Name::Pellet && !scenes::pellet::fits(radius, extent) {
-            return Err(NodeError::usage(format!("a pellet of radius {radius} does not fit into {extent} pixels"))
-                .hint("make `pellet.radius` smaller, or `width` and `height` larger")
-                .param("pellet"));
+            return Err(NodeError::usage(format!(
+                "a pellet of radius {radius} does not fit into {extent} \
+                                                 pixels"
+            ))
+            .hint("make `pellet.radius` smaller, or `width` and `height` larger")
+            .param("pellet"));
         }
         Ok(SimulateScene { params })
     }

@@ -19,7 +19,9 @@ fn small(scene: scenes::Name) -> Params {
 
 fn run(params: Params, rows: Rows) -> Out {
     let node = SimulateScene::build(params).unwrap();
-    testing::with_context(rows, &["light", "truth"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx)).0.unwrap()
+    testing::with_context(rows, &["light", "truth"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx))
+        .0
+        .unwrap()
 }
 
 const ROWS: Rows = Rows { start: 0, end: 30 };
@@ -35,7 +37,12 @@ fn between_instants_light_is_the_scene_within_the_tolerance() {
         let mut worst: f64 = 0.0;
         for (x, y) in ROWS.iter().flat_map(|y| (0..40).map(move |x| (x, y))) {
             let pixel = band.pixel(x, y);
-            assert!(pixel.t.is_sorted_by(|a, b| a < b) && pixel.t[0] == 0 && pixel.t.iter().all(|t| *t <= 40_000_000), "{name:?}");
+            assert!(
+                pixel.t.is_sorted_by(|a, b| a < b)
+                    && pixel.t[0] == 0
+                    && pixel.t.iter().all(|t| *t <= 40_000_000),
+                "{name:?}"
+            );
             for t in (0..=97).map(|k| k * 411_237) {
                 let exact = 60.0 * scene.reflectance(f64::from(x), f64::from(y), t);
                 worst = worst.max(libm::log(light::at(pixel, t).unwrap() / exact).abs());
@@ -60,7 +67,12 @@ fn every_value_is_the_scene_behind_its_filter_and_truth_may_have_all_three() {
     let extent = Extent { width: 40, height: 30 };
     for name in ["rgb", "bayer_grbg", "quad_bayer_rggb"] {
         let colour = Colour::named(name).unwrap();
-        let params = Params { colour, truth_colour: Some(Colour::Rgb), truth_rate: Rate::new(100.0), ..small(scenes::Name::ColourWheel) };
+        let params = Params {
+            colour,
+            truth_colour: Some(Colour::Rgb),
+            truth_rate: Rate::new(100.0),
+            ..small(scenes::Name::ColourWheel)
+        };
         let out = run(params.clone(), ROWS);
         let scene = params.details.scene(params.scene, extent, 7);
         assert_eq!((out.light.meta.colour, out.truth.0.meta.colour), (colour, Colour::Rgb));
@@ -74,7 +86,12 @@ fn every_value_is_the_scene_behind_its_filter_and_truth_may_have_all_three() {
                         assert!((light::at(light.pixel(value, y), t).unwrap() / exact - 1.0).abs() < 2e-3);
                     }
                     // DN = black + gain x photocurrent x exposure.
-                    assert!((f64::from(truth.row(l, y)[(3 * x + channel) as usize]) - (5.0 + 1000.0 * exact * 6.5e-3)).abs() < 1e-3);
+                    assert!(
+                        (f64::from(truth.row(l, y)[(3 * x + channel) as usize])
+                            - (5.0 + 1000.0 * exact * 6.5e-3))
+                            .abs()
+                            < 1e-3
+                    );
                 }
             }
         }
@@ -83,7 +100,11 @@ fn every_value_is_the_scene_behind_its_filter_and_truth_may_have_all_three() {
 
 #[test]
 fn truth_is_illuminance_times_reflectance_times_exposure() {
-    let params = Params { illuminance: Illuminance::new(1000.0), exposure: Duration::new(2_000_000), ..small(scenes::Name::SiemensDisk) };
+    let params = Params {
+        illuminance: Illuminance::new(1000.0),
+        exposure: Duration::new(2_000_000),
+        ..small(scenes::Name::SiemensDisk)
+    };
     let out = run(params, ROWS);
     assert_eq!(out.truth.0.meta.times.len(), 40);
     let dn = out.truth.0.read_rows(ROWS).unwrap();
@@ -96,7 +117,9 @@ fn truth_is_illuminance_times_reflectance_times_exposure() {
 #[test]
 fn what_is_not_asked_for_is_not_drawn() {
     let node = SimulateScene::build(small(scenes::Name::Fan)).unwrap();
-    let out = testing::with_context(ROWS, &["light"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx)).0.unwrap();
+    let out = testing::with_context(ROWS, &["light"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx))
+        .0
+        .unwrap();
     assert!(out.truth.0.read_rows(ROWS).unwrap().dn.iter().all(|dn| *dn == 0.0));
 }
 
@@ -112,7 +135,9 @@ fn parameters_of_another_scene_are_refused() {
 #[test]
 fn a_sensor_that_does_not_say_what_a_lux_is_worth_is_refused() {
     let node = SimulateScene::build(Params::default()).unwrap();
-    let metas = PortMetas::new([("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into());
+    let metas = PortMetas::new(
+        [("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into(),
+    );
     let error = node.plan(&metas).unwrap_err();
     assert!(format!("{error} {:?}", error.notes).contains("optics.photocurrent_per_lux"), "{error}");
 }
@@ -121,13 +146,18 @@ fn a_sensor_that_does_not_say_what_a_lux_is_worth_is_refused() {
 fn a_pellet_that_does_not_fit_is_refused() {
     let mut params = small(scenes::Name::Pellet);
     params.details.pellet.radius = 15.0;
-    assert_eq!(SimulateScene::build(params).err().unwrap().message, "a pellet of radius 15 does not fit into 40 x 30 pixels");
+    assert_eq!(
+        SimulateScene::build(params).err().unwrap().message,
+        "a pellet of radius 15 does not fit \
+                                                            into 40 x 30 pixels"
+    );
 }
 
 #[test]
 fn an_ideal_sensor_fires_once_for_each_threshold_of_the_scenes_own_log_light() {
     use super::super::sensor::{self, SimulateSensor};
-    let params = Params { width: 24, height: 16, duration: Duration::new(20_000_000), ..small(scenes::Name::Pellet) };
+    let params =
+        Params { width: 24, height: 16, duration: Duration::new(20_000_000), ..small(scenes::Name::Pellet) };
     let (extent, rows) = (Extent { width: 24, height: 16 }, Rows { start: 0, end: 16 });
     let mut ideal = sensor();
     ideal.front_end.tau_0 = Some(Duration::new(0));
@@ -136,7 +166,11 @@ fn an_ideal_sensor_fires_once_for_each_threshold_of_the_scenes_own_log_light() {
     ideal.comparator.threshold_off = Some(0.2);
     ideal.readout.refractory = Some(Duration::new(0));
     ideal.frames.row_time = Some(Duration::new(30_000));
-    let camera = SimulateSensor::build(sensor::Params { latency_spread: Duration::new(0), ..sensor::Params::default() }).unwrap();
+    let camera = SimulateSensor::build(sensor::Params {
+        latency_spread: Duration::new(0),
+        ..sensor::Params::default()
+    })
+    .unwrap();
     let input = sensor::In { light: run(params.clone(), rows).light, sensor: Arc::new(ideal) };
     let out = testing::with_context(rows, &["events", "frames"], |cx| camera.run(input, cx)).0.unwrap();
     let band = out.events.read(rows).unwrap();
@@ -167,6 +201,10 @@ fn the_plan_knows_about_how_many_instants_there_will_be() {
         let node = SimulateScene::build(small(name)).unwrap();
         let count = *run(small(name), ROWS).light.read(ROWS).unwrap().offsets().last().unwrap() as f64;
         let estimated = node.instants() * node.extent().pixels() as f64;
-        assert!((count / 2.0..count * 2.0).contains(&estimated), "{name:?}: {estimated} instants were planned, {count} came");
+        assert!(
+            (count / 2.0..count * 2.0).contains(&estimated),
+            "{name:?}: {estimated} instants were \
+                                                            planned, {count} came"
+        );
     }
 }

@@ -1,13 +1,16 @@
 //! `simulate/video`: light of a real film, from a folder of pictures or a Y4M file, and true frames of it.
 //!
-//! A high-speed film is light at the instants of its frames; between them it is taken as linear, which is all that light between instants can be here.
-//! An instant without which the line is the same, to the last stored bit, is dropped, so that what stands still costs one instant however long the film is.
-//! White is the stated illuminance, and the darkest light is bounded, so that its logarithm is finite.
+//! A high-speed film is light at the instants of its frames; between them it is taken as linear, which is all
+//! that light between instants can be here. An instant without which the line is the same, to the last stored
+//! bit, is dropped, so that what stands still costs one instant however long the film is. White is the stated
+//! illuminance, and the darkest light is bounded, so that its logarithm is finite.
 //!
-//! Works by row bands; of a band, a few frames are decoded at a time (of a PNG picture, the rows above it too: its rows are packed together). True frames are the film at instants, linear between its frames.
+//! Works by row bands; of a band, a few frames are decoded at a time (of a PNG picture, the rows above it
+//! too: its rows are packed together). True frames are the film at instants, linear between its frames.
 //!
-//! Limits: grey, as luminance. Motion of more than about a pixel from frame to frame becomes a cross-fade and not motion: choose a film that is fast enough for
-//! what moves in it. Noise of the film is light to the sensor: a film of a noisy camera makes events everywhere.
+//! Limits: grey, as luminance. Motion of more than about a pixel from frame to frame becomes a cross-fade and
+//! not motion: choose a film that is fast enough for what moves in it. Noise of the film is light to the
+//! sensor: a film of a noisy camera makes events everywhere.
 
 use super::instants::Thinned;
 use super::source::{In, Metas, Out, Scale, TruthParams};
@@ -15,7 +18,9 @@ use super::stored::folder::{self, Pictures};
 use super::stored::y4m::Y4m;
 use super::stored::{Crop, Film, Transfer, Window, cannot_read, short_name};
 use photocurrent_core::quantity::{Duration, Illuminance, InputPath, Rate};
-use photocurrent_core::{Context, Decl, FileRef, FrameBlock, Grain, LightBand, Meta, Node, NodeError, PortMetas, Rows, Sensor};
+use photocurrent_core::{
+    Context, Decl, FileRef, FrameBlock, Grain, LightBand, Meta, Node, NodeError, PortMetas, Rows, Sensor,
+};
 use photocurrent_formats::ycbcr::Range;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -27,18 +32,22 @@ use std::sync::OnceLock;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The film: a folder of PNG, TIFF or JPEG pictures (grey or RGB, 8 or 16 bits, sorted by name, `f2` before `f10`), or a Y4M file; relative to the manifest that names it.
+    /// The film: a folder of PNG, TIFF or JPEG pictures (grey or RGB, 8 or 16 bits, sorted by name, `f2`
+    /// before `f10`), or a Y4M file; relative to the manifest that names it.
     pub path: InputPath,
-    /// Frames per second at which it was taken. Needed for a folder; for a Y4M file the default is what its header says.
+    /// Frames per second at which it was taken. Needed for a folder; for a Y4M file the default is what its
+    /// header says.
     #[schemars(extend("x-min" = "0.001 Hz", "x-max" = "10 MHz"))]
     pub rate: Option<Rate>,
     /// How stored values become linear light. Default: `srgb` for pictures, `bt709` for Y4M.
     pub transfer: Option<Transfer>,
-    /// Which stored luma of a Y4M file is black and white. Default: what its header says, otherwise `limited`.
+    /// Which stored luma of a Y4M file is black and white. Default: what its header says, otherwise
+    /// `limited`.
     pub range: Option<Range>,
     /// The part of the pictures that is seen. Default: everything.
     pub crop: Option<Crop>,
-    /// Pixels in a row of the light: the part's width over a whole number; squares of pixels are averaged in linear light. Default: as `height` says, or all.
+    /// Pixels in a row of the light: the part's width over a whole number; squares of pixels are averaged in
+    /// linear light. Default: as `height` says, or all.
     #[schemars(range(min = 1, max = 65_536))]
     pub width: Option<u32>,
     /// Rows of the light: the part's height over the same whole number. Default: as `width` says, or all.
@@ -53,7 +62,8 @@ pub struct Params {
     /// Light on what is stored as full white.
     #[schemars(extend("x-min" = "0.001 lx", "x-max" = "1000000 lx"))]
     pub illuminance: Illuminance,
-    /// Darkest light, as a share of white's; what is stored darker counts as this. Below the default, one step of an 8-bit value is a good part of a threshold.
+    /// Darkest light, as a share of white's; what is stored darker counts as this. Below the default, one
+    /// step of an 8-bit value is a good part of a threshold.
     #[schemars(range(min = 0.000001, max = 0.5))]
     pub black: f64,
     /// True frames per second, at multiples of the period from 0 on.
@@ -62,7 +72,8 @@ pub struct Params {
     /// Exposure that true frames are scaled to: that of the captured frames they are compared with.
     #[schemars(extend("x-min" = "1 ns", "x-max" = "10 s"))]
     pub exposure: Duration,
-    /// How far light may be off where an instant is dropped, as a share of it. 0 drops only what makes no difference to the stored bits.
+    /// How far light may be off where an instant is dropped, as a share of it. 0 drops only what makes no
+    /// difference to the stored bits.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub tolerance: f64,
 }
@@ -108,7 +119,8 @@ enum Files {
 struct Opened {
     film: Box<dyn Film>,
     window: Window,
-    /// Instants of its frames, ns from the light's beginning: the first used one is at 0 or before, the last at the end or later.
+    /// Instants of its frames, ns from the light's beginning: the first used one is at 0 or before, the last
+    /// at the end or later.
     times: Vec<i64>,
     /// The number of the first used frame.
     first: usize,
@@ -140,9 +152,15 @@ impl SimulateVideo {
         let (film, rate, notes): (Box<dyn Film>, Option<f64>, Vec<String>) = match self.listed()? {
             Files::Pictures(paths) => {
                 if params.range.is_some() {
-                    return Err(NodeError::usage("`range` is set, and pictures always use all of theirs").hint("leave `range` out").param("range"));
+                    return Err(NodeError::usage("`range` is set, and pictures always use all of theirs")
+                        .hint("leave `range` out")
+                        .param("range"));
                 }
-                (Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?), None, Vec::new())
+                (
+                    Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?),
+                    None,
+                    Vec::new(),
+                )
             }
             Files::Y4m(path) => {
                 let film = Y4m::open(path, params.transfer.unwrap_or(Transfer::Bt709), params.range)?;
@@ -179,11 +197,18 @@ fn frame_times(frames: usize, rate: f64, params: &Params) -> Result<Vec<i64>, No
     let name = short_name(params.path.path());
     if frames < 2 {
         let count = if frames == 1 { "one frame" } else { "no frame" };
-        return Err(NodeError::input(format!("{name} has {count}, and light between frames needs two")).hint("simulate/photo moves one picture").param("path"));
+        return Err(NodeError::input(format!("{name} has {count}, and light between frames needs two"))
+            .hint("simulate/photo moves one picture")
+            .param("path"));
     }
-    let times: Vec<i64> = (0..frames).map(|k| (k as f64 * 1e9 / rate).round() as i64 - params.start.ns()).collect();
+    let times: Vec<i64> =
+        (0..frames).map(|k| (k as f64 * 1e9 / rate).round() as i64 - params.start.ns()).collect();
     let end = times[frames - 1];
-    let film = format!("{frames} frames at {}: the last is {} after the first", Rate::new(rate), Duration::new(end + params.start.ns()));
+    let film = format!(
+        "{frames} frames at {}: the last is {} after the first",
+        Rate::new(rate),
+        Duration::new(end + params.start.ns())
+    );
     if end <= 0 {
         return Err(NodeError::usage(format!("`start` is {}, and {name} is over by then", params.start))
             .note(film)
@@ -191,10 +216,14 @@ fn frame_times(frames: usize, rate: f64, params: &Params) -> Result<Vec<i64>, No
             .param("start"));
     }
     if params.duration.is_some_and(|duration| duration.ns() > end) {
-        return Err(NodeError::usage(format!("{name} is shorter than `duration` asks for: {} are left from `start` on", Duration::new(end)))
-            .note(film)
-            .hint("make `duration` shorter, or leave it out for the whole film")
-            .param("duration"));
+        return Err(NodeError::usage(format!(
+            "{name} is shorter than `duration` asks for: {} are left from \
+                                             `start` on",
+            Duration::new(end)
+        ))
+        .note(film)
+        .hint("make `duration` shorter, or leave it out for the whole film")
+        .param("duration"));
     }
     Ok(times)
 }
@@ -207,7 +236,11 @@ impl Node for SimulateVideo {
         grain: Grain::Pixel,
         draws: false,
         exports: false,
-        sources: &["YUV4MPEG2 (mjpegtools, yuv4mpeg(5))", "IEC 61966-2-1 (sRGB) and ITU-R BT.709: transfer curves, luminance"],
+        sources: &[
+            "YUV4MPEG2 (mjpegtools, yuv4mpeg(5))",
+            "IEC 61966-2-1 (sRGB) and ITU-R BT.709: transfer \
+                                                           curves, luminance",
+        ],
         example: r#"
 [nodes.film]
 kind   = "simulate/video"
@@ -221,7 +254,12 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`path` is missing").hint("name a folder of pictures or a Y4M file, such as `path = \"film.y4m\"`").param("path"));
+            return Err(NodeError::usage("`path` is missing")
+                .hint(
+                    "name a folder of pictures or a Y4M file, \
+                                                            such as `path = \"film.y4m\"`",
+                )
+                .param("path"));
         }
         Ok(SimulateVideo { params, files: OnceLock::new(), opened: OnceLock::new() })
     }
@@ -237,20 +275,31 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
         let (metas, scale, rows) = (self.metas(opened)?, self.scale(&input.sensor)?, cx.rows());
         opened.notes.iter().for_each(|note| cx.note(note.clone()));
         let width = opened.window.extent().width as usize;
-        let mut parts: Vec<Row> = rows.iter().map(|y| Row::new(width, metas.truth_block(Rows { start: y, end: y + 1 }, cx))).collect();
+        let mut parts: Vec<Row> = rows
+            .iter()
+            .map(|y| Row::new(width, metas.truth_block(Rows { start: y, end: y + 1 }, cx)))
+            .collect();
         let shown: Vec<i64> = metas.truth.times.exposures.iter().map(|exposure| exposure.start.0).collect();
         let together = (DECODED_VALUES / (rows.len() * width).max(1)).clamp(1, 32);
         let photocurrent = |light: &f64| f64::from((scale.white * light.max(self.params.black)) as f32);
         cx.begin(opened.times.len() as u64, "frames");
         for from in (0..opened.times.len()).step_by(together) {
             let frames = from..(from + together).min(opened.times.len());
-            let decoded: Result<Vec<Vec<f64>>, NodeError> =
-                frames.clone().into_par_iter().map(|k| opened.window.read(&*opened.film, opened.first + k, rows)).collect();
+            let decoded: Result<Vec<Vec<f64>>, NodeError> = frames
+                .clone()
+                .into_par_iter()
+                .map(|k| opened.window.read(&*opened.film, opened.first + k, rows))
+                .collect();
             let decoded = decoded?;
             parts.par_iter_mut().enumerate().for_each(|(at, row)| {
                 for (k, light) in frames.clone().zip(&decoded) {
                     let now = light[at * width..][..width].iter().map(photocurrent);
-                    row.add(&Step { t: opened.times[k], end: opened.end_ns, shown: &shown }, now, self.params.tolerance, &scale);
+                    row.add(
+                        &Step { t: opened.times[k], end: opened.end_ns, shown: &shown },
+                        now,
+                        self.params.tolerance,
+                        &scale,
+                    );
                 }
             });
             cx.advance(frames.len() as u64)?;
@@ -296,7 +345,12 @@ struct Step<'a> {
 
 impl Row {
     fn new(width: usize, truth: FrameBlock) -> Row {
-        Row { pixels: (0..width).map(|_| Pixel { before: 0.0, kept: None }).collect(), before_ns: i64::MIN, truth, drawn: 0 }
+        Row {
+            pixels: (0..width).map(|_| Pixel { before: 0.0, kept: None }).collect(),
+            before_ns: i64::MIN,
+            truth,
+            drawn: 0,
+        }
     }
 
     /// Adds a frame: photocurrents as they are stored, in `f32`.
@@ -347,7 +401,8 @@ fn line_at(from: (i64, f64), to: (i64, f64), t: i64) -> f64 {
     from.1 * (1.0 - share) + to.1 * share
 }
 
-/// A number that is off by no more than this is stored as the same `f32`: half the smaller gap to its neighbours, less a little for rounding.
+/// A number that is off by no more than this is stored as the same `f32`: half the smaller gap to its
+/// neighbours, less a little for rounding.
 fn rounding(value: f64) -> f64 {
     let value = value as f32;
     0.49 * f64::from(value - value.next_down())

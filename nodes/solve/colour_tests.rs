@@ -1,4 +1,5 @@
-//! Claims about frames with colours or more pixels than the events: what must come out as of grey frames, by algebra.
+//! Claims about frames with colours or more pixels than the events: what must come out as of grey frames, by
+//! algebra.
 
 use super::paper::SolvePaper;
 use super::tests::{Way, exposures, paper, sensor, walk};
@@ -23,7 +24,9 @@ fn solve(way: Way, events: &EventStream, frames: &FrameSequence, sensor: Arc<Sen
 /// Frames at `ratio` times the events' extent whose value `v` of row `y` is `of(frame, x, y, v)`.
 fn frames(ratio: u32, colour: Colour, count: i64, of: impl Fn(usize, u32, u32, u32) -> f32) -> FrameSequence {
     let extent = Extent { width: ratio * EVENTS.width, height: ratio * EVENTS.height };
-    let wide = testing::captured(values_of(extent, colour), exposures(count), 0, |l, v, y| of(l, v / colour.channels(), y, v));
+    let wide = testing::captured(values_of(extent, colour), exposures(count), 0, |l, v, y| {
+        of(l, v / colour.channels(), y, v)
+    });
     let meta = FramesMeta { extent, colour, ..(*wide.meta).clone() };
     FrameSequence::in_memory(Arc::new(meta), wide.read_rows(wide.rows()).unwrap())
 }
@@ -33,10 +36,14 @@ fn grey(l: usize, x: u32, y: u32) -> f32 {
     (100.0 + 300.0 * Random::new(5, &[l as u64, x.into(), y.into()]).uniform()) as f32
 }
 
-/// Two methods; in double precision, so that rounding does not hide a mistake. These events and frames contradict each other, and with a front end that is slow in the dark a second start may then go
-/// another way after rounding: the MAP estimate is asked with an ideal one.
+/// Two methods; in double precision, so that rounding does not hide a mistake. These events and frames
+/// contradict each other, and with a front end that is slow in the dark a second start may then go another
+/// way after rounding: the MAP estimate is asked with an ideal one.
 fn methods() -> [Way; 2] {
-    [Way::Paper(double()), Way::Map(SolveOptions { front_end: FrontEndModel::Ideal, ..SolveOptions::default() })]
+    [
+        Way::Paper(double()),
+        Way::Map(SolveOptions { front_end: FrontEndModel::Ideal, ..SolveOptions::default() }),
+    ]
 }
 
 fn double() -> PaperOptions {
@@ -51,7 +58,12 @@ fn track(out: &Out, v: u32, y: u32) -> Vec<(i64, f32)> {
 }
 
 fn assert_alike(found: &[(i64, f32)], expected: &[(i64, f32)], factor: f64, tolerance: f64) {
-    assert!(found.len() == expected.len() && found.len() > 2, "{} knots, expected {}", found.len(), expected.len());
+    assert!(
+        found.len() == expected.len() && found.len() > 2,
+        "{} knots, expected {}",
+        found.len(),
+        expected.len()
+    );
     for ((t, i), (expected_t, expected_i)) in found.iter().zip(expected) {
         assert_eq!(t, expected_t);
         let apart = f64::from(*i) / (factor * f64::from(*expected_i)) - 1.0;
@@ -74,7 +86,8 @@ fn a_mosaic_of_the_events_pixels_is_solved_as_grey_frames_are() {
     }
 }
 
-/// A tenth of a per mille: the light ratio is a quotient of sums that rounding leaves a little off 1, and Newton's steps stop where they please.
+/// A tenth of a per mille: the light ratio is a quotient of sums that rounding leaves a little off 1, and
+/// Newton's steps stop where they please.
 const ROUNDING: f64 = 1e-4;
 
 #[test]
@@ -82,21 +95,30 @@ fn grey_light_in_three_channels_or_in_many_pixels_is_the_grey_answer() {
     let events = walk(EVENTS, 30_000_000);
     for way in methods() {
         let mono = solve(way, &events, &frames(1, Colour::Mono, 4, |l, x, y, _| grey(l, x, y)), sensor());
-        for (ratio, name) in [(1, "rgb"), (2, "mono"), (2, "bayer_grbg"), (2, "rgb"), (4, "quad_bayer_rggb")] {
+        for (ratio, name) in [(1, "rgb"), (2, "mono"), (2, "bayer_grbg"), (2, "rgb"), (4, "quad_bayer_rggb")]
+        {
             let colour = Colour::named(name).unwrap();
-            let many = solve(way, &events, &frames(ratio, colour, 4, |l, x, y, _| grey(l, x / ratio, y / ratio)), sensor());
+            let many = solve(
+                way,
+                &events,
+                &frames(ratio, colour, 4, |l, x, y, _| grey(l, x / ratio, y / ratio)),
+                sensor(),
+            );
             let copies = ratio * colour.channels();
             assert_eq!(many.tracks.meta.extent.width, EVENTS.width * ratio);
             assert_eq!(many.map.meta.extent, many.tracks.meta.extent);
-            for (v, y) in [(0, 0), (copies - 1, ratio - 1), (2 * copies, ratio), (3 * copies - 1, 2 * ratio - 1)] {
+            for (v, y) in
+                [(0, 0), (copies - 1, ratio - 1), (2 * copies, ratio), (3 * copies - 1, 2 * ratio - 1)]
+            {
                 assert_alike(&track(&many, v, y), &track(&mono, v / copies, y / ratio), 1.0, ROUNDING);
             }
         }
     }
 }
 
-/// One frame leaves no misfit: every value's light is then its factor times the event pixel's, also through the front end, whose delay depends on the event
-/// pixel's light alone. Were the delay taken from the value's own light, a factor of 0.2 would make it five times as long.
+/// One frame leaves no misfit: every value's light is then its factor times the event pixel's, also through
+/// the front end, whose delay depends on the event pixel's light alone. Were the delay taken from the value's
+/// own light, a factor of 0.2 would make it five times as long.
 #[test]
 fn a_value_sees_its_share_of_the_event_pixels_light() {
     let events = walk(EVENTS, 6_000_000);
@@ -107,7 +129,12 @@ fn a_value_sees_its_share_of_the_event_pixels_light() {
         let share = |x: u32, y: u32| factors[(2 * (y % 2) + x % 2) as usize];
         // The factors' mean is 1, so the block's mean is the grey value.
         let bayer = Colour::named("bayer_rggb").unwrap();
-        let many = solve(way, &events, &frames(2, bayer, 1, |l, x, y, _| (share(x, y) * f64::from(grey(l, x / 2, y / 2))) as f32), sensor());
+        let many = solve(
+            way,
+            &events,
+            &frames(2, bayer, 1, |l, x, y, _| (share(x, y) * f64::from(grey(l, x / 2, y / 2))) as f32),
+            sensor(),
+        );
         for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1), (4, 2), (5, 3)] {
             assert_alike(&track(&many, x, y), &track(&mono, x / 2, y / 2), share(x, y), ROUNDING);
         }
@@ -122,7 +149,8 @@ fn a_channels_gain_is_removed_and_rendered_again() {
     coloured.frames.channel_gain = Some(gains);
     coloured.frames.saturation_dn = None;
     let coloured = Arc::new(coloured);
-    let shown = |l: usize, x: u32, y: u32, v: u32| (f64::from(grey(l, x, y)) * gains[(v % 3) as usize]) as f32;
+    let shown =
+        |l: usize, x: u32, y: u32, v: u32| (f64::from(grey(l, x, y)) * gains[(v % 3) as usize]) as f32;
     for way in methods() {
         let captured = frames(1, Colour::Rgb, 1, shown);
         let mono = solve(way, &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
@@ -134,12 +162,17 @@ fn a_channels_gain_is_removed_and_rendered_again() {
         }
         let node = RenderRows::build(rows::Params::default()).unwrap();
         let input = rows::In { tracks: out.tracks, sensor: coloured.clone(), at: Some(captured.clone()) };
-        let again = testing::with_context(captured.rows(), &["frames"], |cx| node.run(input, cx)).0.unwrap().frames;
+        let again =
+            testing::with_context(captured.rows(), &["frames"], |cx| node.run(input, cx)).0.unwrap().frames;
         assert_eq!(again.meta, captured.meta);
-        let (again, captured) = (again.read_rows(again.rows()).unwrap().dn, captured.read_rows(captured.rows()).unwrap().dn);
+        let (again, captured) =
+            (again.read_rows(again.rows()).unwrap().dn, captured.read_rows(captured.rows()).unwrap().dn);
         // the MAP estimate follows a frame to twice the noise that is assumed of it, 2 %.
         let followed = if way.is_map() { 0.04 } else { 0.02 };
-        assert!(again.iter().zip(&captured).all(|(again, dn)| (again / dn - 1.0).abs() < followed), "{again:?}\n{captured:?}");
+        assert!(
+            again.iter().zip(&captured).all(|(again, dn)| (again / dn - 1.0).abs() < followed),
+            "{again:?}\n{captured:?}"
+        );
     }
 }
 
@@ -149,14 +182,22 @@ fn rows_of_one_block_are_solved_alike_whatever_the_band() {
     let quad = Colour::named("quad_bayer_bggr").unwrap();
     let frames = frames(2, quad, 3, |l, x, y, _| grey(l, x, y));
     let whole = solve(paper(), &events, &frames, sensor()).tracks.read(frames.rows()).unwrap();
-    let metas = [("events".to_string(), vec![Meta::Events(events.meta.clone())]), ("frames".to_string(), vec![Meta::Frames(frames.meta.clone())])];
+    let metas = [
+        ("events".to_string(), vec![Meta::Events(events.meta.clone())]),
+        ("frames".to_string(), vec![Meta::Frames(frames.meta.clone())]),
+    ];
     let node = SolvePaper::build(PaperOptions::default()).unwrap();
     assert_eq!(node.grain(&PortMetas::new(metas.into())), Grain::Row { halo: 1 });
     for band in frames.rows().bands(1) {
         // As the engine cuts them: events whole, frames with their halo.
         let reach = band.with_halo(1, frames.rows());
         let input = In { events: events.clone(), frames: frames.cut(reach), sensor: sensor() };
-        let part = testing::with_context(band, &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks.read(band).unwrap();
+        let part = testing::with_context(band, &["tracks"], |cx| node.run(input, cx))
+            .0
+            .unwrap()
+            .tracks
+            .read(band)
+            .unwrap();
         assert_eq!(part, whole.slice(band));
     }
 }
@@ -164,10 +205,24 @@ fn rows_of_one_block_are_solved_alike_whatever_the_band() {
 #[test]
 fn the_double_integral_of_a_value_takes_the_events_of_its_event_pixel() {
     let events = walk(EVENTS, 30_000_000);
-    let params = edi::Params { sampling: Sampling { rate: Rate::new(500.0), ..Sampling::default() }, ..edi::Params::default() };
+    let params = edi::Params {
+        sampling: Sampling { rate: Rate::new(500.0), ..Sampling::default() },
+        ..edi::Params::default()
+    };
     let run = |frames: FrameSequence| {
-        let input = edi::In { events: events.clone(), frames: frames.clone(), sensor: Some(sensor()), contrast: None, at: None };
-        let out = testing::with_context(frames.rows(), &["frames"], |cx| BaselineEdi::build(params.clone()).unwrap().run(input, cx)).0.unwrap().frames;
+        let input = edi::In {
+            events: events.clone(),
+            frames: frames.clone(),
+            sensor: Some(sensor()),
+            contrast: None,
+            at: None,
+        };
+        let out = testing::with_context(frames.rows(), &["frames"], |cx| {
+            BaselineEdi::build(params.clone()).unwrap().run(input, cx)
+        })
+        .0
+        .unwrap()
+        .frames;
         assert_eq!((out.meta.extent, out.meta.colour), (frames.meta.extent, frames.meta.colour));
         out.read_rows(out.rows()).unwrap()
     };
@@ -188,11 +243,26 @@ fn frames_of_no_whole_multiple_are_refused() {
         let events = walk(EVENTS, 1_000_000);
         let sensor = Meta::Sensor(sensor());
         let of = |name: &str, meta: Meta| (name.to_string(), vec![meta]);
-        PortMetas::new([of("events", Meta::Events(events.meta)), of("frames", Meta::Frames(frames.meta)), of("sensor", sensor)].into())
+        PortMetas::new(
+            [
+                of("events", Meta::Events(events.meta)),
+                of("frames", Meta::Frames(frames.meta)),
+                of("sensor", sensor),
+            ]
+            .into(),
+        )
     };
-    let error = SolvePaper::build(PaperOptions::default()).unwrap().plan(&metas(testing::frames(6, 5, 2))).unwrap_err();
+    let error = SolvePaper::build(PaperOptions::default())
+        .unwrap()
+        .plan(&metas(testing::frames(6, 5, 2)))
+        .unwrap_err();
     assert_eq!(error.message, "events are 3 x 2, frames are 6 x 5");
     assert!(error.hint.unwrap().contains("a whole multiple"));
     let rows = Rows { start: 0, end: 4 };
-    assert_eq!(SolvePaper::build(PaperOptions::default()).unwrap().plan(&metas(testing::frames(6, 4, 2))).unwrap()[0].rows(), Some(rows));
+    assert_eq!(
+        SolvePaper::build(PaperOptions::default()).unwrap().plan(&metas(testing::frames(6, 4, 2))).unwrap()
+            [0]
+        .rows(),
+        Some(rows)
+    );
 }

@@ -1,7 +1,8 @@
-//! `solve/map`: the photocurrent of every pixel that explains its events and its frame values, as a MAP estimate.
+//! `solve/map`: the photocurrent of every pixel that explains its events and its frame values, as a MAP
+//! estimate.
 //!
-//! All frames and events of a pixel at once, with knots that are finer than the events, the exact reset and a prior ([`photocurrent_solve::solve_rows`]); events, frames and
-//! tracks as in [`photocurrent_solve`].
+//! All frames and events of a pixel at once, with knots that are finer than the events, the exact reset and a
+//! prior ([`photocurrent_solve::solve_rows`]); events, frames and tracks as in [`photocurrent_solve`].
 
 use super::{In, Out, out};
 use crate::spans::{check_covered, check_one_clock, check_steps};
@@ -28,12 +29,17 @@ pub(crate) fn check_length(options: &SolveOptions, span: TimeSpan) -> Result<(),
 impl Node for SolveMap {
     const DECL: Decl = Decl {
         kind: "solve/map",
-        about: "Solves for the photocurrent of every pixel from its events and frame values: the MAP estimate.",
+        about: "Solves for the photocurrent of every pixel from its events and frame values: the MAP \
+                estimate.",
         revision: 19,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
-        sources: &["Jiang et al., CVPR 2024, Eqs. (1)-(12): the sensor", "docs/physics.md: the prior and the reset"],
+        sources: &[
+            "Jiang et al., CVPR 2024, Eqs. (1)-(12): the sensor",
+            "docs/physics.md: the prior and \
+                                                            the reset",
+        ],
         example: r#"
 [nodes.solve]
 kind = "solve/map"
@@ -51,7 +57,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "sen
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let (events, frames, sensor) = (inputs.events("events")?, inputs.frames("frames")?, inputs.sensor("sensor")?);
+        let (events, frames, sensor) =
+            (inputs.events("events")?, inputs.frames("frames")?, inputs.sensor("sensor")?);
         check_one_clock(events, frames, Some(sensor))?;
         check_covered(Some(events), frames, Some(sensor))?;
         Model::of_map(&self.options, sensor, events)?;
@@ -63,7 +70,9 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "sen
     }
 
     fn grain(&self, inputs: &PortMetas) -> Grain {
-        let halo = || halo(&self.options, inputs.sensor("sensor")?, inputs.events("events")?, inputs.frames("frames")?);
+        let halo = || {
+            halo(&self.options, inputs.sensor("sensor")?, inputs.events("events")?, inputs.frames("frames")?)
+        };
         match halo() {
             Ok(Some(halo)) => Grain::Row { halo },
             Ok(None) => Grain::Whole,

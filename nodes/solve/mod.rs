@@ -1,7 +1,7 @@
 //! From events and frames to photocurrent.
 //!
-//! Two kinds take the same inputs and give the same outputs, so that one stands in for the other: [`map`], the MAP estimate, and [`paper`], Eq. (13) of the paper.
-//! What they compute is in [`photocurrent_solve`].
+//! Two kinds take the same inputs and give the same outputs, so that one stands in for the other: [`map`],
+//! the MAP estimate, and [`paper`], Eq. (13) of the paper. What they compute is in [`photocurrent_solve`].
 
 #[cfg(test)]
 mod colour_tests;
@@ -25,7 +25,8 @@ photocurrent_core::ports! {
     pub struct In {
         /// Events; in-pixel times when `readout = "slope"`.
         events: EventStream,
-        /// Captured frames of the same pixels, or of a whole number of pixels along the side of each event pixel; grey, colour or a mosaic. At least one.
+        /// Captured frames of the same pixels, or of a whole number of pixels along the side of each event
+        /// pixel; grey, colour or a mosaic. At least one.
         frames: FrameSequence,
         /// Thresholds, gain, and what the chosen models need.
         sensor: Arc<Sensor>,
@@ -37,7 +38,10 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every value of the frames over time.
         tracks: TrackSet,
-        /// How the solution went: planes `status` (0 converged, 1 double-integral estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root mean squares in standard deviations, NaN for none), `implausible` (0, or natural logarithm of the brightest light over that of the brightest frame where it was held: see `plausible_range`).
+        /// How the solution went: planes `status` (0 converged, 1 double-integral estimate, 2 saturated, 3 no
+        /// usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root
+        /// mean squares in standard deviations, NaN for none), `implausible` (0, or natural logarithm of the
+        /// brightest light over that of the brightest frame where it was held: see `plausible_range`).
         map: MapSet,
     }
 }

@@ -1,8 +1,12 @@
-//! `solve/paper`: the photocurrent of every pixel by the paper's least squares, Eq. (13), with the approximations that the paper makes.
+//! `solve/paper`: the photocurrent of every pixel by the paper's least squares, Eq. (13), with the
+//! approximations that the paper makes.
 //!
-//! One unknown for each event, held between events; frames two by two ([`photocurrent_solve::solve_paper_rows`]). `frames = "all"` solves one problem over the whole recording instead.
+//! One unknown for each event, held between events; frames two by two
+//! ([`photocurrent_solve::solve_paper_rows`]). `frames = "all"` solves one problem over the whole recording
+//! instead.
 //!
-//! Limits: `[effects]` of the description are not undone; steps and stamps are what the paper's readout model makes of them. [`super::map`] has neither limit.
+//! Limits: `[effects]` of the description are not undone; steps and stamps are what the paper's readout model
+//! makes of them. [`super::map`] has neither limit.
 
 use super::{In, Out, out};
 use crate::spans::{check_covered, check_one_clock};
@@ -20,7 +24,8 @@ pub struct SolvePaper {
 impl Node for SolvePaper {
     const DECL: Decl = Decl {
         kind: "solve/paper",
-        about: "Solves for the photocurrent of every pixel from its events and frame values: the paper's least squares.",
+        about: "Solves for the photocurrent of every pixel from its events and frame values: the paper's \
+                least squares.",
         revision: 19,
         grain: Grain::Pixel,
         draws: false,
@@ -44,7 +49,8 @@ params = { evs_weight = 1000.0 }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let (events, frames, sensor) = (inputs.events("events")?, inputs.frames("frames")?, inputs.sensor("sensor")?);
+        let (events, frames, sensor) =
+            (inputs.events("events")?, inputs.frames("frames")?, inputs.sensor("sensor")?);
         check_one_clock(events, frames, Some(sensor))?;
         check_covered(Some(events), frames, Some(sensor))?;
         Model::of_paper(&self.options, sensor, events)?;

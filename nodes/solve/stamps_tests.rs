@@ -1,4 +1,5 @@
-//! Claims about `solve/map` on recordings that lack something: in-pixel stamps, fine stamps, some events, a frame.
+//! Claims about `solve/map` on recordings that lack something: in-pixel stamps, fine stamps, some events, a
+//! frame.
 
 use super::map::SolveMap;
 use super::*;
@@ -37,7 +38,8 @@ fn sensor(latency_min: Option<i64>) -> Arc<Sensor> {
 /// What a sensor records whose readout takes [`LATENCY_NS`].
 fn record() -> (Vec<Event>, FrameSequence) {
     let t_ns: Vec<i64> = (0..=END_NS / 50_000).map(|n| n * 50_000).collect();
-    let exposures: Vec<Exposure> = (0..6).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 3_000_000)).collect();
+    let exposures: Vec<Exposure> =
+        (0..6).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 3_000_000)).collect();
     let pixel = Pixel {
         front_end: FrontEnd { tau_0_s: 20e-6, alpha_s: 2e-3 },
         threshold_on: 0.15,
@@ -50,11 +52,17 @@ fn record() -> (Vec<Event>, FrameSequence) {
     let (mut events, mut dn) = (Vec::new(), Vec::new());
     for y in 0..EXTENT.height {
         for x in 0..EXTENT.width {
-            let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log(x as usize, y as usize, t as f64 * 1e-6))).collect();
+            let current: Vec<f64> =
+                t_ns.iter().map(|&t| libm::exp(log(x as usize, y as usize, t as f64 * 1e-6))).collect();
             let light = LinearLight::new(&t_ns, &current);
             let site = Site { x, y, width: EXTENT.width, height: EXTENT.height, seed: 0 };
             let fired = simulate(
-                &Chain { pixel, reset: Reset::Resample, effects: &[], tolerance: photocurrent_sensor::forward::TOLERANCE },
+                &Chain {
+                    pixel,
+                    reset: Reset::Resample,
+                    effects: &[],
+                    tolerance: photocurrent_sensor::forward::TOLERANCE,
+                },
                 &site,
                 &light,
                 0,
@@ -68,7 +76,12 @@ fn record() -> (Vec<Event>, FrameSequence) {
                 t: fired.event.t_off_ns,
                 t_in: Some(fired.event.t_in_ns),
             }));
-            dn.push(exposures.iter().map(|&exposure| (GAIN * light.integral(exposure)) as f32).collect::<Vec<f32>>());
+            dn.push(
+                exposures
+                    .iter()
+                    .map(|&exposure| (GAIN * light.integral(exposure)) as f32)
+                    .collect::<Vec<f32>>(),
+            );
         }
     }
     let frames = testing::captured(EXTENT, exposures, 0, |l, x, y| dn[(y * EXTENT.width + x) as usize][l]);
@@ -94,7 +107,10 @@ fn solve_stream(events: EventStream, frames: &FrameSequence, latency_min: Option
 /// Stamps cut to whole multiples of `resolution_ns`, which the stream states.
 fn coarse(events: &[Event], resolution_ns: i64) -> EventStream {
     let cut = |t: i64| t / resolution_ns * resolution_ns;
-    let events = testing::stream(EXTENT, events.iter().map(|event| Event { t: cut(event.t), t_in: event.t_in.map(cut), ..*event }).collect());
+    let events = testing::stream(
+        EXTENT,
+        events.iter().map(|event| Event { t: cut(event.t), t_in: event.t_in.map(cut), ..*event }).collect(),
+    );
     let meta = EventsMeta { t_resolution_ns: Some(resolution_ns), ..(*events.meta).clone() };
     EventStream::in_memory(Arc::new(meta), events.read(EXTENT.rows()).unwrap())
 }
@@ -131,7 +147,8 @@ fn of_tracks(band: &TrackBand) -> impl Fn(usize, i64) -> f64 + '_ {
 fn of_frames(frames: &FrameSequence) -> impl Fn(usize, i64) -> f64 + '_ {
     let block = frames.read_rows(EXTENT.rows()).unwrap();
     move |p, t_ns| {
-        let l = (0..frames.len()).min_by_key(|&l| (frames.meta.times.exposures[l].mid().0 - t_ns).abs()).unwrap();
+        let l =
+            (0..frames.len()).min_by_key(|&l| (frames.meta.times.exposures[l].mid().0 - t_ns).abs()).unwrap();
         let seconds = frames.meta.times.exposures[l].seconds();
         libm::log(f64::from(block.row(l, (p / 6) as u32)[p % 6]) / (GAIN * seconds))
     }
@@ -148,16 +165,26 @@ fn a_constant_latency_that_is_stated_costs_nothing() {
     assert_eq!(stated, both);
     let ignored = solve(off_pixel(&events), &frames, None);
     let of = |band: &TrackBand| error(of_tracks(band), ALL, |_| true);
-    // 60 us late is 0.02 where light moves by 0.28 a millisecond, root mean square; and the reference is taken when it was not.
-    assert!(of(&ignored) > 1.5 * of(&stated), "{} with the latency ignored, {} with it", of(&ignored), of(&stated));
+    // 60 us late is 0.02 where light moves by 0.28 a millisecond, root mean square; and the reference is
+    // taken when it was not.
+    assert!(
+        of(&ignored) > 1.5 * of(&stated),
+        "{} with the latency ignored, {} with it",
+        of(&ignored),
+        of(&stated)
+    );
 }
 
 #[test]
 fn stamps_of_a_stated_resolution_are_nearly_as_good_as_exact_ones() {
     let (events, frames) = record();
     let of = |band: &TrackBand| error(of_tracks(band), ALL, |_| true);
-    let (exact, coarse) = (of(&solve(events.clone(), &frames, None)), of(&solve_stream(coarse(&events, 20_000), &frames, None)));
-    // 20 us are 0.008 at the steepest, half of that on average: in squares a hundredth of what is wrong anyway.
+    let (exact, coarse) = (
+        of(&solve(events.clone(), &frames, None)),
+        of(&solve_stream(coarse(&events, 20_000), &frames, None)),
+    );
+    // 20 us are 0.008 at the steepest, half of that on average: in squares a hundredth of what is wrong
+    // anyway.
     assert!(coarse < 1.15 * exact, "{coarse} in steps of 20 us, {exact} exactly");
 }
 
@@ -177,7 +204,11 @@ fn pixels_that_lose_their_events_for_a_while_recover_and_leave_other_rows_alone(
     // Inside, nothing but frames says how light moves.
     let repeated = error(of_frames(&frames), (13, 27), affected);
     let (before, after) = (of(&whole, (13, 27)), of(&holed, (13, 27)));
-    assert!(after > before && after < 1.2 * repeated, "{before} became {after}, and {repeated} by repeating frames");
+    assert!(
+        after > before && after < 1.2 * repeated,
+        "{before} became {after}, and {repeated} by repeating \
+                                                       frames"
+    );
     // Away from the stretch the pixel knows what it knew.
     for outside in [(2, 12), (30, 42)] {
         let (before, after) = (of(&whole, outside), of(&holed, outside));

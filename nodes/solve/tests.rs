@@ -46,7 +46,9 @@ impl Way {
 }
 
 fn solve(way: Way, events: EventStream, frames: FrameSequence, rows: Rows) -> (Out, Vec<String>) {
-    let (out, notes) = testing::with_context(rows, &["tracks", "map"], |cx| way.run(In { events, frames, sensor: sensor() }, cx));
+    let (out, notes) = testing::with_context(rows, &["tracks", "map"], |cx| {
+        way.run(In { events, frames, sensor: sensor() }, cx)
+    });
     (out.unwrap(), notes)
 }
 
@@ -76,7 +78,13 @@ pub(super) fn walk(extent: Extent, until_ns: i64) -> EventStream {
                 if t + 20_000 >= until_ns {
                     break;
                 }
-                events.push(Event { x: x as u16, y: y as u16, polarity: Polarity::from_bit((random.bits() & 1) as u8), t: t + 20_000, t_in: Some(t) });
+                events.push(Event {
+                    x: x as u16,
+                    y: y as u16,
+                    polarity: Polarity::from_bit((random.bits() & 1) as u8),
+                    t: t + 20_000,
+                    t_in: Some(t),
+                });
             }
         }
     }
@@ -97,25 +105,36 @@ fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
     let (events, frames) = (walk(EXTENT, 6_000_000), frames(1));
     let sampling = Sampling { rate: Rate::new(5000.0), ..Sampling::default() };
     let (solved, _) = solve(Way::Paper(ideal()), events.clone(), frames.clone(), EXTENT.rows());
-    let render = RenderRows::build(rows::Params { sampling: sampling.clone(), ..rows::Params::default() }).unwrap();
-    let ours = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(rows::In { tracks: solved.tracks, sensor: sensor(), at: None }, cx))
+    let render =
+        RenderRows::build(rows::Params { sampling: sampling.clone(), ..rows::Params::default() }).unwrap();
+    let ours = testing::with_context(EXTENT.rows(), &["frames"], |cx| {
+        render.run(rows::In { tracks: solved.tracks, sensor: sensor(), at: None }, cx)
+    })
+    .0
+    .unwrap()
+    .frames;
+    let double_integral = BaselineEdi::build(edi::Params { sampling, ..edi::Params::default() }).unwrap();
+    let input = edi::In { events, frames, sensor: Some(sensor()), contrast: None, at: None };
+    let theirs = testing::with_context(EXTENT.rows(), &["frames"], |cx| double_integral.run(input, cx))
         .0
         .unwrap()
         .frames;
-    let double_integral = BaselineEdi::build(edi::Params { sampling, ..edi::Params::default() }).unwrap();
-    let input = edi::In { events, frames, sensor: Some(sensor()), contrast: None, at: None };
-    let theirs = testing::with_context(EXTENT.rows(), &["frames"], |cx| double_integral.run(input, cx)).0.unwrap().frames;
     assert_eq!(ours.meta, theirs.meta);
     let (ours, theirs) = (ours.read_rows(EXTENT.rows()).unwrap(), theirs.read_rows(EXTENT.rows()).unwrap());
     // Tracks are f32: a few rounding errors of 6e-8 each.
     assert!(ours.dn.iter().zip(&theirs.dn).all(|(a, b)| (a / b - 1.0).abs() < 1e-6));
-    assert!(ours.dn.iter().any(|dn| (dn / ours.dn[0] - 1.0).abs() > 0.2), "the picture must change for the test to mean something");
+    assert!(
+        ours.dn.iter().any(|dn| (dn / ours.dn[0] - 1.0).abs() > 0.2),
+        "the picture must change for the \
+                                                            test to mean something"
+    );
 }
 
 #[test]
 fn rows_are_solved_alike_whatever_the_band() {
     let (events, frames) = (walk(EXTENT, 30_000_000), frames(4));
-    let whole = solve(paper(), events.clone(), frames.clone(), EXTENT.rows()).0.tracks.read(EXTENT.rows()).unwrap();
+    let whole =
+        solve(paper(), events.clone(), frames.clone(), EXTENT.rows()).0.tracks.read(EXTENT.rows()).unwrap();
     for band in EXTENT.rows().bands(3) {
         let part = solve(paper(), events.clone(), frames.clone(), band).0.tracks.read(band).unwrap();
         assert_eq!(part, whole.slice(band));
@@ -147,7 +166,11 @@ fn bands_of_a_task_share_what_suits_their_block_and_a_row_its_pixels() {
     let mut random = Random::new(6, &[]);
     // Some pixels have no frame, first and last ones of what is shared out among them.
     let frames = testing::captured(extent, exposures(2), 30_000, |_, x, _| {
-        if [0, 127, 128, 200, 289].contains(&x) { f32::NAN } else { (100.0 + 300.0 * random.uniform()) as f32 }
+        if [0, 127, 128, 200, 289].contains(&x) {
+            f32::NAN
+        } else {
+            (100.0 + 300.0 * random.uniform()) as f32
+        }
     });
     let whole = solve(most_probable(), events.clone(), frames.clone(), extent.rows()).0;
     let (tracks, map) = (whole.tracks.read(extent.rows()).unwrap(), whole.map.read(extent.rows()).unwrap());
@@ -170,7 +193,8 @@ fn bands_of_a_task_share_what_suits_their_block_and_a_row_its_pixels() {
 
 #[test]
 fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
-    // Every pixel brightens by e^0.8 = 2.2255 around 7 ms, between two exposures, in four ON events of 0.2 that come 300 us apart.
+    // Every pixel brightens by e^0.8 = 2.2255 around 7 ms, between two exposures, in four ON events of 0.2
+    // that come 300 us apart.
     let mut events = Vec::new();
     for y in 0..EXTENT.height {
         for x in 0..EXTENT.width {
@@ -187,13 +211,19 @@ fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
     let mut bright = (*sensor()).clone();
     (bright.front_end.alpha, bright.frames.saturation_dn) = (Some(Duration::new(0)), None);
     let node = most_probable();
-    let input = In { events: testing::stream(EXTENT, events), frames: frames.clone(), sensor: Arc::new(bright) };
+    let input =
+        In { events: testing::stream(EXTENT, events), frames: frames.clone(), sensor: Arc::new(bright) };
     let (solved, notes) = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx));
     assert!(notes.is_empty(), "{notes:?}");
     let tracks = solved.unwrap().tracks;
     let render = RenderRows::build(rows::Params::default()).unwrap();
     let input = rows::In { tracks: tracks.clone(), sensor: sensor(), at: Some(frames) };
-    let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames.read_rows(EXTENT.rows()).unwrap();
+    let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx))
+        .0
+        .unwrap()
+        .frames
+        .read_rows(EXTENT.rows())
+        .unwrap();
     let band = tracks.read(EXTENT.rows()).unwrap();
     for y in EXTENT.rows().iter() {
         for x in 0..EXTENT.width {
@@ -203,7 +233,10 @@ fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
             let track = band.pixel(x, y);
             let at = |t: i64| track.photocurrent[track.t.partition_point(|&knot| knot <= t) - 1];
             // 600 DN = 1000 x 6 ms x 100; it has not moved at 6 ms and has arrived at 8 ms.
-            assert!((at(5_900_000) / 100.0 - 1.0).abs() < 0.05 && (at(8_100_000) / 222.55 - 1.0).abs() < 0.05, "{track:?}");
+            assert!(
+                (at(5_900_000) / 100.0 - 1.0).abs() < 0.05 && (at(8_100_000) / 222.55 - 1.0).abs() < 0.05,
+                "{track:?}"
+            );
         }
     }
 }
@@ -217,11 +250,17 @@ fn compensated_steps_are_refused_where_the_readout_is_undone_anyway() {
 
 #[test]
 fn solved_tracks_reproduce_the_frames_they_came_from() {
-    let frames = testing::captured(EXTENT, exposures(2), 30_000, |_, x, y| 100.0 + 40.0 * x as f32 + 10.0 * y as f32);
+    let frames =
+        testing::captured(EXTENT, exposures(2), 30_000, |_, x, y| 100.0 + 40.0 * x as f32 + 10.0 * y as f32);
     let (solved, notes) = solve(paper(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
     let render = RenderRows::build(rows::Params::default()).unwrap();
     let input = rows::In { tracks: solved.tracks.clone(), sensor: sensor(), at: Some(frames.clone()) };
-    let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames.read_rows(EXTENT.rows()).unwrap();
+    let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx))
+        .0
+        .unwrap()
+        .frames
+        .read_rows(EXTENT.rows())
+        .unwrap();
     let original = frames.read_rows(EXTENT.rows()).unwrap();
     let map = solved.map.read(EXTENT.rows()).unwrap();
     let mut converged = 0;
@@ -256,10 +295,21 @@ fn dead_saturated_and_unknown_pixels_have_stated_outcomes() {
 
 #[test]
 fn residuals_of_events_and_frames_are_mapped_apart() {
-    let step = |x: u16, y: u16, k: i64| Event { x, y, polarity: Polarity::from_bit((k % 2) as u8), t: k * 1_300_000 + 20_000, t_in: Some(k * 1_300_000) };
-    let events: Vec<Event> = (0..4).flat_map(|y| (1..5).flat_map(move |x| (1..10).map(move |k| step(x, y, k)))).collect();
+    let step = |x: u16, y: u16, k: i64| Event {
+        x,
+        y,
+        polarity: Polarity::from_bit((k % 2) as u8),
+        t: k * 1_300_000 + 20_000,
+        t_in: Some(k * 1_300_000),
+    };
+    let events: Vec<Event> =
+        (0..4).flat_map(|y| (1..5).flat_map(move |x| (1..10).map(move |k| step(x, y, k)))).collect();
     let frames = testing::captured(EXTENT, exposures(2), 0, |_, x, _| if x == 4 { f32::NAN } else { 200.0 });
-    for way in [paper(), Way::Paper(PaperOptions { precision: Precision::Double, ..PaperOptions::default() }), most_probable()] {
+    for way in [
+        paper(),
+        Way::Paper(PaperOptions { precision: Precision::Double, ..PaperOptions::default() }),
+        most_probable(),
+    ] {
         let (solved, _) = solve(way, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let map = solved.map.read(EXTENT.rows()).unwrap();
         assert_eq!(solved.map.meta.planes[3..5], ["event_residual", "frame_residual"]);
@@ -275,13 +325,27 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
 fn weights_four_times_as_large_double_the_residuals() {
     // Both weights together move no minimum.
     let residuals = |weight: f64| {
-        let way = Way::Paper(PaperOptions { precision: Precision::Double, cis_weight: weight, evs_weight: weight, ..PaperOptions::default() });
-        let map = solve(way, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
-        EXTENT.rows().iter().flat_map(|y| [map.row(3, y).to_vec(), map.row(4, y).to_vec()]).flatten().collect::<Vec<f32>>()
+        let way = Way::Paper(PaperOptions {
+            precision: Precision::Double,
+            cis_weight: weight,
+            evs_weight: weight,
+            ..PaperOptions::default()
+        });
+        let map =
+            solve(way, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
+        EXTENT
+            .rows()
+            .iter()
+            .flat_map(|y| [map.row(3, y).to_vec(), map.row(4, y).to_vec()])
+            .flatten()
+            .collect::<Vec<f32>>()
     };
     let (once, four) = (residuals(1.0), residuals(4.0));
     assert!(once.iter().filter(|rms| **rms > 1e-3).count() > 10, "{once:?}");
-    assert!(once.iter().zip(&four).all(|(once, four)| (four - 2.0 * once).abs() <= 1e-3 * (1e-2 + four)), "{once:?} {four:?}");
+    assert!(
+        once.iter().zip(&four).all(|(once, four)| (four - 2.0 * once).abs() <= 1e-3 * (1e-2 + four)),
+        "{once:?} {four:?}"
+    );
 }
 
 #[test]
@@ -293,14 +357,18 @@ fn a_recording_without_events_holds_the_light_of_each_pair() {
 
 #[test]
 fn no_frame_at_all_is_refused_with_the_reason() {
-    let none = FramesMeta { times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(), ..(*frames(1).meta).clone() };
+    let none = FramesMeta {
+        times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(),
+        ..(*frames(1).meta).clone()
+    };
     let error = PaperOptions::default().tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
     assert_eq!(error.message, "there is no frame, and events alone leave the photocurrent's level open");
 }
 
 #[test]
 fn light_that_no_frame_comes_near_is_held_and_marked() {
-    // 25 ON events of 0.2 and 20 OFF events of 0.25 between two frames of 100 DN: up by e^5 = 148 and back. Row 1 rises by e^2.4 only, which is plausible.
+    // 25 ON events of 0.2 and 20 OFF events of 0.25 between two frames of 100 DN: up by e^5 = 148 and back.
+    // Row 1 rises by e^2.4 only, which is plausible.
     let burst = |y: u16, on: i64, off: i64| {
         let times = (0..on).map(move |k| (Polarity::On, 5_000_000 + k * 500_000));
         let times = times.chain((0..off).map(move |k| (Polarity::Off, 20_000_000 + k * 500_000)));
@@ -318,22 +386,48 @@ fn light_that_no_frame_comes_near_is_held_and_marked() {
         (Way::Map(map), Way::Map(SolveOptions { plausible_range: 6.0, ..map })),
     ];
     for (way, wider) in ways {
-        let (solved, notes) = solve(way, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
-        let (tracks, map) = (solved.tracks.read(EXTENT.rows()).unwrap(), solved.map.read(EXTENT.rows()).unwrap());
-        let top = |y: u32| tracks.pixel(2, y).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
+        let (solved, notes) =
+            solve(way, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+        let (tracks, map) =
+            (solved.tracks.read(EXTENT.rows()).unwrap(), solved.map.read(EXTENT.rows()).unwrap());
+        let top =
+            |y: u32| tracks.pixel(2, y).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
         assert_eq!(solved.map.meta.planes[IMPLAUSIBLE], "implausible");
         for y in [0, 2] {
             assert!((top(y) / most - 1.0).abs() < 1e-6, "{} is held at {most}", top(y));
             assert!((map.row(IMPLAUSIBLE, y)[2] - 5.0).abs() < 0.1, "{:?}", map.row(IMPLAUSIBLE, y));
         }
         assert!((libm::log(top(1) / brightest) - 2.4).abs() < 0.2, "{}", top(1));
-        let marked = map.rows().iter().flat_map(|row| map.row(IMPLAUSIBLE, row)).filter(|excess| **excess != 0.0).count();
+        let marked = map
+            .rows()
+            .iter()
+            .flat_map(|row| map.row(IMPLAUSIBLE, row))
+            .filter(|excess| **excess != 0.0)
+            .count();
         assert_eq!(marked, 2);
-        let note = notes.iter().find(|note| note.contains("`plausible_range` = 3")).unwrap_or_else(|| panic!("{notes:?}"));
-        assert!(note.starts_with("2 pixels get brighter than their brightest frame by more than a factor of 20 "), "{note}");
+        let note = notes
+            .iter()
+            .find(|note| note.contains("`plausible_range` = 3"))
+            .unwrap_or_else(|| panic!("{notes:?}"));
+        assert!(
+            note.starts_with("2 pixels get brighter than their brightest frame by more than a factor of 20 "),
+            "{note}"
+        );
         // With a wider range they are left alone.
-        let (solved, notes) = solve(wider, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
-        let top = solved.tracks.read(EXTENT.rows()).unwrap().pixel(2, 0).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
-        assert!((libm::log(top / brightest) - 5.0).abs() < 0.1 && !notes.iter().any(|note| note.contains("plausible")), "{top} {notes:?}");
+        let (solved, notes) =
+            solve(wider, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+        let top = solved
+            .tracks
+            .read(EXTENT.rows())
+            .unwrap()
+            .pixel(2, 0)
+            .photocurrent
+            .iter()
+            .fold(0.0, |most, i| f64::max(most, (*i).into()));
+        assert!(
+            (libm::log(top / brightest) - 5.0).abs() < 0.1
+                && !notes.iter().any(|note| note.contains("plausible")),
+            "{top} {notes:?}"
+        );
     }
 }

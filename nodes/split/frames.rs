@@ -1,8 +1,9 @@
 //! Holds some frames out, so that a solution can be tested on frames it never saw.
 //!
-//! Every n-th frame goes to `held`, the others to `kept`. A solver gets `kept`; a scorer compares `held` with what is rendered at its
-//! exposures. The very first and the very last frame are never held out: what lies between two kept frames is interpolated and constrained
-//! from both sides, what lies beyond the last one is not, and would measure something else.
+//! Every n-th frame goes to `held`, the others to `kept`. A solver gets `kept`; a scorer compares `held` with
+//! what is rendered at its exposures. The very first and the very last frame are never held out: what lies
+//! between two kept frames is interpolated and constrained from both sides, what lies beyond the last one is
+//! not, and would measure something else.
 //!
 //! Limits: events stay whole. A held frame's light is still seen by the events of its time, as it should be.
 
@@ -57,17 +58,23 @@ impl SplitFrames {
         let Params { every, first } = self.params;
         let first = first.unwrap_or(every / 2);
         if count < 3 {
-            return Err(NodeError::usage(format!("split/frames needs at least 3 frames, and there are {count}"))
-                .note("the first and the last frame are never held out")
-                .hint("solve with all frames and leave the held-out score away"));
+            return Err(NodeError::usage(format!(
+                "split/frames needs at least 3 frames, and there are {count}"
+            ))
+            .note("the first and the last frame are never held out")
+            .hint("solve with all frames and leave the held-out score away"));
         }
-        let is_held = |l: &usize| *l >= first && (l - first).is_multiple_of(every) && *l > 0 && *l < count - 1;
+        let is_held =
+            |l: &usize| *l >= first && (l - first).is_multiple_of(every) && *l > 0 && *l < count - 1;
         let (held, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(is_held);
         if held.is_empty() {
-            return Err(NodeError::usage(format!("no frame of {count} is held out with `every = {every}` and `first = {first}`"))
-                .note("the first and the last frame are never held out")
-                .hint(format!("choose `first` between 1 and {}", count - 2))
-                .param("first"));
+            return Err(NodeError::usage(format!(
+                "no frame of {count} is held out with `every = {every}` and \
+                                                 `first = {first}`"
+            ))
+            .note("the first and the last frame are never held out")
+            .hint(format!("choose `first` between 1 and {}", count - 2))
+            .param("first"));
         }
         Ok((kept, held))
     }
@@ -99,7 +106,11 @@ params = { every = 5 }
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.every < 2 {
-            return Err(NodeError::usage(format!("`every` is {}, and must be 2 or more: otherwise nothing is kept", params.every)).param("every"));
+            return Err(NodeError::usage(format!(
+                "`every` is {}, and must be 2 or more: otherwise nothing is kept",
+                params.every
+            ))
+            .param("every"));
         }
         Ok(SplitFrames { params })
     }
@@ -107,7 +118,9 @@ params = { every = 5 }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
         let (kept, held) = self.split(frames.times.len())?;
-        let part = |indices: &[usize]| Meta::Frames(Arc::new(FramesMeta { times: frames.times.select(indices), ..(**frames).clone() }));
+        let part = |indices: &[usize]| {
+            Meta::Frames(Arc::new(FramesMeta { times: frames.times.select(indices), ..(**frames).clone() }))
+        };
         Ok(vec![part(&kept), part(&held)])
     }
 
@@ -123,7 +136,11 @@ mod tests {
     use photocurrent_core::testing;
     use std::collections::BTreeMap;
 
-    fn split(count: usize, every: usize, first: Option<usize>) -> Result<(Vec<usize>, Vec<usize>), NodeError> {
+    fn split(
+        count: usize,
+        every: usize,
+        first: Option<usize>,
+    ) -> Result<(Vec<usize>, Vec<usize>), NodeError> {
         SplitFrames::build(Params { every, first })?.split(count)
     }
 
@@ -144,22 +161,34 @@ mod tests {
     fn a_split_that_holds_nothing_is_refused() {
         assert!(split(2, 2, None).unwrap_err().message.contains("at least 3 frames, and there are 2"));
         let error = split(4, 5, Some(3)).unwrap_err();
-        assert_eq!((error.param.as_deref(), error.hint.as_deref()), (Some("first"), Some("choose `first` between 1 and 2")));
-        assert_eq!(SplitFrames::build(Params { every: 1, first: None }).err().unwrap().param.as_deref(), Some("every"));
+        assert_eq!(
+            (error.param.as_deref(), error.hint.as_deref()),
+            (Some("first"), Some("choose `first` between 1 and 2"))
+        );
+        assert_eq!(
+            SplitFrames::build(Params { every: 1, first: None }).err().unwrap().param.as_deref(),
+            Some("every")
+        );
     }
 
     #[test]
     fn both_parts_keep_pictures_and_times_together_and_the_plan_says_so() {
         let frames = testing::frames(3, 2, 7);
         let node = SplitFrames::build(Params { every: 3, first: None }).unwrap();
-        let metas = PortMetas::new(BTreeMap::from([("frames".to_string(), vec![Meta::Frames(frames.meta.clone())])]));
+        let metas =
+            PortMetas::new(BTreeMap::from([("frames".to_string(), vec![Meta::Frames(frames.meta.clone())])]));
         let plan = node.plan(&metas).unwrap();
-        let (out, _) = testing::with_context(frames.rows(), &["kept", "held"], |cx| node.run(In { frames: frames.clone() }, cx));
+        let (out, _) = testing::with_context(frames.rows(), &["kept", "held"], |cx| {
+            node.run(In { frames: frames.clone() }, cx)
+        });
         let out = out.unwrap();
         assert_eq!(plan, [Meta::Frames(out.kept.meta.clone()), Meta::Frames(out.held.meta.clone())]);
         // Frames 1 and 4 of seven are held.
         assert_eq!(out.held.meta.times.exposures[1], frames.meta.times.exposures[4]);
-        assert_eq!(out.held.read(1..2, frames.rows()).unwrap().dn, frames.read(4..5, frames.rows()).unwrap().dn);
+        assert_eq!(
+            out.held.read(1..2, frames.rows()).unwrap().dn,
+            frames.read(4..5, frames.rows()).unwrap().dn
+        );
         assert_eq!(out.kept.len(), 5);
     }
 }

@@ -1,10 +1,13 @@
-//! Writes the answer of a diagnosis: `diagnosis.json` for programs, a page for people, the fitted description.
+//! Writes the answer of a diagnosis: `diagnosis.json` for programs, a page for people, the fitted
+//! description.
 //!
-//! The files are those of `photocurrent diagnose`: the report byte for byte, `report.html`, and `sensor.fitted.toml` when the report says that there is one, with a word
-//! on where it comes from.
+//! The files are those of `photocurrent diagnose`: the report byte for byte, `report.html`, and
+//! `sensor.fitted.toml` when the report says that there is one, with a word on where it comes from.
 
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_core::{
+    Context, Decl, Diagnosis, DiagnosisKind, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
+};
 use photocurrent_diagnosis::fitted::with_findings;
 use photocurrent_diagnosis::page::with_names;
 use schemars::JsonSchema;
@@ -86,10 +89,15 @@ in   = { report = "confirm.report", page = "confirm.page", sensor = "confirm.sen
             files.push(("report.html", with_names(&page.read::<String>()?, names.0, names.1)));
         }
         if let Some(sensor) = input.sensor.filter(|_| report["sensor_fitted"].is_string()) {
-            let texts = |value: &Value| -> Vec<String> { value.as_array().into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect() };
+            let texts = |value: &Value| -> Vec<String> {
+                value.as_array().into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect()
+            };
             let effects = report["effects"].as_array().into_iter().flatten();
-            let claims: Vec<(String, Vec<String>)> =
-                effects.map(|effect| (effect["id"].as_str().unwrap_or_default().to_owned(), texts(&effect["also_possible"]))).collect();
+            let claims: Vec<(String, Vec<String>)> = effects
+                .map(|effect| {
+                    (effect["id"].as_str().unwrap_or_default().to_owned(), texts(&effect["also_possible"]))
+                })
+                .collect();
             files.push(("sensor.fitted.toml", with_findings(&sensor, &claims)));
         }
         for (name, text) in &files {
@@ -110,7 +118,8 @@ mod tests {
 
     fn written(fitted: bool) -> Vec<(String, String)> {
         let fitted = if fitted { ", \"sensor_fitted\": \"sensor.fitted.toml\"" } else { "" };
-        let text = format!("{{\"effects\": [{{\"id\": \"blur\", \"also_possible\": [\"crosstalk\"]}}]{fitted}}}\n");
+        let text =
+            format!("{{\"effects\": [{{\"id\": \"blur\", \"also_possible\": [\"crosstalk\"]}}]{fitted}}}\n");
         let input = In {
             report: Arc::new(Diagnosis::from_text(DiagnosisKind::Report, text).unwrap()),
             page: Some(Arc::new(Diagnosis::of(DiagnosisKind::Page, &"<p>\"so\"</p>\n".to_owned()).unwrap())),
@@ -121,7 +130,11 @@ mod tests {
             |cx| WriteDiagnosis { params: Params::default() }.run(input, cx).unwrap(),
             |out, _, folder| {
                 let Some(Column::Texts(names)) = out.listing.column("file") else { panic!("names") };
-                found.extend(names.iter().map(|name| (name.clone(), std::fs::read_to_string(folder.join(name)).unwrap())));
+                found.extend(
+                    names
+                        .iter()
+                        .map(|name| (name.clone(), std::fs::read_to_string(folder.join(name)).unwrap())),
+                );
             },
         );
         found

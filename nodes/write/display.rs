@@ -1,7 +1,10 @@
-//! How linear digital numbers become pictures of 8 bits that a person can look at: black, white, and the sRGB curve.
+//! How linear digital numbers become pictures of 8 bits that a person can look at: black, white, and the sRGB
+//! curve.
 //!
-//! Black is the sensor's black level. White is what 99.8 percent of the values stay below, looked for in frames spread over the sequence, so that one bright pixel does not
-//! make everything else dark; it is at most saturation. One black and white hold for all frames: what flickers on the screen flickered in the data.
+//! Black is the sensor's black level. White is what 99.8 percent of the values stay below, looked for in
+//! frames spread over the sequence, so that one bright pixel does not make everything else dark; it is at
+//! most saturation. One black and white hold for all frames: what flickers on the screen flickered in the
+//! data.
 //!
 //! Limits: what is brighter than white is clipped. For looking only, never for scores.
 
@@ -12,7 +15,8 @@ const BELOW_WHITE: f64 = 0.998;
 /// White is looked for in so many frames, and so many values of each, at most.
 const FRAMES: usize = 32;
 const VALUES: usize = 1 << 17;
-/// Steps of light that are distinguished on the way to 8 bits: fine enough for the steep beginning of the curve.
+/// Steps of light that are distinguished on the way to 8 bits: fine enough for the steep beginning of the
+/// curve.
 const STEPS: usize = 1 << 14;
 
 /// Which DN are black and white.
@@ -29,7 +33,11 @@ impl Look {
     ///
     /// # Errors
     /// When frames cannot be read.
-    pub fn of(frames: &FrameSequence, sensor: Option<&Sensor>, white: Option<f64>) -> Result<Look, NodeError> {
+    pub fn of(
+        frames: &FrameSequence,
+        sensor: Option<&Sensor>,
+        white: Option<f64>,
+    ) -> Result<Look, NodeError> {
         let black = sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0);
         let most = sensor.and_then(|sensor| sensor.frames.saturation_dn).unwrap_or(f64::INFINITY);
         let white = match white {
@@ -41,12 +49,19 @@ impl Look {
 
     /// A sentence that says what was done.
     pub fn about(&self) -> String {
-        format!("for looking only: 8 bits, sRGB, black is {} DN, white is {} DN", self.black, (self.white * 1e4).round() / 1e4)
+        format!(
+            "for looking only: 8 bits, sRGB, black is {} DN, white is {} DN",
+            self.black,
+            (self.white * 1e4).round() / 1e4
+        )
     }
 
     /// The curve from light to 8 bits.
     pub fn curve(&self) -> Curve {
-        let codes = (0..=STEPS).map(|step| srgb(step as f64 / STEPS as f64)).map(|code| (255.0 * code).round() as u8).collect();
+        let codes = (0..=STEPS)
+            .map(|step| srgb(step as f64 / STEPS as f64))
+            .map(|code| (255.0 * code).round() as u8)
+            .collect();
         Curve { look: *self, codes }
     }
 }
@@ -97,10 +112,14 @@ mod tests {
 
     #[test]
     fn codes_are_those_of_srgb() {
-        // From the standard: 0.2140 of light is stored as 0.5, 0.0452 as 0.2351 (code 60); below 0.0031308 it is a line.
+        // From the standard: 0.2140 of light is stored as 0.5, 0.0452 as 0.2351 (code 60); below 0.0031308 it
+        // is a line.
         let curve = Look { black: 10.0, white: 110.0 }.curve();
         let code = |light: f64| curve.of((10.0 + 100.0 * light) as f32);
-        assert_eq!([code(0.0), code(1.0), code(0.214_041), code(0.045_186), code(0.001)], [0, 255, 128, 60, 3]);
+        assert_eq!(
+            [code(0.0), code(1.0), code(0.214_041), code(0.045_186), code(0.001)],
+            [0, 255, 128, 60, 3]
+        );
         assert_eq!([curve.of(f32::NAN), curve.of(-1e9), curve.of(f32::INFINITY)], [0, 0, 255]);
     }
 
@@ -108,7 +127,13 @@ mod tests {
     fn one_bright_pixel_does_not_make_the_picture_dark() {
         let extent = Extent { width: 40, height: 50 };
         let exposures = (0..3).map(|l| Exposure::new(l * 1000, l * 1000 + 500)).collect();
-        let frames = testing::captured(extent, exposures, 0, |_, x, y| if (x, y) == (3, 3) { 74_000.0 } else { x as f32 });
+        let frames =
+            testing::captured(
+                extent,
+                exposures,
+                0,
+                |_, x, y| if (x, y) == (3, 3) { 74_000.0 } else { x as f32 },
+            );
         let look = Look::of(&frames, None, None).unwrap();
         assert_eq!(look, Look { black: 0.0, white: 39.0 });
         let stated = Look::of(&frames, None, Some(80.0)).unwrap();

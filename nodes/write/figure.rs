@@ -1,7 +1,8 @@
 //! Figures: curves over labelled axes, as SVG text and as a picture.
 //!
-//! `plotters` lays out axes, grid, legend and curves; it needs no font for SVG, and on a picture the letters are those of [`super::font`], so nothing
-//! depends on what is installed. Axis ticks are chosen here ([`axis`]), and a curve is one `<polyline>` for each stretch without a gap.
+//! `plotters` lays out axes, grid, legend and curves; it needs no font for SVG, and on a picture the letters
+//! are those of [`super::font`], so nothing depends on what is installed. Axis ticks are chosen here
+//! ([`axis`]), and a curve is one `<polyline>` for each stretch without a gap.
 
 mod axis;
 mod canvas;
@@ -110,7 +111,8 @@ impl Figure {
     pub fn png(&self) -> Result<Vec<u8>, String> {
         let (width, height, bytes) = self.picture()?;
         let mut file = Vec::new();
-        let picture = Picture { width, height, channels: 3, depth: png::BitDepth::Eight, bytes: &bytes, comment: None };
+        let picture =
+            Picture { width, height, channels: 3, depth: png::BitDepth::Eight, bytes: &bytes, comment: None };
         picture.encode(&mut file).map_err(|error| error.to_string())?;
         Ok(file)
     }
@@ -126,11 +128,25 @@ impl Figure {
 }
 
 impl Panel {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, unit: i32) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
-        let all = || self.series.iter().flat_map(|series| &series.points).filter(|(x, y)| x.is_finite() && y.is_finite());
+    fn draw<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        unit: i32,
+    ) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+        let all = || {
+            self.series
+                .iter()
+                .flat_map(|series| &series.points)
+                .filter(|(x, y)| x.is_finite() && y.is_finite())
+        };
         let text = |size: i32| ("sans-serif", size * unit).into_font();
         // To the right of the axes, so that it covers no curve.
-        let letters = self.series.iter().map(|series| series.label.chars().count()).max().filter(|_| self.series.len() > 1);
+        let letters = self
+            .series
+            .iter()
+            .map(|series| series.label.chars().count())
+            .max()
+            .filter(|_| self.series.len() > 1);
         let legend = letters.map(|letters| (SAMPLE.0 + 2 * SAMPLE.1 + LETTER * letters as u32) as i32 * unit);
         let (area, legend) = match legend {
             Some(width) => {
@@ -139,7 +155,8 @@ impl Panel {
             }
             None => (area.clone(), None),
         };
-        let (x_axis, y_axis) = (Axis::tight(all().map(|point| point.0), self.is_log), Axis::wide(all().map(|point| point.1)));
+        let (x_axis, y_axis) =
+            (Axis::tight(all().map(|point| point.0), self.is_log), Axis::wide(all().map(|point| point.1)));
         let mut chart = ChartBuilder::on(&area)
             .margin(10 * unit)
             // The last number below may be half as long again as the margin.
@@ -165,14 +182,24 @@ impl Panel {
         order.sort_by_key(|&i| !self.series[i].is_reference);
         for i in order {
             let (series, stroke) = (&self.series[i], strokes[i]);
-            for stretch in series.points.split(|(x, y)| !(x.is_finite() && y.is_finite())).filter(|stretch| !stretch.is_empty()) {
+            for stretch in series
+                .points
+                .split(|(x, y)| !(x.is_finite() && y.is_finite()))
+                .filter(|stretch| !stretch.is_empty())
+            {
                 let points = stretch.iter().copied();
                 match stroke.dashes(unit) {
                     None => chart.draw_series(LineSeries::new(points, stroke.style(unit)))?,
-                    Some((long, gap)) => chart.draw_series(DashedLineSeries::new(points, long, gap, stroke.style(unit)))?,
+                    Some((long, gap)) => {
+                        chart.draw_series(DashedLineSeries::new(points, long, gap, stroke.style(unit)))?
+                    }
                 };
                 if series.points.len() <= MOST_MARKS || stretch.len() == 1 {
-                    chart.draw_series(stretch.iter().map(|&place| Circle::new(place, (3 * unit) as u32, stroke.colour.filled())))?;
+                    chart.draw_series(
+                        stretch
+                            .iter()
+                            .map(|&place| Circle::new(place, (3 * unit) as u32, stroke.colour.filled())),
+                    )?;
                 }
             }
         }
@@ -180,7 +207,12 @@ impl Panel {
     }
 
     /// A sample of every stroke with its label.
-    fn draw_legend<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, strokes: &[Stroke], unit: i32) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+    fn draw_legend<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        strokes: &[Stroke],
+        unit: i32,
+    ) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
         for (n, (series, stroke)) in self.series.iter().zip(strokes).enumerate() {
             let y = (LINE * (n as u32 + 2)) as i32 * unit;
             let x = [SAMPLE.1, SAMPLE.1 + SAMPLE.0].map(|x| x as i32 * unit);
@@ -188,7 +220,12 @@ impl Panel {
             match stroke.dashes(unit) {
                 None => area.draw(&PathElement::new(line, stroke.style(unit)))?,
                 Some((long, gap)) => {
-                    area.draw(&plotters::element::DashedPathElement::new(line, long, gap, stroke.style(unit)))?;
+                    area.draw(&plotters::element::DashedPathElement::new(
+                        line,
+                        long,
+                        gap,
+                        stroke.style(unit),
+                    ))?;
                 }
             }
             let font = ("sans-serif", 12 * unit).into_font();
@@ -198,7 +235,8 @@ impl Panel {
         Ok(())
     }
 
-    /// How each curve is drawn: the reference black and broad, the others in colours, dashed where these recur.
+    /// How each curve is drawn: the reference black and broad, the others in colours, dashed where these
+    /// recur.
     fn strokes(&self) -> Vec<Stroke> {
         let mut number = 0..;
         let mut stroke = |series: &Series| match series.is_reference {

@@ -1,4 +1,5 @@
-//! A font of 5 x 7 dots (8 with descenders) for labels in pictures: printable ASCII, drawn in the manner of character displays.
+//! A font of 5 x 7 dots (8 with descenders) for labels in pictures: printable ASCII, drawn in the manner of
+//! character displays.
 
 /// Width of a character cell in dots, with the gap to the next.
 pub const CELL_WIDTH: u32 = 6;
@@ -109,10 +110,14 @@ pub fn width(text: &str) -> u32 {
     text.chars().count() as u32 * CELL_WIDTH
 }
 
-/// Calls `dot` with the place of every dot of a text whose top left corner is at (0, 0). What is not printable ASCII becomes `?`.
+/// Calls `dot` with the place of every dot of a text whose top left corner is at (0, 0). What is not
+/// printable ASCII becomes `?`.
 pub fn dots(text: &str, mut dot: impl FnMut(u32, u32)) {
     for (i, character) in text.chars().enumerate() {
-        let index = (character as usize).checked_sub(0x20).filter(|index| *index < GLYPHS.len()).unwrap_or('?' as usize - 0x20);
+        let index = (character as usize)
+            .checked_sub(0x20)
+            .filter(|index| *index < GLYPHS.len())
+            .unwrap_or('?' as usize - 0x20);
         for (column, bits) in GLYPHS[index].iter().enumerate() {
             for row in (0..CELL_HEIGHT).filter(|row| bits >> row & 1 == 1) {
                 dot(i as u32 * CELL_WIDTH + column as u32, row);

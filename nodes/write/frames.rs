@@ -1,27 +1,35 @@
 //! Writes frames as a folder of 16-bit PNGs with a table of their exposures, or as one HDF5 file.
 //!
-//! The folder holds `000000.png`, `000001.png` ... and `frames.csv`: when each frame was exposed, and how codes become digital numbers
-//! (`dn = offset_dn + scale_dn * code`, in each row and in the first line). Values are linear DN; there is no gamma, in the pixels or in the headers. DN stand for a
-//! frame of the exposure that the first line names, so that rendered and recorded frames compare directly.
+//! The folder holds `000000.png`, `000001.png` ... and `frames.csv`: when each frame was exposed, and how
+//! codes become digital numbers (`dn = offset_dn + scale_dn * code`, in each row and in the first line).
+//! Values are linear DN; there is no gamma, in the pixels or in the headers. DN stand for a frame of the
+//! exposure that the first line names, so that rendered and recorded frames compare directly.
 //!
-//! With the sensor description connected, code 65535 is its `saturation_dn`: folders of one camera share a code, and an outlier changes nothing. There is no headroom above
-//! it: a camera could not have said more, and a linear picture is dark enough on a screen. What lies above is clipped and counted; who wants it states a larger `scale`
-//! or takes `format = "hdf5_f32"`. Without a saturation the code spans the data, and code 65535 is the highest value over all frames and pixels.
-//! Offset is the lowest value, or 0 when nothing is negative. So a first pass looks for both ends, and a second one writes; a few frames are in memory at a time.
-//! `offset` and `scale` can be stated instead.
+//! With the sensor description connected, code 65535 is its `saturation_dn`: folders of one camera share a
+//! code, and an outlier changes nothing. There is no headroom above it: a camera could not have said more,
+//! and a linear picture is dark enough on a screen. What lies above is clipped and counted; who wants it
+//! states a larger `scale` or takes `format = "hdf5_f32"`. Without a saturation the code spans the data, and
+//! code 65535 is the highest value over all frames and pixels. Offset is the lowest value, or 0 when nothing
+//! is negative. So a first pass looks for both ends, and a second one writes; a few frames are in memory at a
+//! time. `offset` and `scale` can be stated instead.
 //!
-//! `preview = true` adds a folder of pictures that a person can look at: 8 bits, sRGB, white by a robust percentile ([`super::display`]). The pictures of the folder itself
-//! are for programs; scores take neither.
+//! `preview = true` adds a folder of pictures that a person can look at: 8 bits, sRGB, white by a robust
+//! percentile ([`super::display`]). The pictures of the folder itself are for programs; scores take neither.
 //!
-//! With `format = "hdf5_u16"` the same codes go into one file, `frames.h5`, and with `"hdf5_f32"` the values themselves: \[frame, row, column\] in chunks, with
-//! exposures and code next to them (docs/formats.md), for those who want thousands of frames in one piece.
+//! With `format = "hdf5_u16"` the same codes go into one file, `frames.h5`, and with `"hdf5_f32"` the values
+//! themselves: \[frame, row, column\] in chunks, with exposures and code next to them (docs/formats.md), for
+//! those who want thousands of frames in one piece.
 //!
-//! Limits: 16 bits are 1/65535 of the span between darkest and brightest pixel. A value that is not known (NaN) becomes code 0 and is counted.
+//! Limits: 16 bits are 1/65535 of the span between darkest and brightest pixel. A value that is not known
+//! (NaN) becomes code 0 and is counted.
 
 use super::display::Look;
 use super::picture::Picture;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_core::{
+    Context, Decl, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+    Table,
+};
 use photocurrent_store::{DnCode, write_rendered};
 use png::BitDepth;
 use rayon::prelude::*;
@@ -50,13 +58,16 @@ pub enum Format {
 pub struct Params {
     /// Pictures, or one HDF5 file of 16-bit codes or of 32-bit floating point.
     pub format: Format,
-    /// DN per code, positive. Default: such that code 65535 is the saturation of the sensor description, or without one the highest value of all frames.
+    /// DN per code, positive. Default: such that code 65535 is the saturation of the sensor description, or
+    /// without one the highest value of all frames.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub scale: Option<f64>,
-    /// DN of code 0. Default: the lowest value of all frames, or 0 when none is negative; with a saturation, no further below 0 than that is above.
+    /// DN of code 0. Default: the lowest value of all frames, or 0 when none is negative; with a saturation,
+    /// no further below 0 than that is above.
     pub offset: Option<f64>,
-    /// Also write pictures for looking into the folder `preview`, next to PNGs: 8 bits, sRGB, with white where 99.8 percent of the values lie below it (at most
-    /// saturation). A note and a comment in each file say what black and white are. Never measure with them.
+    /// Also write pictures for looking into the folder `preview`, next to PNGs: 8 bits, sRGB, with white
+    /// where 99.8 percent of the values lie below it (at most saturation). A note and a comment in each file
+    /// say what black and white are. Never measure with them.
     pub preview: bool,
 }
 
@@ -109,9 +120,11 @@ fn range(frames: &FrameSequence, cx: &Context) -> Result<Option<(f32, f32)>, Nod
     Ok(range)
 }
 
-/// Light this many times as bright as saturation is never plausible: the solver holds it at e^3 of the brightest frame.
+/// Light this many times as bright as saturation is never plausible: the solver holds it at e^3 of the
+/// brightest frame.
 const NEVER_PLAUSIBLE: f64 = 20.5;
-/// Where the code spans the data and this share of them lies below a sixteenth of it, an outlier sets the code.
+/// Where the code spans the data and this share of them lies below a sixteenth of it, an outlier sets the
+/// code.
 const DARK_SHARE: f64 = 0.999;
 
 /// What sets the code, and with it what is counted.
@@ -126,7 +139,8 @@ enum Scale {
 
 impl WriteFrames {
     fn scale(&self, sensor: Option<&Sensor>) -> Scale {
-        let saturation = sensor.and_then(|sensor| sensor.frames.saturation_dn).filter(|saturation| *saturation > 0.0);
+        let saturation =
+            sensor.and_then(|sensor| sensor.frames.saturation_dn).filter(|saturation| *saturation > 0.0);
         match (self.params.scale, saturation) {
             (Some(_), _) => Scale::Stated,
             (None, Some(saturation)) => Scale::Saturation(saturation),
@@ -134,7 +148,12 @@ impl WriteFrames {
         }
     }
 
-    fn code(&self, frames: &FrameSequence, sensor: Option<&Sensor>, cx: &Context) -> Result<DnCode, NodeError> {
+    fn code(
+        &self,
+        frames: &FrameSequence,
+        sensor: Option<&Sensor>,
+        cx: &Context,
+    ) -> Result<DnCode, NodeError> {
         if let (Some(offset), Some(scale)) = (self.params.offset, self.params.scale) {
             return Ok(DnCode { offset, scale });
         }
@@ -157,19 +176,33 @@ impl WriteFrames {
             Scale::Saturation(saturation) => {
                 cx.count(
                     found.clipped,
-                    &format!("values lie outside of what the code can say, up to saturation ({saturation} DN), and were clipped: `scale` makes room"),
+                    &format!(
+                        "values lie outside of what the code can say, up to saturation ({saturation} \
+                              DN), and were clipped: `scale` makes room"
+                    ),
                 );
             }
-            Scale::Stated | Scale::Data => cx.count(found.clipped, "values lie outside of what the stated code can say and were clipped"),
+            Scale::Stated | Scale::Data => cx.count(
+                found.clipped,
+                "values lie outside of what the stated \
+                                                            code can say and were clipped",
+            ),
         }
-        cx.count(found.implausible, "values are more than 20 times saturation, which no frame can vouch for: look at the node that made them");
+        cx.count(
+            found.implausible,
+            "values are more than 20 times saturation, which no frame can vouch \
+                                     for: look at the node that made them",
+        );
         let known = (frames.len() * frames.rows().len() * frames.meta.row_values()) as u64 - found.unknown;
         if self.scale(sensor) == Scale::Data
             && self.params.format != Format::Hdf5F32
             && (found.dark as f64) < known as f64
             && found.dark as f64 >= DARK_SHARE * known as f64
         {
-            cx.note("few bright values set the code, 99.9 percent lie below a sixteenth of it and look black: connect `sensor`, whose saturation sets it, or state `scale`");
+            cx.note(
+                "few bright values set the code, 99.9 percent lie below a sixteenth of it and look \
+                     black: connect `sensor`, whose saturation sets it, or state `scale`",
+            );
         }
     }
 }
@@ -186,16 +219,30 @@ fn file_name(frame: usize) -> String {
     format!("{frame:06}.png")
 }
 
-/// `frames.csv`. A rolling shutter is stated at the end of the first line; without a statement the shutter is global.
+/// `frames.csv`. A rolling shutter is stated at the end of the first line; without a statement the shutter is
+/// global.
 fn csv(meta: &FramesMeta, code: DnCode) -> String {
-    let row_time = if meta.times.row_time_ns == 0 { String::new() } else { format!("; row_time_ns={}", meta.times.row_time_ns) };
+    let row_time = if meta.times.row_time_ns == 0 {
+        String::new()
+    } else {
+        format!("; row_time_ns={}", meta.times.row_time_ns)
+    };
     // `{:?}` writes the shortest decimal that reads back as the same number.
     let DnCode { offset, scale } = code;
     let exposure_ns = nominal_exposure_ns(meta).unwrap_or(0);
-    let mut text = format!("# dn = offset + scale * code; offset={offset:?} scale={scale:?}; exposure_dn_of_ns={exposure_ns}{row_time}\n");
+    let mut text = format!(
+        "# dn = offset + scale * code; offset={offset:?} scale={scale:?}; \
+                            exposure_dn_of_ns={exposure_ns}{row_time}\n"
+    );
     text += "index,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn\n";
     for (l, exposure) in meta.times.exposures.iter().enumerate() {
-        text += &format!("{l},{},{},{},{},{offset:?},{scale:?}\n", exposure.start.0, exposure.end.0, exposure.mid().0, file_name(l));
+        text += &format!(
+            "{l},{},{},{},{},{offset:?},{scale:?}\n",
+            exposure.start.0,
+            exposure.end.0,
+            exposure.mid().0,
+            file_name(l)
+        );
     }
     text
 }
@@ -236,22 +283,36 @@ params = { preview = true }
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if let Some(scale) = params.scale.filter(|scale| !(scale.is_finite() && *scale > 0.0)) {
-            return Err(NodeError::usage(format!("`scale` is {scale}, and must be a positive number of DN per code")).param("scale"));
+            return Err(NodeError::usage(format!(
+                "`scale` is {scale}, and must be a positive number of DN \
+                                                 per code"
+            ))
+            .param("scale"));
         }
         if let Some(offset) = params.offset.filter(|offset| !offset.is_finite()) {
-            return Err(NodeError::usage(format!("`offset` is {offset}, and must be a number of DN")).param("offset"));
+            return Err(
+                NodeError::usage(format!("`offset` is {offset}, and must be a number of DN")).param("offset")
+            );
         }
         let hdf5 = "`format = \"hdf5_u16\"` or \"hdf5_f32\"";
         if params.preview && params.format != Format::Png {
-            return Err(NodeError::usage(format!("`preview` writes pictures next to PNGs, and does nothing with {hdf5}"))
-                .hint("take it out; write/contact_sheet shows frames in one picture")
-                .param("preview"));
+            return Err(NodeError::usage(format!(
+                "`preview` writes pictures next to PNGs, and does nothing \
+                                                 with {hdf5}"
+            ))
+            .hint("take it out; write/contact_sheet shows frames in one picture")
+            .param("preview"));
         }
         let stated = [("scale", params.scale.is_some()), ("offset", params.offset.is_some())];
-        if let Some((name, _)) = stated.iter().find(|(_, is_stated)| *is_stated && params.format == Format::Hdf5F32) {
-            return Err(NodeError::usage(format!("`{name}` is that of codes, and `format = \"hdf5_f32\"` stores values as they are"))
-                .hint("take it out, or set `format = \"hdf5_u16\"`")
-                .param(*name));
+        if let Some((name, _)) =
+            stated.iter().find(|(_, is_stated)| *is_stated && params.format == Format::Hdf5F32)
+        {
+            return Err(NodeError::usage(format!(
+                "`{name}` is that of codes, and `format = \"hdf5_f32\"` \
+                                                 stores values as they are"
+            ))
+            .hint("take it out, or set `format = \"hdf5_u16\"`")
+            .param(*name));
         }
         Ok(WriteFrames { params })
     }
@@ -259,7 +320,10 @@ params = { preview = true }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
         if frames.times.is_empty() {
-            return Err(NodeError::usage("`frames` has no frame to write").hint("look at the time window of the node that makes them"));
+            return Err(NodeError::usage("`frames` has no frame to write").hint(
+                "look at the time window of \
+                                                            the node that makes them",
+            ));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
@@ -278,13 +342,21 @@ params = { preview = true }
         self.report(&found, frames, sensor, cx);
         let times = if self.params.format == Format::Png { "frames.csv" } else { HDF5 };
         if meta.times.row_time_ns != 0 {
-            cx.note(format!("rolling shutter: the times in {times} are those of row 0, each further row is {} ns later", meta.times.row_time_ns));
+            cx.note(format!(
+                "rolling shutter: the times in {times} are those of row 0, each further row is \
+                             {} ns later",
+                meta.times.row_time_ns
+            ));
         }
         let lengths = meta.times.exposures.iter().map(|exposure| exposure.length_ns());
-        if let (FrameScale::Captured, Some(shortest), Some(longest)) = (meta.scale, lengths.clone().min(), lengths.max())
+        if let (FrameScale::Captured, Some(shortest), Some(longest)) =
+            (meta.scale, lengths.clone().min(), lengths.max())
             && shortest != longest
         {
-            cx.note(format!("captured frames of {shortest} to {longest} ns: each keeps the DN of its own exposure; {times} names their median"));
+            cx.note(format!(
+                "captured frames of {shortest} to {longest} ns: each keeps the DN of its own \
+                             exposure; {times} names their median"
+            ));
         }
         let file = |l: usize| if self.params.format == Format::Png { file_name(l) } else { HDF5.into() };
         Ok(Out { listing: Arc::new(listing(meta, file)) })
@@ -327,14 +399,22 @@ impl Found {
 
 /// What more DN than these are never plausible.
 fn most_plausible(sensor: Option<&Sensor>) -> f32 {
-    let Some(saturation) = sensor.and_then(|sensor| sensor.frames.saturation_dn) else { return f32::INFINITY };
+    let Some(saturation) = sensor.and_then(|sensor| sensor.frames.saturation_dn) else {
+        return f32::INFINITY;
+    };
     let black = sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0);
     (black + NEVER_PLAUSIBLE * (saturation - black)) as f32
 }
 
 impl WriteFrames {
     /// PNGs, previews and `frames.csv`.
-    fn pictures(&self, frames: &FrameSequence, sensor: Option<&Sensor>, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
+    fn pictures(
+        &self,
+        frames: &FrameSequence,
+        sensor: Option<&Sensor>,
+        folder: &Path,
+        cx: &Context,
+    ) -> Result<Found, NodeError> {
         let meta = &frames.meta;
         let preview = folder.join("preview");
         let look = if self.params.preview { Some(Look::of(frames, sensor, None)?) } else { None };
@@ -350,12 +430,23 @@ impl WriteFrames {
         for batch in batches(frames) {
             let block = frames.read(batch.clone(), frames.rows())?;
             let write = |l: usize| -> Result<Found, NodeError> {
-                let (width, height, channels) = (meta.extent.width, frames.rows().len() as u32, meta.channels());
-                let bytes: Vec<u8> = block.frame(l).iter().flat_map(|&dn| code.of(dn).0.to_be_bytes()).collect();
-                Picture { width, height, channels, depth: BitDepth::Sixteen, bytes: &bytes, comment: None }.save(&folder.join(file_name(l)))?;
+                let (width, height, channels) =
+                    (meta.extent.width, frames.rows().len() as u32, meta.channels());
+                let bytes: Vec<u8> =
+                    block.frame(l).iter().flat_map(|&dn| code.of(dn).0.to_be_bytes()).collect();
+                Picture { width, height, channels, depth: BitDepth::Sixteen, bytes: &bytes, comment: None }
+                    .save(&folder.join(file_name(l)))?;
                 if let Some((curve, about)) = &shown {
                     let bytes: Vec<u8> = block.frame(l).iter().map(|&dn| curve.of(dn)).collect();
-                    Picture { width, height, channels, depth: BitDepth::Eight, bytes: &bytes, comment: Some(about) }.save(&preview.join(file_name(l)))?;
+                    Picture {
+                        width,
+                        height,
+                        channels,
+                        depth: BitDepth::Eight,
+                        bytes: &bytes,
+                        comment: Some(about),
+                    }
+                    .save(&preview.join(file_name(l)))?;
                 }
                 cx.advance(1)?;
                 Ok(Found::in_frame(block.frame(l), code, most))
@@ -368,7 +459,13 @@ impl WriteFrames {
     }
 
     /// One file of codes.
-    fn codes(&self, frames: &FrameSequence, sensor: Option<&Sensor>, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
+    fn codes(
+        &self,
+        frames: &FrameSequence,
+        sensor: Option<&Sensor>,
+        folder: &Path,
+        cx: &Context,
+    ) -> Result<Found, NodeError> {
         cx.begin(2 * frames.len() as u64, "frames");
         let (code, most) = (self.code(frames, sensor, cx)?, most_plausible(sensor));
         let mut found = Found::default();
@@ -377,7 +474,12 @@ impl WriteFrames {
             found = found.and(Found::in_frame(&block.dn, code, most));
             cx.advance(batch.len() as u64)?;
         }
-        write_rendered(&folder.join(HDF5), frames, nominal_exposure_ns(&frames.meta).unwrap_or(0), Some(code))?;
+        write_rendered(
+            &folder.join(HDF5),
+            frames,
+            nominal_exposure_ns(&frames.meta).unwrap_or(0),
+            Some(code),
+        )?;
         Ok(found)
     }
 }
@@ -400,24 +502,41 @@ mod tests {
         write_with(None, frames, params, look);
     }
 
-    fn write_with(sensor: Option<Arc<Sensor>>, frames: &FrameSequence, params: Params, look: impl FnOnce(Table, Vec<String>, &Path)) {
+    fn write_with(
+        sensor: Option<Arc<Sensor>>,
+        frames: &FrameSequence,
+        params: Params,
+        look: impl FnOnce(Table, Vec<String>, &Path),
+    ) {
         let node = WriteFrames::build(params).unwrap();
-        exporting(|cx| node.run(In { frames: frames.clone(), sensor }, cx).unwrap(), |out, notes, folder| look((*out.listing).clone(), notes, folder));
+        exporting(
+            |cx| node.run(In { frames: frames.clone(), sensor }, cx).unwrap(),
+            |out, notes, folder| look((*out.listing).clone(), notes, folder),
+        );
     }
 
-    /// What a stranger's program reads from the folder: the numbers of the first line, and the lines of the table.
+    /// What a stranger's program reads from the folder: the numbers of the first line, and the lines of the
+    /// table.
     fn read_csv(folder: &Path) -> (f64, f64, String, Vec<String>) {
         let text = std::fs::read_to_string(folder.join("frames.csv")).unwrap();
         let mut lines = text.lines().map(String::from);
         let first = lines.next().unwrap();
-        let after = |key: &str| first.split(key).nth(1).unwrap().split([' ', ';']).next().unwrap().to_string();
+        let after =
+            |key: &str| first.split(key).nth(1).unwrap().split([' ', ';']).next().unwrap().to_string();
         assert!(first.starts_with("# dn = offset + scale * code; offset="), "{first}");
-        (after("offset=").parse().unwrap(), after("scale=").parse().unwrap(), after("exposure_dn_of_ns="), lines.collect())
+        (
+            after("offset=").parse().unwrap(),
+            after("scale=").parse().unwrap(),
+            after("exposure_dn_of_ns="),
+            lines.collect(),
+        )
     }
 
     #[test]
     fn the_formula_of_the_first_line_gives_back_the_values() {
-        let frames = testing::captured(EXTENT, exposures(3), 0, |l, x, y| (l as f32 + 0.37) * (x as f32 - 1.5) * (y as f32 + 0.1) * 33.3);
+        let frames = testing::captured(EXTENT, exposures(3), 0, |l, x, y| {
+            (l as f32 + 0.37) * (x as f32 - 1.5) * (y as f32 + 0.1) * 33.3
+        });
         write(&frames, Params::default(), |listing, notes, folder| {
             let (offset, scale, exposure, lines) = read_csv(folder);
             assert_eq!(exposure, "4000000");
@@ -436,7 +555,10 @@ mod tests {
                 let block = frames.read(l..l + 1, frames.rows()).unwrap();
                 for (code, dn) in codes.iter().zip(&block.dn) {
                     // Half a code is the best that rounding can do.
-                    assert!((offset + scale * f64::from(*code) - f64::from(*dn)).abs() <= 0.5000001 * scale, "{code} is not {dn}");
+                    assert!(
+                        (offset + scale * f64::from(*code) - f64::from(*dn)).abs() <= 0.5000001 * scale,
+                        "{code} is not {dn}"
+                    );
                 }
             }
             assert_eq!(listing.column("file").unwrap().cell(2), "000002.png");
@@ -465,15 +587,24 @@ mod tests {
             (2, _) => 700_000.0,
             _ => 5.0,
         });
-        write(&frames, Params { scale: Some(10.0), offset: Some(0.0), ..Params::default() }, |_, notes, folder| {
-            let codes = load(&folder.join("000000.png")).0;
-            assert_eq!(codes[..4], [0, 0, 65535, 1]);
-            // One below 0 and four in column 2 lie outside of 0 ..= 655350 DN; 5 DN are half a code and round away from zero.
-            assert_eq!(
-                notes,
-                ["1 values are not known (NaN) and were written as code 0", "5 values lie outside of what the stated code can say and were clipped"]
-            );
-        });
+        write(
+            &frames,
+            Params { scale: Some(10.0), offset: Some(0.0), ..Params::default() },
+            |_, notes, folder| {
+                let codes = load(&folder.join("000000.png")).0;
+                assert_eq!(codes[..4], [0, 0, 65535, 1]);
+                // One below 0 and four in column 2 lie outside of 0 ..= 655350 DN; 5 DN are half a code and
+                // round away from zero.
+                assert_eq!(
+                    notes,
+                    [
+                        "1 values are not known (NaN) and were written as code 0",
+                        "5 values lie outside of what \
+                                                            the stated code can say and were clipped"
+                    ]
+                );
+            },
+        );
     }
 
     #[test]
@@ -481,27 +612,53 @@ mod tests {
         let rolling = testing::frames(4, 3, 2);
         write(&rolling, Params::default(), |_, notes, folder| {
             let text = std::fs::read_to_string(folder.join("frames.csv")).unwrap();
-            assert!(text.lines().next().unwrap().ends_with("; exposure_dn_of_ns=4000000; row_time_ns=10000"), "{text}");
+            assert!(
+                text.lines().next().unwrap().ends_with("; exposure_dn_of_ns=4000000; row_time_ns=10000"),
+                "{text}"
+            );
             assert!(notes[0].contains("those of row 0"), "{notes:?}");
         });
-        let meta = FramesMeta { scale: FrameScale::Nominal { exposure_ns: 4_200_000 }, ..(*rolling.meta).clone() };
-        let rendered = FrameSequence::new(Arc::new(meta), rolling.rows(), Arc::new(rolling.read_rows(rolling.rows()).unwrap()));
+        let meta =
+            FramesMeta { scale: FrameScale::Nominal { exposure_ns: 4_200_000 }, ..(*rolling.meta).clone() };
+        let rendered = FrameSequence::new(
+            Arc::new(meta),
+            rolling.rows(),
+            Arc::new(rolling.read_rows(rolling.rows()).unwrap()),
+        );
         write(&rendered, Params::default(), |_, _, folder| assert_eq!(read_csv(folder).2, "4200000"));
     }
 
     #[test]
     fn colour_is_written_as_rgb_and_a_preview_goes_to_another_folder() {
         let times = photocurrent_core::FrameTimes::new(exposures(1), 0).unwrap();
-        let meta = FramesMeta { extent: Extent { width: 1, height: 1 }, colour: photocurrent_core::Colour::Rgb, times, scale: FrameScale::Captured };
-        let block = FrameBlock { frames: 0..1, rows: meta.extent.rows(), row_values: 3, dn: vec![65535.0, 256.0, 0.0] };
-        write(&FrameSequence::in_memory(Arc::new(meta), block), Params { preview: true, ..Params::default() }, |_, notes, folder| {
-            let (codes, info) = load(&folder.join("000000.png"));
-            assert_eq!((codes, info.color_type), (vec![65535, 256, 0], png::ColorType::Rgb));
-            let (codes, info) = load(&folder.join("preview/000000.png"));
-            // White is the brightest of these three values; sRGB stores 256 / 65535 of light as 12.7 / 255 (1.055 x^(1/2.4) - 0.055).
-            assert_eq!((codes, info.bit_depth), (vec![255, 13, 0], BitDepth::Eight));
-            assert!(notes[0].contains("for looking only: 8 bits, sRGB, black is 0 DN, white is 65535"), "{notes:?}");
-        });
+        let meta = FramesMeta {
+            extent: Extent { width: 1, height: 1 },
+            colour: photocurrent_core::Colour::Rgb,
+            times,
+            scale: FrameScale::Captured,
+        };
+        let block = FrameBlock {
+            frames: 0..1,
+            rows: meta.extent.rows(),
+            row_values: 3,
+            dn: vec![65535.0, 256.0, 0.0],
+        };
+        write(
+            &FrameSequence::in_memory(Arc::new(meta), block),
+            Params { preview: true, ..Params::default() },
+            |_, notes, folder| {
+                let (codes, info) = load(&folder.join("000000.png"));
+                assert_eq!((codes, info.color_type), (vec![65535, 256, 0], png::ColorType::Rgb));
+                let (codes, info) = load(&folder.join("preview/000000.png"));
+                // White is the brightest of these three values; sRGB stores 256 / 65535 of light as 12.7 /
+                // 255 (1.055 x^(1/2.4) - 0.055).
+                assert_eq!((codes, info.bit_depth), (vec![255, 13, 0], BitDepth::Eight));
+                assert!(
+                    notes[0].contains("for looking only: 8 bits, sRGB, black is 0 DN, white is 65535"),
+                    "{notes:?}"
+                );
+            },
+        );
     }
 
     #[test]
@@ -520,10 +677,21 @@ mod tests {
             // 51 DN of 255 is a fifth of 65535.
             assert_eq!(load(&folder.join("000000.png")).0[..2], [65535, 13107]);
             assert!(notes[0].starts_with("1 values are more than 20 times saturation"), "{notes:?}");
-            assert!(notes[1].starts_with("2 values lie outside of what the code can say, up to saturation (255 DN)"), "{notes:?}");
+            assert!(
+                notes[1].starts_with(
+                    "2 values lie outside of what the code can say, up to saturation \
+                                          (255 DN)"
+                ),
+                "{notes:?}"
+            );
         });
         // A stated scale wins; a negative value lowers the offset, but no further than saturation is high.
-        write_with(sensor.clone(), &frames, Params { scale: Some(2.0), ..Params::default() }, |_, _, folder| assert_eq!(read_csv(folder).1, 2.0));
+        write_with(
+            sensor.clone(),
+            &frames,
+            Params { scale: Some(2.0), ..Params::default() },
+            |_, _, folder| assert_eq!(read_csv(folder).1, 2.0),
+        );
         let negative = testing::captured(EXTENT, exposures(1), 0, |_, x, _| if x == 0 { -1e6 } else { 10.0 });
         write_with(sensor, &negative, Params::default(), |_, notes, folder| {
             assert_eq!(read_csv(folder).0, -255.0);
@@ -534,8 +702,16 @@ mod tests {
     #[test]
     fn without_a_saturation_an_outlier_that_sets_the_code_is_named() {
         let large = Extent { width: 50, height: 50 };
-        let frames = testing::captured(large, exposures(1), 0, |_, x, y| if (x, y) == (7, 7) { 74_000.0 } else { 51.0 });
-        write(&frames, Params::default(), |_, notes, _| assert!(notes.iter().any(|note| note.contains("connect `sensor`")), "{notes:?}"));
+        let frames =
+            testing::captured(
+                large,
+                exposures(1),
+                0,
+                |_, x, y| if (x, y) == (7, 7) { 74_000.0 } else { 51.0 },
+            );
+        write(&frames, Params::default(), |_, notes, _| {
+            assert!(notes.iter().any(|note| note.contains("connect `sensor`")), "{notes:?}")
+        });
         let dark = testing::captured(large, exposures(1), 0, |_, _, _| 0.0);
         write(&dark, Params::default(), |_, notes, _| assert_eq!(notes, [""; 0]));
     }
@@ -553,24 +729,43 @@ mod tests {
 
     #[test]
     fn one_file_of_codes_counts_what_codes_cannot_say() {
-        let frames = testing::captured(EXTENT, exposures(3), 0, |l, x, _| if (l, x) == (1, 0) { f32::NAN } else { 100.0 * x as f32 });
-        let params = Params { format: Format::Hdf5U16, scale: Some(1.0), offset: Some(200.0), preview: false };
+        let frames = testing::captured(EXTENT, exposures(3), 0, |l, x, _| {
+            if (l, x) == (1, 0) { f32::NAN } else { 100.0 * x as f32 }
+        });
+        let params =
+            Params { format: Format::Hdf5U16, scale: Some(1.0), offset: Some(200.0), preview: false };
         write(&frames, params, |listing, notes, folder| {
             assert_eq!(listing.column("file").unwrap().cell(2), "frames.h5");
-            // Of three frames of four rows: one column unknown in one frame, and column 0 of two, column 1 of three are below code 0.
+            // Of three frames of four rows: one column unknown in one frame, and column 0 of two, column 1 of
+            // three are below code 0.
             assert_eq!(
                 notes,
-                ["4 values are not known (NaN) and were written as code 0", "20 values lie outside of what the stated code can say and were clipped"]
+                [
+                    "4 values are not known (NaN) and were written as code 0",
+                    "20 values lie outside of what \
+                                                            the stated code can say and were clipped"
+                ]
             );
-            let names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+            let names: Vec<_> =
+                std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
             assert_eq!(names, ["frames.h5"]);
         });
     }
 
     #[test]
     fn mistakes_are_refused_before_anything_is_written() {
-        assert_eq!(WriteFrames::build(Params { scale: Some(0.0), ..Params::default() }).err().unwrap().param.as_deref(), Some("scale"));
-        let metas = PortMetas::new(BTreeMap::from([("frames".to_string(), vec![Meta::Frames(testing::frames(2, 2, 0).meta)])]));
+        assert_eq!(
+            WriteFrames::build(Params { scale: Some(0.0), ..Params::default() })
+                .err()
+                .unwrap()
+                .param
+                .as_deref(),
+            Some("scale")
+        );
+        let metas = PortMetas::new(BTreeMap::from([(
+            "frames".to_string(),
+            vec![Meta::Frames(testing::frames(2, 2, 0).meta)],
+        )]));
         let error = WriteFrames::build(Params::default()).unwrap().plan(&metas).unwrap_err();
         assert_eq!(error.message, "`frames` has no frame to write");
     }

@@ -1,7 +1,8 @@
 //! Writers: files for the user.
 //!
-//! A writer puts files into the folder it is given (`cx.export_dir()`); the engine moves the folder to its place when the node is done. What
-//! was written is also an output, a small table, so that a report can list it.
+//! A writer puts files into the folder it is given (`cx.export_dir()`); the engine moves the folder to its
+//! place when the node is done. What was written is also an output, a small table, so that a report can list
+//! it.
 
 pub mod contact_sheet;
 pub mod diagnosis;
@@ -25,7 +26,10 @@ fn save(path: &Path, bytes: &[u8]) -> Result<(), NodeError> {
 
 /// A file that could not be written.
 fn cannot_write(path: &Path, error: &dyn std::fmt::Display) -> NodeError {
-    NodeError::files(format!("cannot write {}: {error}", path.display())).hint("is the disk full, or the output folder read-only?")
+    NodeError::files(format!("cannot write {}: {error}", path.display())).hint(
+        "is the disk full, or the \
+                                                            output folder read-only?",
+    )
 }
 
 /// Refuses a list of labels that does not name each of `count` inputs of `port` once.
@@ -56,11 +60,20 @@ mod testing {
     use std::path::Path;
     use std::sync::atomic::AtomicBool;
 
-    /// Calls `work` with a context that has a folder to write to; then gives result, notes and folder to `look`.
+    /// Calls `work` with a context that has a folder to write to; then gives result, notes and folder to
+    /// `look`.
     pub fn exporting<T>(work: impl FnOnce(&Context) -> T, look: impl FnOnce(T, Vec<String>, &Path)) {
         let folder = tempfile::tempdir().unwrap();
         let (wanted, cancel, notes) = (BTreeSet::new(), AtomicBool::new(false), Notes::default());
-        let result = work(&Context::new(Rows { start: 0, end: 0 }, 7, &wanted, &Silent, &cancel, Some(folder.path()), &notes));
+        let result = work(&Context::new(
+            Rows { start: 0, end: 0 },
+            7,
+            &wanted,
+            &Silent,
+            &cancel,
+            Some(folder.path()),
+            &notes,
+        ));
         look(result, notes.lines(), folder.path());
     }
 }

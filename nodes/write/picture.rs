@@ -60,7 +60,8 @@ impl Picture<'_> {
 /// Reads a PNG back, for tests: values as they stand in the file, and its header.
 #[cfg(test)]
 pub fn load(path: &Path) -> (Vec<u16>, png::Info<'static>) {
-    let mut reader = png::Decoder::new(std::io::BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+    let mut reader =
+        png::Decoder::new(std::io::BufReader::new(File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
     reader.next_frame(&mut bytes).unwrap();
     let values = match reader.info().bit_depth {

@@ -1,14 +1,17 @@
 //! Writes a recording in the project's own HDF5 layout, for other programs and for later runs.
 //!
-//! What `read/recording` reads, this writes: events with their stamps, frames with their exposures, the sensor description, and for simulated data
-//! the truth. The layout is plain HDF5 (`photocurrent-recording/1`, docs/formats.md): h5py, xarray and MATLAB open it with nothing installed.
+//! What `read/recording` reads, this writes: events with their stamps, frames with their exposures, the
+//! sensor description, and for simulated data the truth. The layout is plain HDF5
+//! (`photocurrent-recording/1`, docs/formats.md): h5py, xarray and MATLAB open it with nothing installed.
 //!
-//! Limits: events are held in memory while they are brought into time order, about 20 bytes each. A compensated `step` is no part of the
-//! layout and is left out.
+//! Limits: events are held in memory while they are brought into time order, about 20 bytes each. A
+//! compensated `step` is no part of the layout and is left out.
 
 use photocurrent_core::extent::Extent;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth};
+use photocurrent_core::{
+    Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth,
+};
 use photocurrent_store::recording::{DnType, RecordingContent, write_recording};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -89,22 +92,39 @@ params = { numbers = "u16" }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         if !inputs.has("events") && !inputs.has("frames") {
-            return Err(NodeError::usage("there is nothing to record: neither `events` nor `frames` is connected").hint("connect at least one of them"));
+            return Err(NodeError::usage(
+                "there is nothing to record: neither `events` nor `frames` is \
+                                         connected",
+            )
+            .hint("connect at least one of them"));
         }
-        let sizes: Vec<(&str, Extent)> = inputs.iter().filter_map(|(port, meta)| Some((port, extent_of(meta)?))).collect();
-        // The events' pixels are the sensor's, or else the frames'; frames and truth may have several on each.
-        if let Some((port, extent)) = sizes.iter().find(|(port, extent)| match (*port, extent.multiple_of(sizes[0].1)) {
-            ("events", times) => times != Some(1),
-            (_, times) => times.is_none(),
-        }) {
-            return Err(NodeError::usage(format!("`{port}` is {extent}, and `{}` is {}", sizes[0].0, sizes[0].1))
-                .hint("one recording is of one sensor: frames have the events' extent or a whole multiple of it"));
+        let sizes: Vec<(&str, Extent)> =
+            inputs.iter().filter_map(|(port, meta)| Some((port, extent_of(meta)?))).collect();
+        // The events' pixels are the sensor's, or else the frames'; frames and truth may have several on
+        // each.
+        if let Some((port, extent)) =
+            sizes.iter().find(|(port, extent)| match (*port, extent.multiple_of(sizes[0].1)) {
+                ("events", times) => times != Some(1),
+                (_, times) => times.is_none(),
+            })
+        {
+            return Err(NodeError::usage(format!(
+                "`{port}` is {extent}, and `{}` is {}",
+                sizes[0].0, sizes[0].1
+            ))
+            .hint(
+                "one recording is of one sensor: frames have the events' extent or a whole multiple of it",
+            ));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let extent = input.events.as_ref().map(|events| events.meta.extent).or(input.frames.as_ref().map(|frames| frames.meta.extent));
+        let extent = input
+            .events
+            .as_ref()
+            .map(|events| events.meta.extent)
+            .or(input.frames.as_ref().map(|frames| frames.meta.extent));
         let extent = extent.ok_or_else(|| NodeError::usage("there is nothing to record"))?;
         let sensor = input.sensor.as_deref().map(Sensor::to_toml);
         let content = RecordingContent {
@@ -119,7 +139,9 @@ params = { numbers = "u16" }
             ..RecordingContent::empty(extent)
         };
         let events = write_recording(&cx.export_dir()?.join(FILE), &content)? as i64;
-        let count = |frames: Option<&FrameSequence>| Column::Integers(vec![frames.map_or(0, |frames| frames.len() as i64)]);
+        let count = |frames: Option<&FrameSequence>| {
+            Column::Integers(vec![frames.map_or(0, |frames| frames.len() as i64)])
+        };
         let listing = Table::default()
             .with("file", Column::Texts(vec![FILE.into()]))
             .with("events", Column::Integers(vec![events]))
@@ -150,8 +172,12 @@ mod tests {
         let (events, frames) = (testing::events(6, 5), testing::frames(6, 5, 3));
         let mut sensor = Sensor::unknown("test");
         sensor.comparator.threshold_on = Some(0.2);
-        let input =
-            In { events: Some(events.clone()), frames: Some(frames.clone()), sensor: Some(Arc::new(sensor.clone())), truth: Some(Truth(frames.clone())) };
+        let input = In {
+            events: Some(events.clone()),
+            frames: Some(frames.clone()),
+            sensor: Some(Arc::new(sensor.clone())),
+            truth: Some(Truth(frames.clone())),
+        };
         exporting(
             |cx| WriteRecording { params: Params::default() }.run(input, cx).unwrap(),
             |out, _, folder| {
@@ -159,7 +185,10 @@ mod tests {
                 let rows = events.rows();
                 assert_eq!(recording.read_events(rows).unwrap(), events.read(rows).unwrap());
                 let row_time_ns = recording.row_time_ns().unwrap();
-                assert_eq!(recording.frames(row_time_ns).unwrap().read_rows(rows).unwrap(), frames.read_rows(rows).unwrap());
+                assert_eq!(
+                    recording.frames(row_time_ns).unwrap().read_rows(rows).unwrap(),
+                    frames.read_rows(rows).unwrap()
+                );
                 let text = recording.sensor_text().unwrap();
                 assert_eq!(Sensor::parse(&Source::new("/sensor", "", text)).unwrap(), sensor);
                 assert_eq!(recording.truth_times().unwrap().len(), 3);
@@ -174,7 +203,9 @@ mod tests {
         assert!(node.plan(&PortMetas::default()).unwrap_err().message.contains("nothing to record"));
         let events = Meta::Events(testing::events(6, 5).meta);
         let frames = Meta::Frames(testing::frames(5, 6, 1).meta);
-        let inputs = PortMetas::new([("events".to_string(), vec![events]), ("frames".to_string(), vec![frames])].into());
+        let inputs = PortMetas::new(
+            [("events".to_string(), vec![events]), ("frames".to_string(), vec![frames])].into(),
+        );
         assert_eq!(node.plan(&inputs).unwrap_err().message, "`frames` is 5 x 6, and `events` is 6 x 5");
     }
 }

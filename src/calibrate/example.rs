@@ -1,4 +1,5 @@
-//! One training example of the decision: a simulated recording's truth with the evidence that the diagnosis found.
+//! One training example of the decision: a simulated recording's truth with the evidence that the diagnosis
+//! found.
 
 use crate::simulated::{Fault, Made, MadeSetting, made};
 use photocurrent_diagnosis::candidates::{Candidate, Scales};
@@ -16,7 +17,8 @@ use serde::{Deserialize, Serialize};
 pub struct Example {
     /// What is wrong with it; sizes that nobody would care about are left out.
     pub truth: Fault,
-    /// The evidence, from which facts are computed; none where the method abstained, or where only facts were stored.
+    /// The evidence, from which facts are computed; none where the method abstained, or where only facts were
+    /// stored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found: Option<Evidence>,
     /// The model's inputs; none where the method abstained.
@@ -60,14 +62,18 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&case, &nominal);
     truth.effects.retain(|(id, parameter, effect_size)| {
-        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
+        Candidate::find(id, parameter)
+            .is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
     });
     let picture = PictureSetting::default();
     let evidence_on = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());
     let found = match target {
-        None => scene(&case, &nominal, &picture, &MosaicSetting::default()).and_then(|source| evidence_on(source.as_ref())).ok(),
+        None => scene(&case, &nominal, &picture, &MosaicSetting::default())
+            .and_then(|source| evidence_on(source.as_ref()))
+            .ok(),
         // The search finds the same place; only the fit is of interest.
-        Some((form, shares)) => Target::near(&case, &nominal, form, FEWER, &picture, &shares).and_then(|source| evidence_on(&source).ok()),
+        Some((form, shares)) => Target::near(&case, &nominal, form, FEWER, &picture, &shares)
+            .and_then(|source| evidence_on(&source).ok()),
     };
     Ok(Example::new(truth, found))
 }

@@ -1,8 +1,8 @@
 //! Numbers of the decision's model from recordings whose truth is known, with cross-validation.
 //!
-//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of gains; softness,
-//! offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of the truth.
-//! Every recording is judged by a model that was fitted without it.
+//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of gains;
+//! softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the
+//! likelihood of the truth. Every recording is judged by a model that was fitted without it.
 
 use crate::example::Example;
 use nalgebra::{SMatrix, SVector};
@@ -43,16 +43,23 @@ const DISCOUNTS: usize = 7;
 /// Log probability of what is true.
 fn log_of<const N: usize>(examples: &[([f64; N], bool)], weights: &[f64; N]) -> f64 {
     let odds = |facts: &[f64; N]| -> f64 { facts.iter().zip(weights).map(|(a, b)| a * b).sum() };
-    examples.iter().map(|(facts, is_true)| libm::log(f64::max(logistic(if *is_true { odds(facts) } else { -odds(facts) }), 1e-12))).sum()
+    examples
+        .iter()
+        .map(|(facts, is_true)| {
+            libm::log(f64::max(logistic(if *is_true { odds(facts) } else { -odds(facts) }), 1e-12))
+        })
+        .sum()
 }
 
 /// The model that makes the truth of these recordings most probable.
 pub fn calibrate(examples: &[&Example]) -> Model {
-    let seen: Vec<(&Example, &Facts)> = examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
+    let seen: Vec<(&Example, &Facts)> =
+        examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
     // A second one is looked for where the first is right.
     let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
     let logistics = |discount: [f64; 2]| {
-        let something: Vec<([f64; SOMETHING], bool)> = seen.iter().map(|(one, facts)| (facts.something(discount), one.is_something())).collect();
+        let something: Vec<([f64; SOMETHING], bool)> =
+            seen.iter().map(|(one, facts)| (facts.something(discount), one.is_something())).collect();
         let second: Vec<([f64; SECOND], bool)> = seen
             .iter()
             .filter(|(one, facts)| is_right(one, facts))
@@ -61,14 +68,24 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         let (of_something, of_second) = (newton(&something), newton(&second));
         (
             log_of(&something, &of_something) + log_of(&second, &of_second),
-            Model { something: of_something, second: of_second, discount, softness: USUAL_SOFTNESS, random: 0.0, unnamed: [0.0; 3] },
+            Model {
+                something: of_something,
+                second: of_second,
+                discount,
+                softness: USUAL_SOFTNESS,
+                random: 0.0,
+                unnamed: [0.0; 3],
+            },
         )
     };
-    let discounts = (0..DISCOUNTS * DISCOUNTS).map(|n| [0.5 * (n / DISCOUNTS) as f64, 0.5 * (n % DISCOUNTS) as f64]);
+    let discounts =
+        (0..DISCOUNTS * DISCOUNTS).map(|n| [0.5 * (n / DISCOUNTS) as f64, 0.5 * (n % DISCOUNTS) as f64]);
     let best = discounts.map(logistics).max_by(|a, b| a.0.total_cmp(&b.0));
     let mut model = best.map_or_else(Model::default, |(_, model)| model);
     let named: Vec<&(&Example, &Facts)> = seen.iter().filter(|(one, _)| one.is_something()).collect();
-    let fit = |model: &Model| -> f64 { named.iter().map(|(one, facts)| log_of_truth(model, one, facts)).sum::<f64>() - prior(model) };
+    let fit = |model: &Model| -> f64 {
+        named.iter().map(|(one, facts)| log_of_truth(model, one, facts)).sum::<f64>() - prior(model)
+    };
     let mut best = fit(&model);
     let mut reach = 1.0;
     for _ in 0..40 {
@@ -97,8 +114,15 @@ pub fn calibrate(examples: &[&Example]) -> Model {
 
 /// Weak: three of log odds; of the softness as much around what is usual.
 fn prior(model: &Model) -> f64 {
-    let odds = model.unnamed.iter().chain([&model.random]).map(|odds| odds * odds).sum::<f64>() / (PRIOR * PRIOR);
-    let soft: f64 = model.softness.iter().zip(USUAL_SOFTNESS).map(|(soft, usual)| (soft - usual) * (soft - usual)).sum::<f64>() / (PRIOR * PRIOR);
+    let odds =
+        model.unnamed.iter().chain([&model.random]).map(|odds| odds * odds).sum::<f64>() / (PRIOR * PRIOR);
+    let soft: f64 = model
+        .softness
+        .iter()
+        .zip(USUAL_SOFTNESS)
+        .map(|(soft, usual)| (soft - usual) * (soft - usual))
+        .sum::<f64>()
+        / (PRIOR * PRIOR);
     0.5 * (odds + soft)
 }
 
@@ -139,11 +163,19 @@ pub struct Validation {
 
 /// Cross-validates in `folds` parts, with the claims that `decision` makes of probabilities.
 pub fn validate(examples: &[Example], folds: usize, decision: &Decision) -> Validation {
-    let mut sums = Validation { reliability: (0..5).map(|n| (0.2 * n as f64, 0.2 * (n + 1) as f64, 0, 0)).collect(), ..Validation::default() };
+    let mut sums = Validation {
+        reliability: (0..5).map(|n| (0.2 * n as f64, 0.2 * (n + 1) as f64, 0, 0)).collect(),
+        ..Validation::default()
+    };
     for fold in 0..folds {
-        let training: Vec<&Example> = examples.iter().enumerate().filter(|(n, _)| n % folds != fold).map(|(_, one)| one).collect();
+        let training: Vec<&Example> =
+            examples.iter().enumerate().filter(|(n, _)| n % folds != fold).map(|(_, one)| one).collect();
         let model = calibrate(&training);
-        examples.iter().enumerate().filter(|(n, _)| n % folds == fold).for_each(|(_, one)| judge(&model, one, decision, &mut sums));
+        examples
+            .iter()
+            .enumerate()
+            .filter(|(n, _)| n % folds == fold)
+            .for_each(|(_, one)| judge(&model, one, decision, &mut sums));
     }
     sums.log_something /= f64::max((sums.recordings - sums.abstained) as f64, 1.0);
     sums
@@ -156,18 +188,34 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
         return;
     };
     let posterior = model.first(facts);
-    sums.log_something += libm::log(f64::max(if one.is_something() { posterior.something } else { 1.0 - posterior.something }, 1e-9));
+    sums.log_something += libm::log(f64::max(
+        if one.is_something() { posterior.something } else { 1.0 - posterior.something },
+        1e-9,
+    ));
     let claimed = posterior.something >= decision.least;
     let top = facts.first.iter().zip(&posterior.each).max_by(|a, b| a.1.total_cmp(b.1));
     let is_unnamed = top.is_none_or(|(_, p)| posterior.unnamed > *p);
     let first = top.filter(|_| claimed && !is_unnamed);
     let set: Vec<&str> = first.map_or_else(Vec::new, |(_, most)| {
-        facts.first.iter().zip(&posterior.each).filter(|(_, p)| **p > IN_SET * most).map(|((id, ..), _)| id.as_str()).collect()
+        facts
+            .first
+            .iter()
+            .zip(&posterior.each)
+            .filter(|(_, p)| **p > IN_SET * most)
+            .map(|((id, ..), _)| id.as_str())
+            .collect()
     });
     let second = model
         .second(facts)
         .filter(|second| first.is_some() && second.something >= decision.least_second)
-        .and_then(|second| facts.second.iter().zip(second.each).max_by(|a, b| a.1.total_cmp(&b.1)).map(|((id, ..), _)| id.as_str()))
+        .and_then(|second| {
+            facts
+                .second
+                .iter()
+                .zip(second.each)
+                .max_by(|a, b| a.1.total_cmp(&b.1))
+                .map(|((id, ..), _)| id.as_str())
+        })
         .filter(|id| !set.contains(id));
     let right = first.is_some_and(|((id, ..), _)| one.has(id));
     if let Some((_, p)) = first {
@@ -230,7 +278,14 @@ mod tests {
             .map(|_| {
                 let gain = libm::exp(-6.0 + 5.0 * random.uniform());
                 let is_something = random.uniform() < logistic(9.0 + 3.0 * libm::log(gain));
-                let truth = Fault { effects: if is_something { vec![("clock_offset".into(), "offset".into(), 1.0)] } else { Vec::new() }, ..Fault::default() };
+                let truth = Fault {
+                    effects: if is_something {
+                        vec![("clock_offset".into(), "offset".into(), 1.0)]
+                    } else {
+                        Vec::new()
+                    },
+                    ..Fault::default()
+                };
                 Example { truth, found: None, facts: Some(facts(gain, 0.7)) }
             })
             .collect()
@@ -256,7 +311,8 @@ mod tests {
         let examples = training();
         let without = examples.iter().filter(|one| one.facts.is_none()).count();
         assert_eq!((examples.len(), without), (1000, 167));
-        // Nothing wrong, claimed; one effect, claimed, first, in the set; two, both; in no catalogue, unnamed, named: the table of docs/diagnosis.md.
+        // Nothing wrong, claimed; one effect, claimed, first, in the set; two, both; in no catalogue,
+        // unnamed, named: the table of docs/diagnosis.md.
         let said = |kind: &str| {
             let of_kind: Vec<Example> = of_kind(&examples, kind).into_iter().cloned().collect();
             let Validation { nothing, one, two, other, .. } = validate(&of_kind, 5, &Decision::default());
@@ -275,8 +331,11 @@ mod tests {
             [&something[..], &second, &discount, &softness, &[random], &unnamed].concat()
         };
         for kind in KINDS {
-            let (found, built_in) = (numbers(calibrate(&of_kind(&examples, kind))), numbers(*Models::default().of(kind)));
-            found.iter().zip(&built_in).for_each(|(a, b)| assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}"));
+            let (found, built_in) =
+                (numbers(calibrate(&of_kind(&examples, kind))), numbers(*Models::default().of(kind)));
+            found.iter().zip(&built_in).for_each(|(a, b)| {
+                assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}")
+            });
         }
     }
 
@@ -285,7 +344,8 @@ mod tests {
         let examples = examples(3_000);
         let model = calibrate(&examples.iter().collect::<Vec<&Example>>());
         for gain in [0.01, 0.05, 0.2] {
-            let (found, made) = (model.first(&facts(gain, 0.7)).something, logistic(9.0 + 3.0 * libm::log(gain)));
+            let (found, made) =
+                (model.first(&facts(gain, 0.7)).something, logistic(9.0 + 3.0 * libm::log(gain)));
             assert!((found - made).abs() < 0.06, "at {gain}: {found} is {made}");
         }
     }

@@ -1,7 +1,7 @@
 //! The numbers of the diagnosis' decision, computed anew from simulated recordings with cross-validation.
 //!
-//! A developer's program: `make calibrate` runs it for each kind of scene. Users run the built-in numbers, which
-//! `data/diagnosis` holds the training sets of.
+//! A developer's program: `make calibrate` runs it for each kind of scene. Users run the built-in numbers,
+//! which `data/diagnosis` holds the training sets of.
 
 mod example;
 mod fit;
@@ -26,8 +26,8 @@ use std::process::ExitCode;
 #[derive(Parser)]
 #[command(name = "photocurrent-calibrate", version)]
 struct Options {
-    /// Simulated recordings: with nothing, one effect, two, or what is in no catalogue; some six seconds each on
-    /// two cores at 64x48
+    /// Simulated recordings: with nothing, one effect, two, or what is in no catalogue; some six seconds each
+    /// on two cores at 64x48
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     recordings: u64,
     /// Kind of scene
@@ -108,13 +108,19 @@ struct Fitted {
     validation: Validation,
 }
 
-/// Simulates recordings one by one, so that a stopped run goes on where it was, then fits and validates the models.
+/// Simulates recordings one by one, so that a stopped run goes on where it was, then fits and validates the
+/// models.
 fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
     let setting = options.scene.setting(options.size);
     let size = format!("{}x{}", setting.extent.width, setting.extent.height);
     let examples = examples(options, &setting, &size)?;
     let lines = examples.iter().map(|one| serde_json::to_string(&one.facts_alone()));
-    let lines: Vec<String> = lines.collect::<Result<_, _>>().map_err(|error| format!("examples.jsonl: {error}"))?;
+    let lines: Vec<String> = lines.collect::<Result<_, _>>().map_err(|error| {
+        format!(
+            "examples.jsonl: \
+                                                            {error}"
+        )
+    })?;
     write(&options.out.join("examples.jsonl"), (lines.join("\n") + "\n").as_bytes())?;
     let mut kinds: BTreeMap<String, Vec<Example>> = BTreeMap::new();
     for one in &examples {
@@ -135,7 +141,8 @@ fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
          the models are in {out}/decision.json, what they were calibrated on in {out}/examples.jsonl\n"
     );
     let calibrated = Calibrated { seed: options.seed, size, without, models };
-    let document = serde_json::to_string_pretty(&calibrated).map_err(|error| format!("decision.json: {error}"))?;
+    let document =
+        serde_json::to_string_pretty(&calibrated).map_err(|error| format!("decision.json: {error}"))?;
     write(&options.out.join("decision.json"), document.as_bytes())?;
     if !options.quiet {
         // Nobody is left to read it.
@@ -163,7 +170,8 @@ fn examples(options: &Options, setting: &MadeSetting, size: &str) -> Result<Vec<
         bar.inc(1);
         Ok(found)
     };
-    let found: Vec<Option<Example>> = (0..options.recordings).into_par_iter().map(one).collect::<Result<_, _>>()?;
+    let found: Vec<Option<Example>> =
+        (0..options.recordings).into_par_iter().map(one).collect::<Result<_, _>>()?;
     bar.finish_and_clear();
     Ok(found.into_iter().flatten().collect())
 }
@@ -183,7 +191,8 @@ fn report(kind: &str, found: &Validation) -> String {
     let share = |part: usize, of: usize| 100.0 * part as f64 / f64::max(of as f64, 1.0);
     let mut text = format!("{kind}: cross-validated, {} recordings:\n", found.recordings);
     let (count, claimed) = found.nothing;
-    text += &format!("  nothing    {count:4}  something claimed in {claimed} ({:.1} %)\n", share(claimed, count));
+    text +=
+        &format!("  nothing    {count:4}  something claimed in {claimed} ({:.1} %)\n", share(claimed, count));
     let (count, claimed, first, set) = found.one;
     text += &format!(
         "  one        {count:4}  claimed {claimed}, first {first} ({:.0} %), in the set {set} ({:.0} %), \
@@ -196,7 +205,11 @@ fn report(kind: &str, found: &Validation) -> String {
     let mean_f1 = f1 / f64::max(count as f64, 1.0);
     text += &format!("  two        {count:4}  both {both} ({:.0} %), F1 {mean_f1:.2}\n", share(both, count));
     let (count, unnamed, forced) = found.other;
-    text += &format!("  no catalogue {count:2}  unnamed {unnamed} ({:.0} %), named {forced} ({:.0} %)\n", share(unnamed, count), share(forced, count));
+    text += &format!(
+        "  no catalogue {count:2}  unnamed {unnamed} ({:.0} %), named {forced} ({:.0} %)\n",
+        share(unnamed, count),
+        share(forced, count)
+    );
     for (from, to, claims, right) in found.reliability.iter().filter(|bin| bin.2 > 0) {
         text += &format!("  posterior {from:.1} to {to:.1}: {right} of {claims} right\n");
     }
@@ -239,7 +252,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().to_str().unwrap();
         let calibrate = |count: &str| {
-            let arguments = ["calibrate", "--recordings", count, "--size", "24x18", "--folds", "2", "-o", out];
+            let arguments =
+                ["calibrate", "--recordings", count, "--size", "24x18", "--folds", "2", "-o", out];
             let mut log = Vec::new();
             run(&Options::parse_from(arguments), &mut log).unwrap();
             String::from_utf8(log).unwrap()
@@ -250,12 +264,16 @@ mod tests {
         let written = || std::fs::metadata(&first).and_then(|of| of.modified()).unwrap();
         let before = written();
         let log = calibrate("4");
-        assert!(["4 recordings", "decision.json", "examples.jsonl"].iter().all(|part| log.contains(part)), "{log}");
+        assert!(
+            ["4 recordings", "decision.json", "examples.jsonl"].iter().all(|part| log.contains(part)),
+            "{log}"
+        );
         assert_eq!(written(), before);
         let found: Value = serde_json::from_str(&read("decision.json")).unwrap();
         // Each recording is of the model of its kind of scene, or without one.
         let models: Vec<&Value> = found["models"].as_object().unwrap().values().collect();
-        let judged: u64 = models.iter().filter_map(|of_kind| of_kind["validation"]["recordings"].as_u64()).sum();
+        let judged: u64 =
+            models.iter().filter_map(|of_kind| of_kind["validation"]["recordings"].as_u64()).sum();
         assert_eq!(judged + found["without"].as_u64().unwrap(), 4);
         let weights = |of_kind: &&Value| of_kind["model"]["something"].as_array().map(Vec::len);
         assert!(models.iter().all(|of_kind| weights(of_kind) == Some(3)), "{found}");

@@ -1,8 +1,9 @@
-//! Recordings that a decision is calibrated on: made-up scenes and sensors ([`photocurrent_diagnosis::scenes`]) with nothing, one effect, two, or what is in no catalogue, each of random size down to
-//! what hardly shows; frames with and without noise that nobody stated.
+//! Recordings that a decision is calibrated on: made-up scenes and sensors
+//! ([`photocurrent_diagnosis::scenes`]) with nothing, one effect, two, or what is in no catalogue, each of
+//! random size down to what hardly shows; frames with and without noise that nobody stated.
 //!
-//! Everything follows from a seed and a number. What is in no catalogue is made without any effect's code: pixels of two sensors side by side, or stamps moved by what their events
-//! depend on.
+//! Everything follows from a seed and a number. What is in no catalogue is made without any effect's code:
+//! pixels of two sensors side by side, or stamps moved by what their events depend on.
 
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
@@ -33,7 +34,8 @@ pub struct Made {
     pub case: Case,
     /// What is wrong.
     pub truth: Fault,
-    /// What is known of its scene, and where in the ranges of what is free of it the scene is, as shares; none where nothing is known.
+    /// What is known of its scene, and where in the ranges of what is free of it the scene is, as shares;
+    /// none where nothing is known.
     pub target: Option<(Arc<dyn Form>, Vec<f64>)>,
 }
 
@@ -67,7 +69,8 @@ pub struct MadeSetting {
 }
 
 impl MadeSetting {
-    /// How recordings of a kind of scene are made: only stronger effects show where scenes do not move as one.
+    /// How recordings of a kind of scene are made: only stronger effects show where scenes do not move as
+    /// one.
     pub fn of(kind: Kind) -> MadeSetting {
         let usual = MadeSetting { kind, ..MadeSetting::default() };
         match kind {
@@ -97,10 +100,15 @@ impl Default for MadeSetting {
 /// When the effects that were drawn cannot be combined.
 pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String> {
     let mut random = Random::new(seed, &[index, 0x3a]);
-    let noise = (random.uniform() < setting.noisy).then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
+    let noise = (random.uniform() < setting.noisy)
+        .then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
     let (scene, target) = match setting.kind {
-        Kind::Picture => (MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None),
-        Kind::Parts => (MadeUp::in_parts(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None),
+        Kind::Picture => {
+            (MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
+        }
+        Kind::Parts => {
+            (MadeUp::in_parts(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
+        }
         Kind::Given => {
             let scene = MadeUp::target(seed, index, setting.extent, setting.duration_s);
             let (shows, shares) = Shows::around(&scene, seed, index);
@@ -136,18 +144,30 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
 }
 
 /// What stamps of what is in no catalogue may depend on.
-const OF_STAMPS: [Covariate; 4] = [Covariate::RowParity, Covariate::ColumnBlock, Covariate::PreviousPolarity, Covariate::TimeSinceLastEvent];
+const OF_STAMPS: [Covariate; 4] = [
+    Covariate::RowParity,
+    Covariate::ColumnBlock,
+    Covariate::PreviousPolarity,
+    Covariate::TimeSinceLastEvent,
+];
 /// And thresholds.
 const OF_PIXELS: [Covariate; 3] = [Covariate::RowParity, Covariate::ColumnBlock, Covariate::Radius];
 
-fn outside(scene: &MadeUp, plain: Case, nominal: &Nominal, scales: &Scales, random: &mut Random) -> Result<(Case, Covariate), String> {
+fn outside(
+    scene: &MadeUp,
+    plain: Case,
+    nominal: &Nominal,
+    scales: &Scales,
+    random: &mut Random,
+) -> Result<(Case, Covariate), String> {
     let (width, height) = (plain.extent.width, plain.extent.height);
     let is_other = move |covariate: Covariate, x: u32, y: u32| match covariate {
         Covariate::ColumnBlock => (8 * x / width) % 2 == 1,
         Covariate::Radius => {
             let off = |at: u32, size: u32| f64::from(at) - 0.5 * f64::from(size - 1);
             // A ring in the middle: no effect of the catalogue rises and falls again.
-            let radius = libm::hypot(off(x, width), off(y, height)) / libm::hypot(off(0, width), off(0, height));
+            let radius =
+                libm::hypot(off(x, width), off(y, height)) / libm::hypot(off(0, width), off(0, height));
             (0.3..0.6).contains(&radius)
         }
         _ => y % 2 == 1,
@@ -161,7 +181,11 @@ fn outside(scene: &MadeUp, plain: Case, nominal: &Nominal, scales: &Scales, rand
         let second = scene.recording_through(Some(&trial))?;
         let of = |pixel: usize| {
             let (x, y) = plain.place(pixel);
-            if is_other(covariate, x, y) { second.events.of(pixel).to_vec() } else { plain.events.of(pixel).to_vec() }
+            if is_other(covariate, x, y) {
+                second.events.of(pixel).to_vec()
+            } else {
+                plain.events.of(pixel).to_vec()
+            }
         };
         let events = PixelEvents::new((0..plain.events.pixels()).map(of));
         return Ok((Case { events, ..plain }, covariate));
@@ -175,8 +199,12 @@ fn outside(scene: &MadeUp, plain: Case, nominal: &Nominal, scales: &Scales, rand
         let late = |k: usize| {
             let before = k.checked_sub(1).map(|k| &events[k]);
             match covariate {
-                Covariate::PreviousPolarity => before.is_some_and(|before| before.polarity != events[k].polarity),
-                Covariate::TimeSinceLastEvent => before.is_some_and(|before| events[k].t_in_ns - before.t_in_ns < usual_ns),
+                Covariate::PreviousPolarity => {
+                    before.is_some_and(|before| before.polarity != events[k].polarity)
+                }
+                Covariate::TimeSinceLastEvent => {
+                    before.is_some_and(|before| events[k].t_in_ns - before.t_in_ns < usual_ns)
+                }
                 _ => is_other(covariate, x, y),
             }
         };
@@ -196,11 +224,19 @@ mod tests {
 
     #[test]
     fn a_number_makes_one_recording_and_all_kinds_are_made() {
-        let setting = MadeSetting { extent: Extent { width: 24, height: 16 }, duration_s: 0.05, ..MadeSetting::default() };
-        let truths: Vec<Fault> = (0..24).filter_map(|index| Some(made(3, index, &setting).ok()?.truth)).collect();
+        let setting = MadeSetting {
+            extent: Extent { width: 24, height: 16 },
+            duration_s: 0.05,
+            ..MadeSetting::default()
+        };
+        let truths: Vec<Fault> =
+            (0..24).filter_map(|index| Some(made(3, index, &setting).ok()?.truth)).collect();
         assert!(truths.len() > 20);
         assert!(truths.iter().any(|one| one.other.is_some()));
-        assert!((0..3).all(|count| truths.iter().any(|one| one.other.is_none() && one.effects.len() == count)), "{truths:?}");
+        assert!(
+            (0..3).all(|count| truths.iter().any(|one| one.other.is_none() && one.effects.len() == count)),
+            "{truths:?}"
+        );
         let (a, b) = (made(3, 5, &setting).unwrap(), made(3, 5, &setting).unwrap());
         assert_eq!((a.case.events, a.truth), (b.case.events, b.truth));
     }

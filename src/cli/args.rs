@@ -82,7 +82,8 @@ pub struct Target {
     /// Only these nodes and what they need
     #[arg(long = "to", value_name = "NODE")]
     pub to: Vec<String>,
-    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything runs [default: half of what is free]
+    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything
+    /// runs [default: half of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub memory: Option<u64>,
     /// Where results are kept for later runs
@@ -108,7 +109,8 @@ pub enum ProgressStyle {
 
 #[derive(ClapArgs)]
 pub struct InitOptions {
-    /// The recording; its frames and their stamps when they lie elsewhere; calibrations (.yaml) and biases (.bias)
+    /// The recording; its frames and their stamps when they lie elsewhere; calibrations (.yaml) and biases
+    /// (.bias)
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// The manifest to write; the sensor description is written to the same folder
@@ -197,10 +199,12 @@ pub struct RunOptions {
     /// Height of row bands, instead of what memory asks for; results do not depend on it
     #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u32).range(1..))]
     pub band_rows: Option<u32>,
-    /// Only these rows, for `merge`: 0..180, the end not included. What must be whole before them is run as ever, what must be whole after them is left to `merge`
+    /// Only these rows, for `merge`: 0..180, the end not included. What must be whole before them is run as
+    /// ever, what must be whole after them is left to `merge`
     #[arg(long, value_name = "FIRST..END", value_parser = rows, requires = "part")]
     pub rows: Option<Rows>,
-    /// Folder for what is made of these rows; a part that is there is not made again, one that was stopped goes on
+    /// Folder for what is made of these rows; a part that is there is not made again, one that was stopped
+    /// goes on
     #[arg(long, value_name = "FOLDER", requires = "rows")]
     pub part: Option<PathBuf>,
     #[command(flatten)]
@@ -240,13 +244,15 @@ pub struct ExplainOptions {
 
 #[derive(ClapArgs)]
 pub struct CheckOptions {
-    /// A manifest, a recording (with its frames and their stamps when they lie elsewhere), a sensor description, or the output folder of a run
+    /// A manifest, a recording (with its frames and their stamps when they lie elsewhere), a sensor
+    /// description, or the output folder of a run
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub sets: Vec<String>,
-    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything runs [default: all there is]
+    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything
+    /// runs [default: all there is]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub memory: Option<u64>,
     /// What a recording does not say
@@ -300,10 +306,12 @@ pub enum Pooled {
 
 #[derive(ClapArgs)]
 pub struct TableOptions {
-    /// What was run: a manifest (its scores are in out/NAME), a folder with metrics, or a .jsonl file of scores
+    /// What was run: a manifest (its scores are in out/NAME), a folder with metrics, or a .jsonl file of
+    /// scores
     #[arg(required = true, value_name = "FILE|MANIFEST")]
     pub sources: Vec<PathBuf>,
-    /// What makes the rows: axes of the ablation, or file, node, method, label, metric, frame, or card.FIELD of the metric card
+    /// What makes the rows: axes of the ablation, or file, node, method, label, metric, frame, or card.FIELD
+    /// of the metric card
     #[arg(long, value_name = "AXIS,...", value_delimiter = ',')]
     pub rows: Vec<String>,
     /// What makes the columns [default: what differs and is not in the rows]
@@ -336,14 +344,16 @@ pub struct TableOptions {
     /// Print as JSON: the same as --format json
     #[arg(long, conflicts_with = "format")]
     pub json: bool,
-    /// Draw it as well, the rows along the axis: levels are numbers with a unit (73rpm), the file ends in .svg or .png
+    /// Draw it as well, the rows along the axis: levels are numbers with a unit (73rpm), the file ends in
+    /// .svg or .png
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
 }
 
 /// A pixel, `X,Y`.
 fn pixel(text: &str) -> Result<(u32, u32), String> {
-    let parts = text.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
+    let parts =
+        text.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
     parts.ok_or_else(|| "expected column and row, counted from 0, such as 64,48".into())
 }
 
@@ -358,7 +368,8 @@ pub struct ReportOptions {
     /// Only variants of an ablation with this name, or part of it, are shown as pictures, curves and graphs
     #[arg(long = "variant", value_name = "NAME")]
     pub variants: Vec<String>,
-    /// A pixel to follow with its events, exposures and voltages; may be given several times [default: eight lively ones]
+    /// A pixel to follow with its events, exposures and voltages; may be given several times
+    /// [default: eight lively ones]
     #[arg(long = "pixel", value_name = "X,Y", value_parser = pixel)]
     pub pixels: Vec<(u32, u32)>,
     /// The page may be so large: pictures are thinned out, then made smaller, until it fits
@@ -400,7 +411,8 @@ pub struct GraphOptions {
 
 #[derive(ClapArgs)]
 pub struct InspectOptions {
-    /// Recordings of any format, folders of a recording, or cached artefacts (.h5); events and frames that lie in several files are one recording
+    /// Recordings of any format, folders of a recording, or cached artefacts (.h5); events and frames that
+    /// lie in several files are one recording
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// What the files do not say
@@ -413,16 +425,19 @@ pub struct InspectOptions {
 
 #[derive(ClapArgs)]
 pub struct DiagnoseOptions {
-    /// The recording, with its frames and their stamps where they lie elsewhere; or a manifest that reads them, as `photocurrent init` writes it
+    /// The recording, with its frames and their stamps where they lie elsewhere; or a manifest that reads
+    /// them, as `photocurrent init` writes it
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// The sensor description, TOML [default: the manifest's, or the one in the recording]
     #[arg(short, long, value_name = "FILE")]
     pub sensor: Option<PathBuf>,
-    /// What the camera looked at, where that is known: a scene of `photocurrent nodes diagnose/target`, a TOML file with its parameters and with ranges of those that are to be fitted
+    /// What the camera looked at, where that is known: a scene of `photocurrent nodes diagnose/target`, a
+    /// TOML file with its parameters and with ranges of those that are to be fitted
     #[arg(long, value_name = "FILE", conflicts_with = "direct")]
     pub scene: Option<PathBuf>,
-    /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording, out/NAME.diagnosis of a manifest]
+    /// Folder for diagnosis.json, sensor.fitted.toml and report.html
+    /// [default: out/NAME of the recording, out/NAME.diagnosis of a manifest]
     #[arg(short, long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
     /// Only the tests that need no scene: a second, and blind for most effects
@@ -434,7 +449,8 @@ pub struct DiagnoseOptions {
     /// Where results of the stages are kept for later runs
     #[arg(long, value_name = "FOLDER", default_value = ".photocurrent")]
     pub cache: PathBuf,
-    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything runs [default: half of what is free]
+    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything
+    /// runs [default: half of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub memory: Option<u64>,
     /// Threads [default: all cores]
@@ -529,10 +545,14 @@ pub enum CacheCommand {
 
 /// `0..180`: rows of the sensor.
 fn rows(text: &str) -> Result<Rows, String> {
-    let ends = text.split_once("..").and_then(|(start, end)| Some((start.trim().parse().ok()?, end.trim().parse().ok()?)));
+    let ends = text
+        .split_once("..")
+        .and_then(|(start, end)| Some((start.trim().parse().ok()?, end.trim().parse().ok()?)));
     match ends {
         Some((start, end)) if start <= end => Ok(Rows { start, end }),
-        _ => Err(format!("`{text}` is no range of rows; first row and the one after the last, such as 0..180")),
+        _ => {
+            Err(format!("`{text}` is no range of rows; first row and the one after the last, such as 0..180"))
+        }
     }
 }
 
@@ -540,8 +560,13 @@ fn rows(text: &str) -> Result<Rows, String> {
 fn crop(text: &str) -> Result<Crop, String> {
     let numbers: Vec<Option<u16>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {
-        [Some(x), Some(y), Some(width), Some(height)] if width > 0 && height > 0 => Ok(Crop { x, y, width, height }),
-        _ => Err(format!("`{text}` is no rectangle; first column, first row, columns, rows, such as 100,80,64,64")),
+        [Some(x), Some(y), Some(width), Some(height)] if width > 0 && height > 0 => {
+            Ok(Crop { x, y, width, height })
+        }
+        _ => Err(format!(
+            "`{text}` is no rectangle; first column, first row, columns, rows, such as \
+                          100,80,64,64"
+        )),
     }
 }
 

@@ -13,7 +13,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 pub fn cache(options: &CacheOptions) -> Done {
     if !options.cache.is_dir() {
         return Err(Failure::Other {
-            message: format!("there is no cache at {}; `photocurrent run` makes one, --cache names another", options.cache.display()),
+            message: format!(
+                "there is no cache at {}; `photocurrent run` makes one, --cache names another",
+                options.cache.display()
+            ),
             code: 2,
         });
     }
@@ -59,7 +62,8 @@ fn du(options: &CacheOptions) -> Done {
         )?;
     } else {
         print(&format!(
-            "{} in {} contents, named by {} records\n{} of it named by no record (cache gc removes it)\n{} temporary\n",
+            "{} in {} contents, named by {} records\n{} of it named by no record (cache gc removes it)\n{} \
+             temporary\n",
             human_bytes(used.content_bytes),
             used.contents,
             used.records,
@@ -72,7 +76,8 @@ fn du(options: &CacheOptions) -> Done {
 
 fn gc(options: &CacheOptions, older_than_days: Option<u64>, max_bytes: Option<u64>, dry_run: bool) -> Done {
     let older_than = older_than_days.map(|days| Duration::from_secs(days.saturating_mul(86_400)));
-    let report = Cache::gc(&options.cache, &GcOptions { max_bytes, older_than, dry_run, ..GcOptions::default() })?;
+    let report =
+        Cache::gc(&options.cache, &GcOptions { max_bytes, older_than, dry_run, ..GcOptions::default() })?;
     if options.json {
         print_json(
             &json!({"dry_run": dry_run, "records": report.records, "contents": report.contents, "freed_bytes": report.freed_bytes, "kept_bytes": report.kept_bytes}),
@@ -93,11 +98,17 @@ fn gc(options: &CacheOptions, older_than_days: Option<u64>, max_bytes: Option<u6
 fn verify(options: &CacheOptions) -> Done {
     let report = Cache::open(&options.cache)?.verify()?;
     if options.json {
-        print_json(&json!({"good_records": report.good_records, "good_contents": report.good_contents, "damaged": report.damaged, "orphans": report.orphans}))?;
+        print_json(
+            &json!({"good_records": report.good_records, "good_contents": report.good_contents, "damaged": report.damaged, "orphans": report.orphans}),
+        )?;
     } else {
-        let mut text = format!("{} records and {} contents are whole\n", report.good_records, report.good_contents);
+        let mut text =
+            format!("{} records and {} contents are whole\n", report.good_records, report.good_contents);
         report.damaged.iter().for_each(|damage| text.push_str(&format!("damaged: {damage}\n")));
-        report.orphans.iter().for_each(|path| text.push_str(&format!("named by no record: {}\n", path.display())));
+        report
+            .orphans
+            .iter()
+            .for_each(|path| text.push_str(&format!("named by no record: {}\n", path.display())));
         print(&text)?;
     }
     // A damaged entry is a miss for the next run; here it is a finding.

@@ -1,4 +1,5 @@
-//! What the commands that run a manifest share: how they load and plan it, where its files go, how failed nodes are reported.
+//! What the commands that run a manifest share: how they load and plan it, where its files go, how failed
+//! nodes are reported.
 
 use crate::args::Target;
 use crate::failure::Failure;
@@ -13,24 +14,36 @@ impl Target {
     pub fn plan(&self, command: &str) -> Result<(Project, Plan), Failure> {
         need_manifest(&self.manifest, command)?;
         let catalogue = photocurrent_nodes::catalogue();
-        let selection = Selection { variants: self.variants.clone(), to: self.to.clone(), memory: self.memory };
+        let selection =
+            Selection { variants: self.variants.clone(), to: self.to.clone(), memory: self.memory };
         Ok(Plan::load(&self.manifest, &self.sets, &catalogue, &selection)?)
     }
 
     /// Where files for the user go.
     pub fn out_dir(&self) -> PathBuf {
-        self.out.clone().unwrap_or_else(|| Path::new("out").join(self.manifest.file_stem().unwrap_or_default()))
+        self.out
+            .clone()
+            .unwrap_or_else(|| Path::new("out").join(self.manifest.file_stem().unwrap_or_default()))
     }
 
-    /// Refuses to put files where those of another manifest with the same name are; a folder that is named by `--out` is taken as it is.
+    /// Refuses to put files where those of another manifest with the same name are; a folder that is named by
+    /// `--out` is taken as it is.
     pub fn check_out_dir(&self) -> Result<(), Failure> {
         if self.out.is_some() {
             return Ok(());
         }
         let folder = self.out_dir();
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let within = self.manifest.canonicalize().ok().and_then(|path| Some(path.parent()?.file_name()?.to_string_lossy().into_owned())).unwrap_or_default();
-        let hint = format!("name another folder, such as --out out/{within}-{name}, or the same folder by --out to replace what is there");
+        let within = self
+            .manifest
+            .canonicalize()
+            .ok()
+            .and_then(|path| Some(path.parent()?.file_name()?.to_string_lossy().into_owned()))
+            .unwrap_or_default();
+        let hint = format!(
+            "name another folder, such as --out out/{within}-{name}, or the same folder by \
+                            --out to replace what is there"
+        );
         check_same_manifest(&folder, &self.manifest, "they would be replaced by those of", &hint)
     }
 }

@@ -1,6 +1,7 @@
 //! `photocurrent convert`: a recording in another format, whole or a part of it.
 //!
-//! Events pass through in pieces; the file appears whole or not at all. What was damaged in the input is left out, reported, and makes the exit code 3.
+//! Events pass through in pieces; the file appears whole or not at all. What was damaged in the input is left
+//! out, reported, and makes the exit code 3.
 
 use crate::args::{ConvertOptions, Written};
 use crate::failure::{Done, Failure, usage};
@@ -27,12 +28,20 @@ pub fn convert(options: &ConvertOptions) -> Done {
         None => by_ending(output)?,
     };
     if output.exists() && !options.force {
-        return Err(usage(format!("{} exists\n  hint: give another name, or --force to replace it", output.display())));
+        return Err(usage(format!(
+            "{} exists\n  hint: give another name, or --force to replace it",
+            output.display()
+        )));
     }
     if output.exists() && input.canonicalize().ok() == output.canonicalize().ok() {
         return Err(usage(format!("{} is the input itself\n  hint: give another name", output.display())));
     }
-    let settings = Settings { start: options.start, end: options.end, crop: options.crop, ..options.declared.parameters(input).settings() };
+    let settings = Settings {
+        start: options.start,
+        end: options.end,
+        crop: options.crop,
+        ..options.declared.parameters(input).settings()
+    };
     check_window(settings.start, settings.end).map_err(|error| usage(error.message))?;
     let found = catalog::recognise(input).map_err(refused)?;
     let found = found.ok_or_else(|| crate::inspect::unknown(input))?;
@@ -50,7 +59,11 @@ fn by_ending(path: &Path) -> Result<Written, Failure> {
         "h5" | "hdf5" => Ok(Written::Recording),
         "csv" | "txt" => Ok(Written::Csv),
         "raw" => Ok(Written::Evt3),
-        _ => Err(usage(format!("{}: the ending does not say what to write\n  hint: end the name in .h5, .csv or .raw, or state --to", path.display()))),
+        _ => Err(usage(format!(
+            "{}: the ending does not say what to write\n  hint: end the name in .h5, \
+                                .csv or .raw, or state --to",
+            path.display()
+        ))),
     }
 }
 
@@ -61,15 +74,24 @@ fn refused(error: FormatError) -> Failure {
 /// Says what was lost on stderr, and gives the exit code.
 fn ending(options: &ConvertOptions, arranged: &Arranged, from_zero: bool, what: &str) -> u8 {
     // Where the file's clock stays, its zero is no news.
-    arranged.notes.iter().filter(|note| from_zero || !note.starts_with("t = 0 is ")).for_each(|note| say!("note: {note}"));
+    arranged
+        .notes
+        .iter()
+        .filter(|note| from_zero || !note.starts_with("t = 0 is "))
+        .for_each(|note| say!("note: {note}"));
     arranged.counts.iter().filter(|(n, _)| *n > 0).for_each(|(n, what)| say!("note: {n} {what}"));
     arranged.losses.iter().for_each(|loss| say!("data lost: {}: {}", loss.at, loss.what));
     say!("{}: {what}", options.output.display());
     if arranged.losses.is_empty() { 0 } else { 3 }
 }
 
-fn arranged(options: &ConvertOptions, recording: &dyn Recording, settings: &Settings) -> Result<Arranged, Failure> {
-    arrange(&options.input, recording, settings, |_: &dyn EventCursor| Ok::<(), FormatError>(())).map_err(refused)
+fn arranged(
+    options: &ConvertOptions,
+    recording: &dyn Recording,
+    settings: &Settings,
+) -> Result<Arranged, Failure> {
+    arrange(&options.input, recording, settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))
+        .map_err(refused)
 }
 
 /// Writes our own recording: both streams on one clock, linear digital numbers, the sensor description.
@@ -77,10 +99,16 @@ fn whole(options: &ConvertOptions, recording: &dyn Recording, settings: &Setting
     let arranged = arranged(options, recording, settings)?;
     let (events, frames) = (arranged.events.as_ref().ok(), arranged.frame_sequence());
     let extent = events.map(|events| events.extent).or(frames.as_ref().map(|frames| frames.meta.extent));
-    let extent =
-        extent.ok_or_else(|| Failure::Other { message: format!("{}: there is neither an event nor a frame in it", options.input.display()), code: 3 })?;
+    let extent = extent.ok_or_else(|| Failure::Other {
+        message: format!("{}: there is neither an event nor a frame in it", options.input.display()),
+        code: 3,
+    })?;
     let read = |frame: usize, values: &mut Vec<f32>| {
-        let block = frames.as_ref().map(|frames| frames.read(frame..frame + 1, frames.rows())).transpose().map_err(StoreError::Source)?;
+        let block = frames
+            .as_ref()
+            .map(|frames| frames.read(frame..frame + 1, frames.rows()))
+            .transpose()
+            .map_err(StoreError::Source)?;
         *values = block.map(|block| block.dn).unwrap_or_default();
         Ok(())
     };
@@ -93,13 +121,20 @@ fn whole(options: &ConvertOptions, recording: &dyn Recording, settings: &Setting
             colour: frames.meta.colour,
             dn: if arranged.whole_numbers() { DnType::U16 } else { DnType::F32 },
             row_time_ns: frames.meta.times.row_time_ns,
-            exposures: frames.meta.times.exposures.iter().map(|exposure| (exposure.start.0, exposure.end.0)).collect(),
+            exposures: frames
+                .meta
+                .times
+                .exposures
+                .iter()
+                .map(|exposure| (exposure.start.0, exposure.end.0))
+                .collect(),
             read: &read,
         }),
         sensor: recording.sensor_text(),
     };
     let mut cursor = events.map(|_| arranged.cursor(recording, true)).transpose().map_err(refused)?;
-    let cursor: Option<&mut dyn EventCursor> = cursor.as_mut().map(|cursor| &mut **cursor as &mut dyn EventCursor);
+    let cursor: Option<&mut dyn EventCursor> =
+        cursor.as_mut().map(|cursor| &mut **cursor as &mut dyn EventCursor);
     let written = write::write_recording(&options.output, cursor, &content).map_err(refused)?;
     let count = content.frames.map_or(0, |frames| frames.exposures.len());
     Ok(ending(options, &arranged, true, &format!("{} events, {count} frames", written.events)))
@@ -110,13 +145,17 @@ fn dsec(options: &ConvertOptions, recording: &dyn Recording, settings: &Settings
     let arranged = arranged(options, recording, settings)?;
     let meta = events_of(&arranged)?;
     let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
-    let written = write::write_dsec(&options.output, &mut *cursor, meta.extent, meta.has_t_in).map_err(refused)?;
+    let written =
+        write::write_dsec(&options.output, &mut *cursor, meta.extent, meta.has_t_in).map_err(refused)?;
     written.notes.iter().for_each(|note| say!("note: {note}"));
     Ok(ending(options, &arranged, options.from_zero, &format!("{} events", written.events)))
 }
 
 fn events_of(arranged: &Arranged) -> Result<Arc<EventsMeta>, Failure> {
-    arranged.events.clone().map_err(|why| Failure::Other { message: format!("{why}: there is nothing to write"), code: 3 })
+    arranged
+        .events
+        .clone()
+        .map_err(|why| Failure::Other { message: format!("{why}: there is nothing to write"), code: 3 })
 }
 
 /// Where events go.
@@ -131,11 +170,16 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     let meta = events_of(&arranged)?;
     let extent = meta.extent;
     let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
-    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", options.output.display()));
-    let folder = options.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let failed = |error: std::io::Error| {
+        Failure::other(format!("{}: cannot write: {error}", options.output.display()))
+    };
+    let folder =
+        options.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let file = BufWriter::with_capacity(1 << 20, unnamed_in(folder).map_err(failed)?);
     let mut sink = match to {
-        Written::Csv => Sink::Csv(CsvWriter::new(file, options.unit, Some(extent), meta.has_t_in).map_err(failed)?),
+        Written::Csv => {
+            Sink::Csv(CsvWriter::new(file, options.unit, Some(extent), meta.has_t_in).map_err(failed)?)
+        }
         _ => Sink::Evt3(evt::evt3_writer::Writer::new(file, extent, &[]).map_err(failed)?),
     };
     let (mut chunk, mut count) = (EventChunk::default(), 0);
@@ -151,7 +195,10 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
         Sink::Csv(writer) => writer.finish().map_err(failed)?,
         Sink::Evt3(writer) => {
             if writer.shift_ns() != 0 {
-                say!("note: EVT3 begins below 16.8 s: {} us were subtracted from every stamp", writer.shift_ns() / 1000);
+                say!(
+                    "note: EVT3 begins below 16.8 s: {} us were subtracted from every stamp",
+                    writer.shift_ns() / 1000
+                );
             }
             writer.finish().map_err(failed)?
         }

@@ -4,7 +4,9 @@ use crate::failure::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_formats::{Column, Counter, Declared, Mirror, Pairing, Polarity, Shift, StampRole, Strobe, TimeUnit, Transfer};
+use photocurrent_formats::{
+    Column, Counter, Declared, Mirror, Pairing, Polarity, Shift, StampRole, Strobe, TimeUnit, Transfer,
+};
 use photocurrent_nodes::read::foreign::{All, Size};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -84,7 +86,8 @@ pub struct DeclaredOptions {
     /// Which level of the trigger line is an open shutter: active_high (rising opens) or active_low
     #[arg(long, value_name = "LEVEL", value_parser = word::<Strobe>)]
     pub strobe: Option<Strobe>,
-    /// The pulse or stamp that belongs to the first picture, counted from 0; -1 where the first picture has none
+    /// The pulse or stamp that belongs to the first picture, counted from 0; -1 where the first picture has
+    /// none
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     pub first_pulse: Option<i64>,
     /// By what a missing picture, pulse or stamp is recognised: order, numbers, times, numbers_and_times
@@ -140,7 +143,9 @@ pub fn word<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 }
 
 fn extent(text: &str) -> Result<Extent, String> {
-    let numbers = text.split_once(['x', 'X']).and_then(|(width, height)| Some((width.trim().parse().ok()?, height.trim().parse().ok()?)));
+    let numbers = text
+        .split_once(['x', 'X'])
+        .and_then(|(width, height)| Some((width.trim().parse().ok()?, height.trim().parse().ok()?)));
     match numbers {
         Some((width, height)) if width > 0 && height > 0 => Ok(Extent { width, height }),
         _ => Err(format!("`{text}` is no size; such as 346x260")),
@@ -148,24 +153,39 @@ fn extent(text: &str) -> Result<Extent, String> {
 }
 
 fn shift(text: &str) -> Result<Shift, String> {
-    let numbers = text.split_once(',').and_then(|(right, down)| Some((right.trim().parse().ok()?, down.trim().parse().ok()?)));
-    numbers.map(|(right, down)| Shift { right, down }).ok_or_else(|| format!("`{text}` is no shift; two whole numbers of pixels such as 2,-1"))
+    let numbers = text
+        .split_once(',')
+        .and_then(|(right, down)| Some((right.trim().parse().ok()?, down.trim().parse().ok()?)));
+    numbers.map(|(right, down)| Shift { right, down }).ok_or_else(|| {
+        format!(
+            "`{text}` is no shift; two \
+                                                            whole numbers of pixels such as 2,-1"
+        )
+    })
 }
 
 fn transfer(text: &str) -> Result<Transfer, String> {
     match text {
         "linear" => Ok(Transfer::Linear),
         "srgb" => Ok(Transfer::Srgb),
-        _ => match text.trim_start_matches("gamma").trim_matches(|c: char| c == '(' || c == ')' || c == '=' || c == ' ').parse::<f64>() {
+        _ => match text
+            .trim_start_matches("gamma")
+            .trim_matches(|c: char| c == '(' || c == ')' || c == '=' || c == ' ')
+            .parse::<f64>()
+        {
             Ok(gamma) if gamma.is_finite() && gamma > 0.0 => Ok(Transfer::Gamma(gamma)),
             _ => Err(format!("`{text}` is no curve; give linear, srgb, or a gamma such as 2.2")),
         },
     }
 }
 
-/// A refusal of a reader, for the shell: 2 when the user must state something or it is no recording, 3 when the file is damaged.
+/// A refusal of a reader, for the shell: 2 when the user must state something or it is no recording, 3 when
+/// the file is damaged.
 pub fn refused(error: &photocurrent_formats::FormatError) -> Failure {
-    let flag = error.undeclared.map(|field| format!("\n  state it: --{} ...", field.replace('_', "-"))).unwrap_or_default();
+    let flag = error
+        .undeclared
+        .map(|field| format!("\n  state it: --{} ...", field.replace('_', "-")))
+        .unwrap_or_default();
     Failure::Other { message: format!("{error}{flag}"), code: if error.undeclared.is_some() { 2 } else { 3 } }
 }
 

@@ -51,7 +51,14 @@ pub fn must_be_utf8(path: &Path) -> Result<(), Failure> {
     if path.to_str().is_some() {
         return Ok(());
     }
-    Err(Failure::Other { message: format!("{}: a manifest names files in UTF-8, and this name is not\n  hint: rename the file", path.display()), code: 2 })
+    Err(Failure::Other {
+        message: format!(
+            "{}: a manifest names files in UTF-8, and this name is not\n  \
+                                           hint: rename the file",
+            path.display()
+        ),
+        code: 2,
+    })
 }
 
 /// Writes a file whole or not at all.

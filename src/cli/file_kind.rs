@@ -1,7 +1,8 @@
 //! What a file is, by its content: so that every command knows what it was given, whatever it is called.
 //!
-//! A recording is recognised by the formats' own signatures ([`photocurrent_formats::recognise`]), everything else by its first bytes. Nothing but the start of a file is
-//! read. Limits: a text that looks like TOML and does not constrain itself counts as a manifest, whose mistakes are then reported.
+//! A recording is recognised by the formats' own signatures ([`photocurrent_formats::recognise`]), everything
+//! else by its first bytes. Nothing but the start of a file is read. Limits: a text that looks like TOML and
+//! does not constrain itself counts as a manifest, whose mistakes are then reported.
 
 use crate::failure::Failure;
 use photocurrent_formats::instead::{Instead, what_it_is};
@@ -65,7 +66,9 @@ impl FileKind {
             return FileKind::Missing;
         }
         let own = of_hdf5(path, &head).or_else(|| of_text(path, &head, metadata.len()));
-        own.or_else(|| of_formats(path)).or_else(|| instead(path)).unwrap_or_else(|| fallback(&head, metadata.len()))
+        own.or_else(|| of_formats(path))
+            .or_else(|| instead(path))
+            .unwrap_or_else(|| fallback(&head, metadata.len()))
     }
 
     /// "a manifest": for messages.
@@ -89,12 +92,23 @@ impl FileKind {
     fn advice(&self, path: &Path) -> String {
         let path = path.display();
         match self {
-            FileKind::Recording(_) => format!("`photocurrent inspect {path}` shows what it holds, `photocurrent check {path}` looks for mistakes"),
+            FileKind::Recording(_) => format!(
+                "`photocurrent inspect {path}` shows what it holds, \
+                                               `photocurrent check {path}` looks for mistakes"
+            ),
             FileKind::Artefact => format!("`photocurrent inspect {path}` shows what it holds"),
-            FileKind::Sensor => format!("`photocurrent check {path}` looks for mistakes in it; a manifest names it with the node read/sensor"),
+            FileKind::Sensor => format!(
+                "`photocurrent check {path}` looks for mistakes in it; a manifest \
+                                         names it with the node read/sensor"
+            ),
             FileKind::Manifest => format!("`photocurrent check {path}`, `plan`, `run` and `graph` take it"),
-            FileKind::RunFolder | FileKind::Scores => format!("`photocurrent table {path}` prints its scores; the manifest makes them anew"),
-            FileKind::Diagnosis => "open report.html in a browser; `photocurrent diagnose RECORDING` makes it anew".into(),
+            FileKind::RunFolder | FileKind::Scores => format!(
+                "`photocurrent table {path}` prints its \
+                                                            scores; the manifest makes them anew"
+            ),
+            FileKind::Diagnosis => "open report.html in a browser; `photocurrent diagnose RECORDING` makes \
+                                    it anew"
+                .into(),
             FileKind::Instead(instead) => instead.todo.clone(),
             FileKind::Other(_) | FileKind::Missing => "docs/formats.md lists the files that are read".into(),
         }
@@ -102,12 +116,18 @@ impl FileKind {
 
     /// Refuses a file for a command that takes `wanted`; exit code 2.
     pub fn refuse(&self, path: &Path, command: &str, wanted: &str) -> Failure {
-        let message = format!("{}: `{command}` takes {wanted}, and this is {}\n  hint: {}", path.display(), self.describe(), self.advice(path));
+        let message = format!(
+            "{}: `{command}` takes {wanted}, and this is {}\n  hint: {}",
+            path.display(),
+            self.describe(),
+            self.advice(path)
+        );
         Failure::Other { message, code: 2 }
     }
 }
 
-/// Refuses what is no manifest, for the commands that take one. What is not there is reported by the one who reads it.
+/// Refuses what is no manifest, for the commands that take one. What is not there is reported by the one who
+/// reads it.
 pub fn need_manifest(path: &Path, command: &str) -> Result<(), Failure> {
     match FileKind::of(path) {
         FileKind::Manifest | FileKind::Missing => Ok(()),
@@ -115,10 +135,15 @@ pub fn need_manifest(path: &Path, command: &str) -> Result<(), Failure> {
     }
 }
 
-/// Refuses what evidently belongs to another command: for `inspect`, which looks at recordings and cached results and says itself what it cannot read.
+/// Refuses what evidently belongs to another command: for `inspect`, which looks at recordings and cached
+/// results and says itself what it cannot read.
 pub fn need_data(path: &Path, command: &str) -> Result<(), Failure> {
     match FileKind::of(path) {
-        FileKind::Recording(_) | FileKind::Artefact | FileKind::Instead(_) | FileKind::Other(_) | FileKind::Missing => Ok(()),
+        FileKind::Recording(_)
+        | FileKind::Artefact
+        | FileKind::Instead(_)
+        | FileKind::Other(_)
+        | FileKind::Missing => Ok(()),
         kind => Err(kind.refuse(path, command, "a recording or a cached result")),
     }
 }
@@ -130,14 +155,26 @@ fn of_folder(path: &Path) -> FileKind {
     let is_stamped = |folder: &Path| photocurrent_engine::read_stamp(folder).is_some();
     let scores = [crate::run_record::FILE, "metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
     let children = || std::fs::read_dir(path).into_iter().flatten().flatten().take(4096);
-    if scores.iter().any(|name| path.join(name).is_file()) || is_stamped(path) || children().any(|child| is_stamped(&child.path())) {
+    if scores.iter().any(|name| path.join(name).is_file())
+        || is_stamped(path)
+        || children().any(|child| is_stamped(&child.path()))
+    {
         return FileKind::RunFolder;
     }
-    of_formats(path).or_else(|| instead(path)).unwrap_or_else(|| FileKind::Other("a folder without anything that is known here".into()))
+    of_formats(path).or_else(|| instead(path)).unwrap_or_else(|| {
+        FileKind::Other(
+            "a folder without anything \
+                                                            that is known here"
+                .into(),
+        )
+    })
 }
 
 fn of_formats(path: &Path) -> Option<FileKind> {
-    photocurrent_formats::recognise(path).ok().flatten().map(|format| FileKind::Recording(Reader::Format(format)))
+    photocurrent_formats::recognise(path)
+        .ok()
+        .flatten()
+        .map(|format| FileKind::Recording(Reader::Format(format)))
 }
 
 /// What is recognised by no format, and is known all the same.
@@ -162,7 +199,9 @@ fn of_text(path: &Path, head: &[u8], bytes: u64) -> Option<FileKind> {
     let text = match std::str::from_utf8(head) {
         Ok(text) => text,
         // A text in another encoding, by its name: who reads it shows the byte.
-        Err(error) if error.error_len().is_none() || is_named_so && !head.contains(&0) => std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default(),
+        Err(error) if error.error_len().is_none() || is_named_so && !head.contains(&0) => {
+            std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default()
+        }
         Err(_) => return None,
     };
     let text = text.trim_start_matches('\u{feff}');
@@ -171,12 +210,17 @@ fn of_text(path: &Path, head: &[u8], bytes: u64) -> Option<FileKind> {
         let has = |words: &str| start.contains(words);
         return match () {
             () if has("\"photocurrent-diagnosis/") => Some(FileKind::Diagnosis),
-            () if has("\"metric\"") && start.lines().next().is_some_and(|line| line.contains("\"node\"")) => Some(FileKind::Scores),
+            () if has("\"metric\"") && start.lines().next().is_some_and(|line| line.contains("\"node\"")) => {
+                Some(FileKind::Scores)
+            }
             () => None,
         };
     }
     let beginning: String = start.chars().take(400).collect::<String>().to_lowercase();
-    let is_page_of = |who: &str| beginning.starts_with("<!doctype html") && beginning.contains(&format!("content=\"photocurrent {who}\""));
+    let is_page_of = |who: &str| {
+        beginning.starts_with("<!doctype html")
+            && beginning.contains(&format!("content=\"photocurrent {who}\""))
+    };
     if is_page_of("diagnose") {
         return Some(FileKind::Diagnosis);
     }
@@ -198,13 +242,18 @@ fn of_toml(text: &str) -> Option<FileKind> {
             let table = header.trim_start_matches('[').split([']', '.']).next().unwrap_or_default().trim();
             match table {
                 "nodes" | "pipeline" | "ablation" => return Some(FileKind::Manifest),
-                "front_end" | "comparator" | "readout" | "frames" | "optics" | "effects" => return Some(FileKind::Sensor),
+                "front_end" | "comparator" | "readout" | "frames" | "optics" | "effects" => {
+                    return Some(FileKind::Sensor);
+                }
                 _ => is_toml = header.contains(']'),
             }
             continue;
         }
         match line.split_once('=').map(|(key, value)| (key.trim(), value.trim())) {
-            Some(("format", value)) if value.starts_with("\"photocurrent-sensor/") || value.starts_with("'photocurrent-sensor/") => {
+            Some(("format", value))
+                if value.starts_with("\"photocurrent-sensor/")
+                    || value.starts_with("'photocurrent-sensor/") =>
+            {
                 return Some(FileKind::Sensor);
             }
             Some(("format" | "extends", _)) => return Some(FileKind::Manifest),
@@ -217,7 +266,9 @@ fn of_toml(text: &str) -> Option<FileKind> {
 }
 
 fn is_key(key: &str) -> bool {
-    !key.is_empty() && key.chars().all(|c| c.is_alphanumeric() || "_-.\"'".contains(c)) && key.chars().any(char::is_alphabetic)
+    !key.is_empty()
+        && key.chars().all(|c| c.is_alphanumeric() || "_-.\"'".contains(c))
+        && key.chars().any(char::is_alphabetic)
 }
 
 fn fallback(head: &[u8], bytes: u64) -> FileKind {
@@ -225,9 +276,13 @@ fn fallback(head: &[u8], bytes: u64) -> FileKind {
         return FileKind::Other("an HDF5 file of another form than those that are read".into());
     }
     let start = &head[..head.len().min(40)];
-    let is_text = !head.iter().take(4096).any(|byte| *byte == 0) && std::str::from_utf8(&start[..start.len().min(8)]).is_ok();
+    let is_text = !head.iter().take(4096).any(|byte| *byte == 0)
+        && std::str::from_utf8(&start[..start.len().min(8)]).is_ok();
     let what = if is_text { "a text" } else { "a file" };
-    FileKind::Other(format!("{what} of no form that is known here ({bytes} bytes, beginning with \"{}\")", start.escape_ascii()))
+    FileKind::Other(format!(
+        "{what} of no form that is known here ({bytes} bytes, beginning with \"{}\")",
+        start.escape_ascii()
+    ))
 }
 
 #[cfg(test)]
@@ -251,16 +306,22 @@ mod tests {
             ("c.cfg", b"[nodes.a]\nkind = \"read/sensor\"\n", "a manifest"),
             ("broken.toml", b"]]] = = \n", "a manifest"),
             ("d.json", b"{\n \"schema\": \"photocurrent-diagnosis/1\"}", "a diagnosis"),
-            ("r.html", b"<!doctype html>\n<html>\n<head><meta name=\"generator\" content=\"photocurrent diagnose\">", "a diagnosis"),
+            (
+                "r.html",
+                b"<!doctype html>\n<html>\n<head><meta name=\"generator\" content=\"photocurrent diagnose\">",
+                "a diagnosis",
+            ),
             ("m", b"{\"variant\":\"base\",\"node\":\"psnr\",\"metric\":\"psnr_db\"}\n", "a file of scores"),
             ("empty", b"", "an empty file (0 bytes)"),
         ];
         for (name, content, expected) in cases {
             assert_eq!(kind(name, content), expected, "{name}");
         }
-        for (name, content) in
-            [("events.txt", &b"0.003811 96 133 0\n0.003820 20 1 1\n"[..]), ("noise", b"\x00\x01\xff=\n"), ("prose", b"Dear reader,\nformat is no key\n")]
-        {
+        for (name, content) in [
+            ("events.txt", &b"0.003811 96 133 0\n0.003820 20 1 1\n"[..]),
+            ("noise", b"\x00\x01\xff=\n"),
+            ("prose", b"Dear reader,\nformat is no key\n"),
+        ] {
             let said = kind(name, content);
             assert!(!said.contains("manifest") && !said.contains("sensor"), "{name}: {said}");
         }
@@ -272,7 +333,11 @@ mod tests {
         let path = folder.path().join("s.toml");
         std::fs::write(&path, "format = \"photocurrent-sensor/1\"\n").unwrap();
         let Err(Failure::Other { message, code: 2 }) = need_manifest(&path, "run") else { panic!("refused") };
-        assert!(message.contains("`run` takes a manifest, and this is a sensor description") && message.contains("photocurrent check"), "{message}");
+        assert!(
+            message.contains("`run` takes a manifest, and this is a sensor description")
+                && message.contains("photocurrent check"),
+            "{message}"
+        );
         assert!(need_data(&path, "inspect").is_err());
         let nowhere = folder.path().join("nowhere");
         assert!(need_manifest(&nowhere, "run").is_ok() && need_data(&nowhere, "inspect").is_ok());

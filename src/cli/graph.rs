@@ -16,7 +16,9 @@ pub fn graph(options: &GraphOptions) -> Done {
         None => &project.pipelines[0],
         Some(name) => project.pipeline(name).ok_or_else(|| {
             let names = project.pipelines.iter().map(|pipeline| pipeline.variant.as_str());
-            Failure::Problems(vec![Problem::new(format!("there is no variant `{name}`")).did_you_mean(name, names)])
+            Failure::Problems(vec![
+                Problem::new(format!("there is no variant `{name}`")).did_you_mean(name, names),
+            ])
         })?,
     };
     let format = match options.format {

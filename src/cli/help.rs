@@ -1,6 +1,7 @@
 //! The first page of help, `photocurrent man`, `completions`: the arguments as text, for people and shells.
 //!
-//! clap lists commands in one column without groups; the page here groups them by what a person wants and fits a screen of 80 by 24.
+//! clap lists commands in one column without groups; the page here groups them by what a person wants and
+//! fits a screen of 80 by 24.
 
 use crate::args::{Args, CompletionOptions, ManOptions};
 use crate::failure::{Done, Failure, write_whole};
@@ -33,7 +34,11 @@ fn page(command: &clap::Command) -> String {
     );
     for (group, names) in GROUPS {
         for (at, name) in names.iter().enumerate() {
-            let about = command.find_subcommand(name).and_then(clap::Command::get_about).map(ToString::to_string).unwrap_or_default();
+            let about = command
+                .find_subcommand(name)
+                .and_then(clap::Command::get_about)
+                .map(ToString::to_string)
+                .unwrap_or_default();
             let _ = writeln!(text, "{:<15}{name:<13}{about}", if at == 0 { group } else { "" });
         }
     }
@@ -50,9 +55,13 @@ pub fn man(options: &ManOptions) -> Done {
     let chosen = match &options.command {
         None => whole,
         Some(name) => {
-            let names: Vec<String> = whole.get_subcommands().map(|command| command.get_name().to_string()).collect();
+            let names: Vec<String> =
+                whole.get_subcommands().map(|command| command.get_name().to_string()).collect();
             whole.find_subcommand(name).cloned().ok_or_else(|| {
-                Failure::Problems(vec![Problem::new(format!("there is no command `{name}`")).did_you_mean(name, names.iter().map(String::as_str))])
+                Failure::Problems(vec![
+                    Problem::new(format!("there is no command `{name}`"))
+                        .did_you_mean(name, names.iter().map(String::as_str)),
+                ])
             })?
         }
     };
@@ -68,12 +77,19 @@ fn roff(command: &clap::Command) -> Result<String, Failure> {
 
 /// `photocurrent.1` and a page for each command: `photocurrent-run.1`.
 fn write_all(whole: &clap::Command, folder: &Path) -> Done {
-    let commands: Vec<&clap::Command> = std::iter::once(whole).chain(whole.get_subcommands().filter(|command| command.get_name() != "help")).collect();
+    let commands: Vec<&clap::Command> = std::iter::once(whole)
+        .chain(whole.get_subcommands().filter(|command| command.get_name() != "help"))
+        .collect();
     for command in &commands {
         let name = command.get_display_name().unwrap_or(command.get_name());
         write_whole(&folder.join(format!("{name}.1")), roff(command)?.as_bytes())?;
     }
-    say!("{} pages in {}; read one with `man {}`", commands.len(), folder.display(), folder.join("photocurrent-run.1").display());
+    say!(
+        "{} pages in {}; read one with `man {}`",
+        commands.len(),
+        folder.display(),
+        folder.join("photocurrent-run.1").display()
+    );
     Ok(0)
 }
 

@@ -1,7 +1,8 @@
 //! The photocurrent command: arguments, exit codes, what the terminal shows. Nothing numerical.
 //!
-//! Data go to stdout, talk to stderr. Exit codes: 0 done, 1 a node failed, 2 manifest or usage error (nothing ran), 3 input data failed a
-//! check, 4 an ablation finished with failed variants, 130 interrupted (artefacts intact).
+//! Data go to stdout, talk to stderr. Exit codes: 0 done, 1 a node failed, 2 manifest or usage error (nothing
+//! ran), 3 input data failed a check, 4 an ablation finished with failed variants, 130 interrupted (artefacts
+//! intact).
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
@@ -39,9 +40,11 @@ use clap::FromArgMatches;
 use failure::Failure;
 use std::ffi::OsString;
 
-/// Runs one command to its end and returns the exit code. `arguments` begin with the name of the program; wrong ones, `--help` and `--version` end the process.
+/// Runs one command to its end and returns the exit code. `arguments` begin with the name of the program;
+/// wrong ones, `--help` and `--version` end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let args = Args::from_arg_matches(&help::command().get_matches_from(arguments)).unwrap_or_else(|error| error.exit());
+    let args = Args::from_arg_matches(&help::command().get_matches_from(arguments))
+        .unwrap_or_else(|error| error.exit());
     let done = match &args.command {
         Command::Init(options) => init::init(options),
         Command::Convert(options) => convert::convert(options),

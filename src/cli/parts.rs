@@ -32,7 +32,11 @@ impl Parts {
             let (slot, what) = match found {
                 Some(format) if format.id == "pictures" => {
                     if let Some(other) = frames.replace(path.clone()) {
-                        return Err(usage(format!("{} and {} both hold frames: name one", other.display(), path.display())));
+                        return Err(usage(format!(
+                            "{} and {} both hold frames: name one",
+                            other.display(),
+                            path.display()
+                        )));
                     }
                     continue;
                 }
@@ -46,21 +50,34 @@ impl Parts {
                         stamps = Some(path.clone());
                         continue;
                     }
-                    let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --columns t,x,y,p";
-                    return Err(usage(format!("{}: this is no recording of a known format\n  {hint}", path.display())));
+                    let hint = "hint: photocurrent inspect lists what it can read; text files need columns: \
+                                --columns t,x,y,p";
+                    return Err(usage(format!(
+                        "{}: this is no recording of a known format\n  {hint}",
+                        path.display()
+                    )));
                 }
             };
             if let Some((other, _)) = slot.replace((path.clone(), what)) {
                 let other: PathBuf = other;
-                return Err(usage(format!("{} and {} both hold events: name one", other.display(), path.display())));
+                return Err(usage(format!(
+                    "{} and {} both hold events: name one",
+                    other.display(),
+                    path.display()
+                )));
             }
         }
-        let (recording, format) =
-            recording.ok_or_else(|| usage("no file with events among those named\n  hint: name the event recording first, then its frames"))?;
+        let (recording, format) = recording.ok_or_else(|| {
+            usage(
+                "no file with events among those named\n  hint: name the event \
+                                           recording first, then its frames",
+            )
+        })?;
         Ok(Parts { recording, format, frames, stamps, camera, line_delay_s })
     }
 
-    /// Several files that are one recording: events, their frames, and what states when these were taken. None where they are each a recording of their own.
+    /// Several files that are one recording: events, their frames, and what states when these were taken.
+    /// None where they are each a recording of their own.
     pub fn one_recording(files: &[PathBuf]) -> Option<Parts> {
         if files.len() < 2 { None } else { Parts::sort(files).ok().filter(|parts| parts.frames.is_some()) }
     }
@@ -74,7 +91,8 @@ impl Parts {
     }
 }
 
-/// Lines about a camera from a calibration (kalibr, DSEC's cam_to_cam) or a file of biases, and the row delay that it states; `None` when the file is neither.
+/// Lines about a camera from a calibration (kalibr, DSEC's cam_to_cam) or a file of biases, and the row delay
+/// that it states; `None` when the file is neither.
 fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f64>>, Failure> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let refused = |error: FormatError| crate::declared::refused(&error);
@@ -85,9 +103,26 @@ fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f6
                 let mut facts = Vec::new();
                 facts.extend(camera.extent.map(|extent| format!("{extent} pixels")));
                 facts.extend(camera.topic.clone());
-                facts.extend(camera.camera_model.as_ref().zip(camera.intrinsics.as_ref()).map(|(model, numbers)| format!("{model} {numbers:?}")));
-                facts.extend(camera.distortion_model.as_ref().zip(camera.distortion.as_ref()).map(|(model, numbers)| format!("{model} {numbers:?}")));
-                facts.extend(camera.timeshift_cam_imu_s.map(|seconds| format!("time shift to the IMU {seconds} s")));
+                facts.extend(
+                    camera
+                        .camera_model
+                        .as_ref()
+                        .zip(camera.intrinsics.as_ref())
+                        .map(|(model, numbers)| format!("{model} {numbers:?}")),
+                );
+                facts.extend(
+                    camera
+                        .distortion_model
+                        .as_ref()
+                        .zip(camera.distortion.as_ref())
+                        .map(|(model, numbers)| format!("{model} {numbers:?}")),
+                );
+                facts.extend(camera.timeshift_cam_imu_s.map(|seconds| {
+                    format!(
+                        "time shift to the IMU \
+                                                            {seconds} s"
+                    )
+                }));
                 facts.extend(camera.line_delay_s.map(|seconds| format!("line delay {seconds} s")));
                 lines.push(format!("{name}: {}: {}", camera.name, facts.join("; ")));
             }
@@ -95,7 +130,12 @@ fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f6
         }
         "bias" => {
             // How a bias acts in volts or seconds is known by calibration alone.
-            lines.extend(bias::read(path).map_err(refused)?.iter().map(|(bias, value)| format!("{name}: {bias} = {value}")));
+            lines.extend(
+                bias::read(path)
+                    .map_err(refused)?
+                    .iter()
+                    .map(|(bias, value)| format!("{name}: {bias} = {value}")),
+            );
             Ok(Some(None))
         }
         _ => Ok(None),

@@ -9,7 +9,8 @@ use photocurrent_engine::{Plan, State, TaskStatus, status};
 use photocurrent_store::Cache;
 use serde_json::{Value, json};
 
-/// A cache to look into: the one there is, or an empty one that is gone afterwards, so that looking makes no folder.
+/// A cache to look into: the one there is, or an empty one that is gone afterwards, so that looking makes no
+/// folder.
 struct Look {
     cache: Cache,
     _empty: Option<tempfile::TempDir>,
@@ -37,7 +38,9 @@ fn reasons(state: &State) -> Vec<String> {
     match state {
         State::Hit => Vec::new(),
         State::Miss { reasons } => reasons.clone(),
-        State::Waits { on, reasons } => std::iter::once(format!("waits for {}", on.join(", "))).chain(reasons.iter().cloned()).collect(),
+        State::Waits { on, reasons } => {
+            std::iter::once(format!("waits for {}", on.join(", "))).chain(reasons.iter().cloned()).collect()
+        }
     }
 }
 
@@ -62,7 +65,20 @@ pub fn plan(options: &PlanOptions) -> Done {
         )?;
         return Ok(0);
     }
-    let mut rows = vec![["node", "kind", "state", "size", "time", "why", "parameters that differ from their defaults"].map(String::from).to_vec()];
+    let mut rows = vec![
+        [
+            "node",
+            "kind",
+            "state",
+            "size",
+            "time",
+            "why",
+            "parameters that differ from their \
+                                                            defaults",
+        ]
+        .map(String::from)
+        .to_vec(),
+    ];
     for status in &all {
         let task = &plan.tasks[status.task];
         let seconds = status.predicted_seconds.map(human_seconds).unwrap_or_default();
@@ -78,11 +94,20 @@ pub fn plan(options: &PlanOptions) -> Done {
     }
     print(&draw(&rows))?;
     let count = |name: &str| all.iter().filter(|s| word(&s.state) == name).count();
-    let variants = if plan.is_ablation { format!(" for {} variants", plan.variants.len()) } else { String::new() };
-    for left in plan.variants.iter().flat_map(|variant| &variant.left_out).collect::<std::collections::BTreeSet<_>>() {
+    let variants =
+        if plan.is_ablation { format!(" for {} variants", plan.variants.len()) } else { String::new() };
+    for left in
+        plan.variants.iter().flat_map(|variant| &variant.left_out).collect::<std::collections::BTreeSet<_>>()
+    {
         say!("left out: {}: {}", left.node, left.why);
     }
-    say!("\n{} nodes{variants}: {} in the cache, {} to run, {} waiting", all.len(), count("hit"), count("miss"), count("waits"));
+    say!(
+        "\n{} nodes{variants}: {} in the cache, {} to run, {} waiting",
+        all.len(),
+        count("hit"),
+        count("miss"),
+        count("waits")
+    );
     Ok(0)
 }
 
@@ -90,15 +115,16 @@ pub fn plan(options: &PlanOptions) -> Done {
 pub fn explain(options: &ExplainOptions) -> Done {
     let (_, plan) = options.target.plan("explain")?;
     let look = Look::new(&options.target)?;
-    let found =
-        photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node).map_err(|problem| Failure::Problems(vec![problem]))?;
+    let found = photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node)
+        .map_err(|problem| Failure::Problems(vec![problem]))?;
     if options.json {
         print_json(&found.iter().map(|e| json!({"variants": e.variants, "status": as_json(&plan, &e.status), "lines": e.lines})).collect())?;
         return Ok(0);
     }
     let mut text = String::new();
     for explanation in &found {
-        let variants = if plan.is_ablation { format!(" [{}]", explanation.variants.join("; ")) } else { String::new() };
+        let variants =
+            if plan.is_ablation { format!(" [{}]", explanation.variants.join("; ")) } else { String::new() };
         text.push_str(&format!("{}{variants}: {}\n", options.node, explanation.lines[0]));
         explanation.lines[1..].iter().for_each(|line| text.push_str(&format!("  {line}\n")));
     }

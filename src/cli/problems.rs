@@ -1,6 +1,7 @@
 //! Shows mistakes where they stand: file, line, column, caret, what to do. The one place that renders them.
 //!
-//! A file that is something else than it was taken for can hold a mistake in every line: of one kind, twenty are shown and the rest is counted.
+//! A file that is something else than it was taken for can hold a mistake in every line: of one kind, twenty
+//! are shown and the rest is counted.
 
 use crate::numbers::{grouped, print_count};
 use crate::terminal::say;
@@ -20,7 +21,9 @@ pub fn show(problems: &[Problem]) {
 
 /// Writes all problems to stderr.
 pub fn render(problems: &[Problem]) {
-    let coloured = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none() && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
+    let coloured = std::io::stderr().is_terminal()
+        && std::env::var_os("NO_COLOR").is_none()
+        && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
     let renderer = if coloured { Renderer::styled() } else { Renderer::plain() };
     let messages: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();
     let (shown, more) = fewest(&messages);

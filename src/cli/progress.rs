@@ -1,4 +1,5 @@
-//! How far a run is: bars with rate and time left on a terminal, a plain line when a node begins and ends elsewhere, one JSON object a line when asked for.
+//! How far a run is: bars with rate and time left on a terminal, a plain line when a node begins and ends
+//! elsewhere, one JSON object a line when asked for.
 
 use crate::args::ProgressStyle as Style;
 use crate::numbers::{human_bytes, human_seconds};
@@ -32,7 +33,9 @@ impl Watcher {
             (Style::Auto, _) if quiet => Watcher::Quiet,
             (Style::None, _) => Watcher::Quiet,
             (Style::Json, _) => Watcher::Lines(Lines { labels, done: Mutex::default() }),
-            (Style::Auto, true) => Watcher::Bars(Bars { multi: MultiProgress::new(), running: Mutex::default(), labels }),
+            (Style::Auto, true) => {
+                Watcher::Bars(Bars { multi: MultiProgress::new(), running: Mutex::default(), labels })
+            }
             (Style::Auto, false) | (Style::Plain, _) => Watcher::Plain(labels),
         }
     }
@@ -142,13 +145,18 @@ impl Observer for Watcher {
     fn task_started(&self, task: TaskId, label: &str) {
         match self {
             Watcher::Bars(bars) => {
-                let spinner = ProgressStyle::with_template("{prefix:>18} {spinner} {elapsed}").unwrap_or_else(|_| ProgressStyle::default_spinner());
-                let bar = bars.multi.add(ProgressBar::new_spinner().with_prefix(label.to_string()).with_style(spinner));
+                let spinner = ProgressStyle::with_template("{prefix:>18} {spinner} {elapsed}")
+                    .unwrap_or_else(|_| ProgressStyle::default_spinner());
+                let bar = bars
+                    .multi
+                    .add(ProgressBar::new_spinner().with_prefix(label.to_string()).with_style(spinner));
                 bar.enable_steady_tick(std::time::Duration::from_millis(120));
                 locked(&bars.running).insert(task, Running { bar, pace: Arc::default() });
             }
             Watcher::Plain(labels) => say!("started  {label} ({})", labels[task].1),
-            Watcher::Lines(lines) => line(json!({"event": "started", "node": label, "kind": lines.labels[task].1})),
+            Watcher::Lines(lines) => {
+                line(json!({"event": "started", "node": label, "kind": lines.labels[task].1}))
+            }
             Watcher::Quiet => {}
         }
     }
@@ -157,14 +165,24 @@ impl Observer for Watcher {
         match self {
             Watcher::Bars(bars) => {
                 if let Some(Running { bar, pace }) = locked(&bars.running).get(&task) {
-                    let style = ProgressStyle::with_template(&format!("{{prefix:>18}} [{{bar:30}}] {{pos}}/{{len}} {unit}, {{per_sec}}{{left}}"));
+                    let style = ProgressStyle::with_template(&format!(
+                        "{{prefix:>18}} [{{bar:30}}] \
+                                                            {{pos}}/{{len}} {unit}, {{per_sec}}{{left}}"
+                    ));
                     locked(pace).begin(total);
                     let shown = Arc::clone(pace);
                     let left = move |_: &ProgressState, text: &mut dyn Write| {
                         // A terminal that does not take it shows less.
-                        let _ = locked(&shown).left().map_or(Ok(()), |seconds| write!(text, ", {} left", human_seconds(seconds)));
+                        let _ = locked(&shown)
+                            .left()
+                            .map_or(Ok(()), |seconds| write!(text, ", {} left", human_seconds(seconds)));
                     };
-                    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> ").with_key("left", left));
+                    bar.set_style(
+                        style
+                            .unwrap_or_else(|_| ProgressStyle::default_bar())
+                            .progress_chars("=> ")
+                            .with_key("left", left),
+                    );
                     if bar.length().is_none() {
                         // What came before the first item does not show how fast they go.
                         bar.reset_elapsed();
@@ -197,7 +215,9 @@ impl Observer for Watcher {
                 if now > *tenth {
                     *tenth = now;
                     let Pace { done: at, total, .. } = *pace;
-                    line(json!({"event": "progress", "node": lines.labels[task].0, "done": at, "total": total, "seconds_left": pace.left()}));
+                    line(
+                        json!({"event": "progress", "node": lines.labels[task].0, "done": at, "total": total, "seconds_left": pace.left()}),
+                    );
                 }
             }
             Watcher::Plain(_) | Watcher::Quiet => {}
@@ -212,7 +232,12 @@ impl Observer for Watcher {
                 }
                 if end != End::Reused {
                     let (label, kind) = &bars.labels[task];
-                    bars.say(&format!("{label:>18} {:<12} {kind}, {}, {}", word(end), human_seconds(seconds), human_bytes(bytes)));
+                    bars.say(&format!(
+                        "{label:>18} {:<12} {kind}, {}, {}",
+                        word(end),
+                        human_seconds(seconds),
+                        human_bytes(bytes)
+                    ));
                 }
             }
             // What the cache had is counted at the end.
@@ -221,9 +246,9 @@ impl Observer for Watcher {
                 let (label, kind) = &labels[task];
                 say!("{:<8} {label} ({kind}), {}, {}", word(end), human_seconds(seconds), human_bytes(bytes));
             }
-            Watcher::Lines(lines) => {
-                line(json!({"event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(), "seconds": seconds, "bytes": bytes}))
-            }
+            Watcher::Lines(lines) => line(
+                json!({"event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(), "seconds": seconds, "bytes": bytes}),
+            ),
             Watcher::Quiet => {}
         }
     }
@@ -237,12 +262,15 @@ impl Observer for Watcher {
     }
 }
 
-/// Seconds that the rest will take when it goes as the later half of what is done; `None` before enough is done to say so.
+/// Seconds that the rest will take when it goes as the later half of what is done; `None` before enough is
+/// done to say so.
 ///
-/// The first half may have shared the processor with a node that has ended since, and its first items fill buffers that the others find full.
+/// The first half may have shared the processor with a node that has ended since, and its first items fill
+/// buffers that the others find full.
 fn time_left(marks: &[(f64, u64)], elapsed: f64, done: u64, total: u64) -> Option<f64> {
     let enough = done < total && elapsed >= 2.0 && done >= total.div_ceil(20).max(1);
-    let (from, before) = marks.iter().copied().take_while(|&(_, mark)| 2 * mark <= done).last().unwrap_or((0.0, 0));
+    let (from, before) =
+        marks.iter().copied().take_while(|&(_, mark)| 2 * mark <= done).last().unwrap_or((0.0, 0));
     enough.then(|| (elapsed - from) * (total - done) as f64 / (done - before) as f64)
 }
 
@@ -253,7 +281,10 @@ mod tests {
     #[test]
     fn the_time_left_is_shown_when_enough_is_done_to_know_it() {
         let even = |elapsed, done, total| time_left(&[], elapsed, done, total);
-        assert_eq!((even(100.0, 0, 10), even(1.9, 5, 10), even(60.0, 49, 1000), even(60.0, 10, 10)), (None, None, None, None));
+        assert_eq!(
+            (even(100.0, 0, 10), even(1.9, 5, 10), even(60.0, 49, 1000), even(60.0, 10, 10)),
+            (None, None, None, None)
+        );
         assert_eq!((even(60.0, 50, 1000), even(2.0, 5, 10)), (Some(1140.0), Some(2.0)));
     }
 

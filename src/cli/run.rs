@@ -28,7 +28,10 @@ pub fn run(options: &RunOptions) -> Done {
 /// Joins parts and runs what is left.
 pub fn merge(options: &MergeOptions) -> Done {
     let (target, running) = (options.target.clone(), options.running.clone());
-    run_with(&RunOptions { target, running, force: Vec::new(), band_rows: None, rows: None, part: None }, &options.parts)
+    run_with(
+        &RunOptions { target, running, force: Vec::new(), band_rows: None, rows: None, part: None },
+        &options.parts,
+    )
 }
 
 fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
@@ -41,7 +44,11 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
     stop_on_signal(&cancel, None)?;
     let cache = Cache::open(&options.target.cache)?;
     let out_dir = options.target.out_dir();
-    let parts = if parts.is_empty() { Vec::new() } else { photocurrent_engine::join(&plan, &cache, parts).map_err(refused)? };
+    let parts = if parts.is_empty() {
+        Vec::new()
+    } else {
+        photocurrent_engine::join(&plan, &cache, parts).map_err(refused)?
+    };
     let defaults = Options::default();
     let threads = options.running.threads.map_or(defaults.threads, |threads| threads as usize);
     // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
@@ -58,22 +65,31 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
     let started = Instant::now();
     let watcher = Watcher::new(&plan, options.running.progress, options.running.quiet);
     if let (Some(rows), Some(folder)) = (options.rows, &options.part) {
-        let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &watcher, &cancel).map_err(refused)?;
+        let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &watcher, &cancel)
+            .map_err(refused)?;
         let all = plan.rows().map_err(refused)?;
         return part_report(options, (rows, all), folder, end, started.elapsed().as_secs_f64());
     }
     // Before hours are spent on what could not be put down.
-    std::fs::create_dir_all(&out_dir)
-        .map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}; --out names another", out_dir.display())))?;
+    std::fs::create_dir_all(&out_dir).map_err(|error| {
+        Failure::other(format!("{}: cannot make the folder: {error}; --out names another", out_dir.display()))
+    })?;
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
-    RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds).save(&out_dir)?;
+    RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds)
+        .save(&out_dir)?;
     report(options, &project, &outcome, &cache, &out_dir, seconds)?;
     Ok(outcome.exit_code())
 }
 
 /// What came of a part.
-fn part_report(options: &RunOptions, (rows, all): (Rows, Rows), folder: &Path, end: PartEnd, seconds: f64) -> Done {
+fn part_report(
+    options: &RunOptions,
+    (rows, all): (Rows, Rows),
+    folder: &Path,
+    end: PartEnd,
+    seconds: f64,
+) -> Done {
     let nodes = match end {
         PartEnd::Before(outcome) => {
             failed_nodes(&outcome);
@@ -83,10 +99,16 @@ fn part_report(options: &RunOptions, (rows, all): (Rows, Rows), folder: &Path, e
     };
     let (first, end) = (rows.start, rows.end);
     if options.running.json {
-        print_json(&json!({ "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes, "seconds": seconds }))?;
+        print_json(
+            &json!({ "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes, "seconds": seconds }),
+        )?;
     }
     if !options.running.quiet {
-        let made = if nodes.is_empty() { "was there already or needed nothing".into() } else { format!("has {}", nodes.join(", ")) };
+        let made = if nodes.is_empty() {
+            "was there already or needed nothing".into()
+        } else {
+            format!("has {}", nodes.join(", "))
+        };
         say!("\n{}: the part of rows {first}..{end} {made} ({})", folder.display(), human_seconds(seconds));
     }
     Ok(0)
@@ -108,7 +130,10 @@ fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {
         .force
         .iter()
         .filter(|node| plan.tasks_of(node).is_empty())
-        .map(|node| Problem::new(format!("--force {node}: there is no such node in this plan")).did_you_mean(node, plan.node_names()))
+        .map(|node| {
+            Problem::new(format!("--force {node}: there is no such node in this plan"))
+                .did_you_mean(node, plan.node_names())
+        })
         .collect();
     if problems.is_empty() { Ok(()) } else { Err(problems.into()) }
 }
@@ -116,8 +141,8 @@ fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {
 /// Nodes that have not come to their next step so long after a signal are left where they are.
 const PATIENCE: Duration = Duration::from_millis(1500);
 
-/// The first Ctrl-C (or SIGTERM) lets running nodes stop at their next step; a second one ends the process, and so does [`PATIENCE`]: the cache survives that too. `leave` is then cleared
-/// away.
+/// The first Ctrl-C (or SIGTERM) lets running nodes stop at their next step; a second one ends the process,
+/// and so does [`PATIENCE`]: the cache survives that too. `leave` is then cleared away.
 pub fn stop_on_signal(cancel: &Arc<AtomicBool>, leave: Option<&Path>) -> Result<(), Failure> {
     let (cancel, leave) = (cancel.clone(), leave.map(Path::to_path_buf));
     let end = move || {
@@ -140,7 +165,14 @@ pub fn stop_on_signal(cancel: &Arc<AtomicBool>, leave: Option<&Path>) -> Result<
     .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))
 }
 
-fn report(options: &RunOptions, project: &Project, outcome: &Outcome, cache: &Cache, out_dir: &Path, seconds: f64) -> Result<(), Failure> {
+fn report(
+    options: &RunOptions,
+    project: &Project,
+    outcome: &Outcome,
+    cache: &Cache,
+    out_dir: &Path,
+    seconds: f64,
+) -> Result<(), Failure> {
     let (single, pooled) = outcome.metrics(cache)?;
     if !single.is_empty() || !pooled.is_empty() {
         write_lines(&out_dir.join("metrics.jsonl"), &single)?;
@@ -174,16 +206,26 @@ fn as_json(outcome: &Outcome, seconds: f64) -> serde_json::Value {
     })
 }
 
-/// The tables that the user asked for: those written by `write/table`, an ablation's metrics, or else every pooled score.
-fn tables(project: &Project, outcome: &Outcome, cache: &Cache, pooled: &[serde_json::Value]) -> Result<String, Failure> {
+/// The tables that the user asked for: those written by `write/table`, an ablation's metrics, or else every
+/// pooled score.
+fn tables(
+    project: &Project,
+    outcome: &Outcome,
+    cache: &Cache,
+    pooled: &[serde_json::Value],
+) -> Result<String, Failure> {
     if let Some(ablation) = &project.ablation {
         return Ok(ablation_table(ablation, outcome, pooled));
     }
     let mut text = String::new();
     for variant in &outcome.variants {
         for (node, _) in &variant.nodes {
-            let Some(task) = outcome.node(&variant.name, node).filter(|task| task.kind == "write/table") else { continue };
-            if let (Some(port), true) = (task.outputs.keys().next(), matches!(task.end, End::Executed | End::Reused))
+            let Some(task) = outcome.node(&variant.name, node).filter(|task| task.kind == "write/table")
+            else {
+                continue;
+            };
+            if let (Some(port), true) =
+                (task.outputs.keys().next(), matches!(task.end, End::Executed | End::Reused))
                 && let Some(Value::Table(table)) = outcome.value(cache, &variant.name, node, port)?
             {
                 text.push_str(&drawn(&table));
@@ -194,9 +236,14 @@ fn tables(project: &Project, outcome: &Outcome, cache: &Cache, pooled: &[serde_j
     let measured: Vec<&serde_json::Value> = pooled.iter().filter(|line| line["missing"].is_null()).collect();
     if text.is_empty() && !measured.is_empty() {
         let cell = |line: &serde_json::Value, key: &str| line[key].as_str().unwrap_or_default().to_string();
-        let value = |line: &serde_json::Value| line["value"].as_f64().map_or("-".into(), |v| format!("{v:.3}"));
+        let value =
+            |line: &serde_json::Value| line["value"].as_f64().map_or("-".into(), |v| format!("{v:.3}"));
         let mut rows = vec![["node", "metric", "value", "unit"].map(String::from).to_vec()];
-        rows.extend(measured.iter().map(|line| vec![cell(line, "node"), cell(line, "metric"), value(line), cell(line, "unit")]));
+        rows.extend(
+            measured
+                .iter()
+                .map(|line| vec![cell(line, "node"), cell(line, "metric"), value(line), cell(line, "unit")]),
+        );
         text = draw(&rows);
     }
     Ok(text)
@@ -204,22 +251,35 @@ fn tables(project: &Project, outcome: &Outcome, cache: &Cache, pooled: &[serde_j
 
 fn drawn(table: &Table) -> String {
     let mut rows = vec![table.columns().iter().map(|(name, _)| name.clone()).collect()];
-    rows.extend((0..table.len()).map(|row| table.columns().iter().map(|(_, column)| column.cell(row)).collect::<Vec<_>>()));
+    rows.extend(
+        (0..table.len())
+            .map(|row| table.columns().iter().map(|(_, column)| column.cell(row)).collect::<Vec<_>>()),
+    );
     draw(&rows)
 }
 
-fn ablation_table(ablation: &photocurrent_engine::Ablation, outcome: &Outcome, pooled: &[serde_json::Value]) -> String {
+fn ablation_table(
+    ablation: &photocurrent_engine::Ablation,
+    outcome: &Outcome,
+    pooled: &[serde_json::Value],
+) -> String {
     let names: Vec<(String, String)> = if ablation.metrics.is_empty() {
-        let all: BTreeSet<(String, String)> =
-            pooled.iter().filter_map(|l| Some((l["node"].as_str()?.to_string(), l["metric"].as_str()?.to_string()))).collect();
+        let all: BTreeSet<(String, String)> = pooled
+            .iter()
+            .filter_map(|l| Some((l["node"].as_str()?.to_string(), l["metric"].as_str()?.to_string())))
+            .collect();
         all.into_iter().collect()
     } else {
         ablation.metrics.clone()
     };
     let value = |variant: &str, node: &str, metric: &str| {
-        pooled.iter().find(|l| l["variant"] == variant && l["node"] == node && l["metric"] == metric).and_then(|l| l["value"].as_f64())
+        pooled
+            .iter()
+            .find(|l| l["variant"] == variant && l["node"] == node && l["metric"] == metric)
+            .and_then(|l| l["value"].as_f64())
     };
-    let mut head: Vec<String> = ablation.axes.iter().map(|(axis, _)| axis.rsplit('.').next().unwrap_or(axis).to_string()).collect();
+    let mut head: Vec<String> =
+        ablation.axes.iter().map(|(axis, _)| axis.rsplit('.').next().unwrap_or(axis).to_string()).collect();
     for (node, metric) in &names {
         head.push(format!("{node}.{metric}"));
         if ablation.baseline.is_some() {
@@ -257,19 +317,32 @@ fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
     }
     let (executed, reused) = (outcome.count(End::Executed), outcome.count(End::Reused));
     let whole = executed + reused == outcome.tasks.len();
-    let written: u64 = outcome.tasks.iter().filter(|task| task.end == End::Executed).map(photocurrent_engine::TaskOutcome::bytes).sum();
+    let written: u64 = outcome
+        .tasks
+        .iter()
+        .filter(|task| task.end == End::Executed)
+        .map(photocurrent_engine::TaskOutcome::bytes)
+        .sum();
     let took = human_seconds(seconds);
     match (executed, whole) {
         (0, true) => say!("\n0 nodes executed: all {reused} results were in the cache ({took})"),
-        (_, true) => say!("\n{executed} nodes executed, {reused} reused from the cache, {} stored ({took})", human_bytes(written)),
+        (_, true) => say!(
+            "\n{executed} nodes executed, {reused} reused from the cache, {} stored ({took})",
+            human_bytes(written)
+        ),
         (_, false) => say!(
-            "\n{executed} nodes executed, {reused} reused, {} failed, {} skipped, {} interrupted ({took}); what is finished stays in the cache",
+            "\n{executed} nodes executed, {reused} reused, {} failed, {} skipped, {} interrupted ({took}); \
+             what is finished stays in the cache",
             outcome.count(End::Failed),
             outcome.count(End::Skipped),
             outcome.count(End::Interrupted)
         ),
     }
-    if outcome.tasks.iter().any(|task| task.export.is_some() && matches!(task.end, End::Executed | End::Reused)) {
+    if outcome
+        .tasks
+        .iter()
+        .any(|task| task.export.is_some() && matches!(task.end, End::Executed | End::Reused))
+    {
         say!("files are in {}", out_dir.display());
     }
 }

@@ -1,7 +1,9 @@
-//! `run.json` (`photocurrent-run/1`): what a run says of itself in its output folder, so that a report can be made of it later.
+//! `run.json` (`photocurrent-run/1`): what a run says of itself in its output folder, so that a report can be
+//! made of it later.
 //!
-//! It names the nodes that ran, how they are wired, how each ended and how long it took, and by digest what the cache holds of them. Nothing here enters a key,
-//! and no node reads it. The form is described in docs/formats.md.
+//! It names the nodes that ran, how they are wired, how each ended and how long it took, and by digest what
+//! the cache holds of them. Nothing here enters a key, and no node reads it. The form is described in
+//! docs/formats.md.
 
 use crate::failure::{Failure, write_whole};
 use photocurrent_core::Digest;
@@ -112,26 +114,44 @@ pub struct OutputRecord {
 
 impl RunRecord {
     /// Of a run into `folder` with the cache at `cache`.
-    pub fn of(project: &Project, plan: &Plan, outcome: &Outcome, sets: &[String], cache: &Path, folder: &Path, seconds: f64) -> RunRecord {
-        let task = |(task, came): (&photocurrent_engine::Task, &photocurrent_engine::TaskOutcome)| TaskRecord {
-            label: task.label.clone(),
-            kind: task.decl.kind.into(),
-            end: came.end,
-            seconds: came.seconds,
-            key: came.key,
-            params: task.params.clone(),
-            changed: task.changed_params.clone(),
-            inputs: task.inputs.iter().map(input_record).collect(),
-            outputs: came
-                .outputs
-                .iter()
-                .map(|(port, stored)| (port.clone(), OutputRecord { data_type: stored.data_type.name().into(), digest: stored.digest, bytes: stored.bytes }))
-                .collect(),
-            notes: came.notes.clone(),
-            error: came.error.as_ref().map(ToString::to_string),
-            because: came.because.clone(),
-            files: came.export.as_ref().map(|files| relative(folder, files)),
-        };
+    pub fn of(
+        project: &Project,
+        plan: &Plan,
+        outcome: &Outcome,
+        sets: &[String],
+        cache: &Path,
+        folder: &Path,
+        seconds: f64,
+    ) -> RunRecord {
+        let task =
+            |(task, came): (&photocurrent_engine::Task, &photocurrent_engine::TaskOutcome)| TaskRecord {
+                label: task.label.clone(),
+                kind: task.decl.kind.into(),
+                end: came.end,
+                seconds: came.seconds,
+                key: came.key,
+                params: task.params.clone(),
+                changed: task.changed_params.clone(),
+                inputs: task.inputs.iter().map(input_record).collect(),
+                outputs: came
+                    .outputs
+                    .iter()
+                    .map(|(port, stored)| {
+                        (
+                            port.clone(),
+                            OutputRecord {
+                                data_type: stored.data_type.name().into(),
+                                digest: stored.digest,
+                                bytes: stored.bytes,
+                            },
+                        )
+                    })
+                    .collect(),
+                notes: came.notes.clone(),
+                error: came.error.as_ref().map(ToString::to_string),
+                because: came.because.clone(),
+                files: came.export.as_ref().map(|files| relative(folder, files)),
+            };
         let variant = |variant: &photocurrent_engine::PlannedVariant| VariantRecord {
             name: variant.name.clone(),
             nodes: variant.nodes.clone(),
@@ -157,7 +177,8 @@ impl RunRecord {
 
     /// Writes it into the folder, whole or not at all.
     pub fn save(&self, folder: &Path) -> Result<(), Failure> {
-        let text = serde_json::to_string_pretty(self).map_err(|error| Failure::other(format!("{FILE} cannot be written as JSON: {error}")))?;
+        let text = serde_json::to_string_pretty(self)
+            .map_err(|error| Failure::other(format!("{FILE} cannot be written as JSON: {error}")))?;
         write_whole(&folder.join(FILE), (text + "\n").as_bytes())
     }
 
@@ -168,14 +189,25 @@ impl RunRecord {
     pub fn load(folder: &Path) -> Result<RunRecord, Failure> {
         let path = folder.join(FILE);
         let wrong = |what: String| Failure::Other {
-            message: format!("{}: {what}\n  hint: run the manifest again; what the cache has is not run again", path.display()),
+            message: format!(
+                "{}: {what}\n  hint: run the manifest again; what the cache has is not run again",
+                path.display()
+            ),
             code: 2,
         };
-        let text =
-            std::fs::read_to_string(&path).map_err(|error| wrong(format!("cannot read: {error}; a report is made of what `photocurrent run` leaves there")))?;
-        let schema = serde_json::from_str::<serde_json::Value>(&text).ok().and_then(|value| Some(value["schema"].as_str()?.to_string()));
+        let text = std::fs::read_to_string(&path).map_err(|error| {
+            wrong(format!(
+                "cannot read: {error}; a report is \
+                                                            made of what `photocurrent run` leaves there"
+            ))
+        })?;
+        let schema = serde_json::from_str::<serde_json::Value>(&text)
+            .ok()
+            .and_then(|value| Some(value["schema"].as_str()?.to_string()));
         match schema {
-            Some(schema) if schema == SCHEMA => serde_json::from_str(&text).map_err(|error| wrong(format!("this is no {SCHEMA}: {error}"))),
+            Some(schema) if schema == SCHEMA => {
+                serde_json::from_str(&text).map_err(|error| wrong(format!("this is no {SCHEMA}: {error}")))
+            }
             Some(other) => Err(wrong(format!("the form is `{other}`, and this version reads `{SCHEMA}`"))),
             None => Err(wrong(format!("found no `schema`; expected a {SCHEMA}"))),
         }
@@ -183,12 +215,23 @@ impl RunRecord {
 }
 
 fn input_record(input: &TaskInput) -> InputRecord {
-    let mut record = InputRecord { port: input.port.into(), data_type: input.data_type.name().into(), from: Vec::new(), joined: Vec::new() };
+    let mut record = InputRecord {
+        port: input.port.into(),
+        data_type: input.data_type.name().into(),
+        from: Vec::new(),
+        joined: Vec::new(),
+    };
     for parts in input.from.chunk_by(|a, b| a.value == b.value) {
         for part in parts {
             if let Extract::Share(share) = part.extract {
                 let (start_ns, end_ns) = (share.start.0, share.end.0);
-                record.joined.push(Part { value: record.from.len(), task: part.task, port: part.port.into(), start_ns, end_ns });
+                record.joined.push(Part {
+                    value: record.from.len(),
+                    task: part.task,
+                    port: part.port.into(),
+                    start_ns,
+                    end_ns,
+                });
             }
         }
         record.from.push((parts[0].task, parts[0].port.into()));
@@ -211,26 +254,40 @@ fn shown(path: &Path) -> String {
     path.strip_prefix(&here).unwrap_or(path).display().to_string()
 }
 
-/// Two manifests of one name share `out/NAME`. Refuses a folder whose results are of another manifest that is still there; where that was moved or
-/// deleted, the folder belongs to whoever has its name. `doing` completes "..., and this is ...; " in the message; `hint` is what to do.
+/// Two manifests of one name share `out/NAME`. Refuses a folder whose results are of another manifest that is
+/// still there; where that was moved or deleted, the folder belongs to whoever has its name. `doing`
+/// completes "..., and this is ...; " in the message; `hint` is what to do.
 ///
 /// # Errors
 /// When the folder holds the results of another manifest.
 pub fn check_same_manifest(folder: &Path, manifest: &Path, doing: &str, hint: &str) -> Result<(), Failure> {
-    let Some(record) = std::fs::read_to_string(folder.join(FILE)).ok().and_then(|text| serde_json::from_str::<RunRecord>(&text).ok()) else { return Ok(()) };
+    let Some(record) = std::fs::read_to_string(folder.join(FILE))
+        .ok()
+        .and_then(|text| serde_json::from_str::<RunRecord>(&text).ok())
+    else {
+        return Ok(());
+    };
     let other = real(&folder.join(&record.manifest_file));
     let this = real(manifest);
     if is_empty(&record.manifest_file) || !other.is_file() || other == this {
         return Ok(());
     }
-    let message = format!("{} has the results of {}; {doing} {}\n  hint: {hint}", folder.display(), shown(&other), shown(&this));
+    let message = format!(
+        "{} has the results of {}; {doing} {}\n  hint: {hint}",
+        folder.display(),
+        shown(&other),
+        shown(&this)
+    );
     Err(Failure::Other { message, code: 2 })
 }
 
 /// `path` as it is written from inside `folder`, so that both may move together.
 fn relative(folder: &Path, path: &Path) -> PathBuf {
-    let (Ok(folder), Ok(path)) = (std::path::absolute(folder), std::path::absolute(path)) else { return path.into() };
-    let (from, to): (Vec<Component>, Vec<Component>) = (folder.components().collect(), path.components().collect());
+    let (Ok(folder), Ok(path)) = (std::path::absolute(folder), std::path::absolute(path)) else {
+        return path.into();
+    };
+    let (from, to): (Vec<Component>, Vec<Component>) =
+        (folder.components().collect(), path.components().collect());
     let shared = from.iter().zip(&to).take_while(|(a, b)| a == b).count();
     let up = std::iter::repeat_n(Component::ParentDir, from.len() - shared);
     let found: PathBuf = up.chain(to[shared..].iter().copied()).collect();
@@ -243,7 +300,8 @@ mod tests {
 
     #[test]
     fn paths_are_written_from_inside_the_folder() {
-        let of = |folder: &str, path: &str| relative(Path::new(folder), Path::new(path)).display().to_string();
+        let of =
+            |folder: &str, path: &str| relative(Path::new(folder), Path::new(path)).display().to_string();
         assert_eq!(of("out/a", ".photocurrent"), "../../.photocurrent");
         assert_eq!(of("out/a", "out/a/sheet"), "sheet");
         assert_eq!(of("/x/out", "/y/cache"), "../../y/cache");
@@ -259,7 +317,10 @@ mod tests {
         };
         assert!(message().contains("cannot read") && message().contains("run the manifest again"));
         std::fs::write(folder.path().join(FILE), "{\"schema\": \"photocurrent-run/9\"}").unwrap();
-        assert!(message().contains("the form is `photocurrent-run/9`, and this version reads `photocurrent-run/1`"));
+        assert!(message().contains(
+            "the form is `photocurrent-run/9`, and this version reads \
+                                    `photocurrent-run/1`"
+        ));
         std::fs::write(folder.path().join(FILE), "{}").unwrap();
         assert!(message().contains("found no `schema`"));
     }

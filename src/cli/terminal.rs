@@ -1,7 +1,8 @@
 //! Everything that the command writes to its two streams: data on stdout, talk on stderr.
 //!
-//! A reader that goes away (`photocurrent nodes | head`) stops neither the work nor changes its exit code: what it does not read any more is let go. Any
-//! other trouble with stdout, such as a full disk, is an error; trouble with stderr has nobody left to hear of it.
+//! A reader that goes away (`photocurrent nodes | head`) stops neither the work nor changes its exit code:
+//! what it does not read any more is let go. Any other trouble with stdout, such as a full disk, is an error;
+//! trouble with stderr has nobody left to hear of it.
 
 use crate::failure::Failure;
 use std::io::{ErrorKind, Write};

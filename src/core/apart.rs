@@ -1,11 +1,12 @@
 //! Events and frames of one recording run on one clock: this notices when they evidently do not.
 //!
-//! The usual cause is a file whose events count from the start of the recording while its frames carry the time of day, with the difference in a field (`t_offset`)
-//! that nobody added. Whoever goes on then works over decades in which nothing happened. So streams without a common moment are refused, with both spans and the
-//! difference of their starts, before anything is made from either.
+//! The usual cause is a file whose events count from the start of the recording while its frames carry the
+//! time of day, with the difference in a field (`t_offset`) that nobody added. Whoever goes on then works
+//! over decades in which nothing happened. So streams without a common moment are refused, with both spans
+//! and the difference of their starts, before anything is made from either.
 //!
-//! Limits: frames that end shortly before the first event, or begin shortly after the last one, are taken for what they are: within one frame period, and for
-//! a lone frame within the length of the events.
+//! Limits: frames that end shortly before the first event, or begin shortly after the last one, are taken for
+//! what they are: within one frame period, and for a lone frame within the length of the events.
 
 use crate::frames::FrameTimes;
 use crate::time::{TimeSpan, in_seconds};
@@ -24,7 +25,9 @@ impl Apart {
     pub fn of(events: Option<TimeSpan>, times: &FrameTimes, height: u32) -> Option<Apart> {
         let (events, frames) = (events?, times.span(height)?);
         let gap = i128::from(frames.start.0.max(events.start.0)) - i128::from(frames.end.0.min(events.end.0));
-        let slack = times.mean_period_ns().map_or(i128::from(events.end.0) - i128::from(events.start.0), |period| period as i128);
+        let slack = times
+            .mean_period_ns()
+            .map_or(i128::from(events.end.0) - i128::from(events.start.0), |period| period as i128);
         (gap > slack.max(0)).then_some(Apart { events, frames })
     }
 
@@ -35,7 +38,11 @@ impl Apart {
 
     /// What is wrong, in one sentence.
     pub fn message(&self) -> String {
-        format!("events and frames have no moment in common: events {}, frames {}", span(self.events), span(self.frames))
+        format!(
+            "events and frames have no moment in common: events {}, frames {}",
+            span(self.events),
+            span(self.frames)
+        )
     }
 
     /// What to do about it.
@@ -45,7 +52,8 @@ impl Apart {
         let length = offset.unsigned_abs();
         let shown = in_seconds(offset.saturating_abs());
         format!(
-            "frames start {shown} {later} than events: if the two clocks were never put together (a forgotten `t_offset`), add about {sign}{length} ns to the stamps of the events"
+            "frames start {shown} {later} than events: if the two clocks were never put together (a \
+             forgotten `t_offset`), add about {sign}{length} ns to the stamps of the events"
         )
     }
 }
@@ -63,7 +71,11 @@ mod tests {
 
     /// Frames of 4 ms every 10 ms.
     fn frames(start: i64, count: i64) -> FrameTimes {
-        FrameTimes::new((0..count).map(|l| Exposure::new(start + l * 10 * MS, start + l * 10 * MS + 4 * MS)).collect(), 0).unwrap()
+        FrameTimes::new(
+            (0..count).map(|l| Exposure::new(start + l * 10 * MS, start + l * 10 * MS + 4 * MS)).collect(),
+            0,
+        )
+        .unwrap()
     }
 
     fn apart(events: (i64, i64), frames: &FrameTimes) -> bool {
@@ -75,10 +87,18 @@ mod tests {
         let day = 1_600_000_000_000_000_000;
         let found = Apart::of(Some(TimeSpan::new(0, 200 * MS)), &frames(day, 20), 1).unwrap();
         assert_eq!(found.offset_ns(), day);
-        assert!(found.message().contains("events from 0 s to 0.2 s, frames from 1600000000 s to"), "{}", found.message());
+        assert!(
+            found.message().contains("events from 0 s to 0.2 s, frames from 1600000000 s to"),
+            "{}",
+            found.message()
+        );
         assert!(found.hint().contains("add about 1600000000000000000 ns"), "{}", found.hint());
         let found = Apart::of(Some(TimeSpan::new(day, day + 1)), &frames(0, 20), 1).unwrap();
-        assert!(found.hint().contains("earlier") && found.hint().contains("add about -1600000000000000000 ns"), "{}", found.hint());
+        assert!(
+            found.hint().contains("earlier") && found.hint().contains("add about -1600000000000000000 ns"),
+            "{}",
+            found.hint()
+        );
         // The ends of what a stamp can say.
         assert!(apart((i64::MIN, i64::MIN + 5), &frames(i64::MAX - 200 * MS, 20)));
     }
@@ -91,6 +111,9 @@ mod tests {
         assert!(!apart((200 * MS, 203 * MS), &clip) && apart((205 * MS, 300 * MS), &clip));
         // One picture, and what happened after it.
         assert!(!apart((10 * MS, 500 * MS), &frames(0, 1)) && apart((600 * MS, 900 * MS), &frames(0, 1)));
-        assert!(Apart::of(None, &clip, 1).is_none() && Apart::of(Some(TimeSpan::new(0, 1)), &frames(0, 0), 1).is_none());
+        assert!(
+            Apart::of(None, &clip, 1).is_none()
+                && Apart::of(Some(TimeSpan::new(0, 1)), &frames(0, 0), 1).is_none()
+        );
     }
 }

@@ -1,7 +1,9 @@
-//! Which colours the values of a picture have: one grey value a pixel, three values, or one behind a mosaic of filters.
+//! Which colours the values of a picture have: one grey value a pixel, three values, or one behind a mosaic
+//! of filters.
 //!
-//! The channels are 0 red, 1 green, 2 blue. A Bayer mosaic repeats a cell of 2 x 2 pixels; in a quad-Bayer mosaic each filter covers 2 x 2 pixels, so the
-//! cell has 4 x 4. A mosaic's name ends with the colours of its cell, row by row: `rggb` begins with red, `gbrg` with green above red.
+//! The channels are 0 red, 1 green, 2 blue. A Bayer mosaic repeats a cell of 2 x 2 pixels; in a quad-Bayer
+//! mosaic each filter covers 2 x 2 pixels, so the cell has 4 x 4. A mosaic's name ends with the colours of
+//! its cell, row by row: `rggb` begins with red, `gbrg` with green above red.
 
 #[cfg(feature = "graph")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -100,7 +102,8 @@ impl Colour {
         }
     }
 
-    /// The channel of a value in row `y`, counted as they stand in a row (`x * channels + channel`); `None` for grey.
+    /// The channel of a value in row `y`, counted as they stand in a row (`x * channels + channel`); `None`
+    /// for grey.
     ///
     /// ```
     /// use photocurrent_core::colour::Colour;
@@ -145,7 +148,12 @@ impl TryFrom<String> for Colour {
     type Error = String;
 
     fn try_from(name: String) -> Result<Colour, String> {
-        Colour::named(&name).ok_or_else(|| format!("`{name}` is no colour of pictures; known are {}", Colour::names().collect::<Vec<_>>().join(", ")))
+        Colour::named(&name).ok_or_else(|| {
+            format!(
+                "`{name}` is no colour of pictures; known are {}",
+                Colour::names().collect::<Vec<_>>().join(", ")
+            )
+        })
     }
 }
 
@@ -156,7 +164,9 @@ mod tests {
     /// Each mosaic's upper left cell, written out by hand.
     #[test]
     fn cells_are_as_their_names_say() {
-        let row = |name: &str, y: u32| -> String { (0..4).map(|x| ['r', 'g', 'b'][Colour::named(name).unwrap().channel(x, y).unwrap()]).collect() };
+        let row = |name: &str, y: u32| -> String {
+            (0..4).map(|x| ['r', 'g', 'b'][Colour::named(name).unwrap().channel(x, y).unwrap()]).collect()
+        };
         let cell = |name: &str| (0..4).map(|y| row(name, y)).collect::<Vec<_>>().join(" ");
         assert_eq!(cell("bayer_rggb"), "rgrg gbgb rgrg gbgb");
         assert_eq!(cell("bayer_bggr"), "bgbg grgr bgbg grgr");
@@ -174,6 +184,9 @@ mod tests {
             assert_eq!(serde_json::from_value::<Colour>(name.into()).unwrap(), colour);
         }
         let error = serde_json::from_value::<Colour>("rgbw".into()).unwrap_err().to_string();
-        assert!(error.starts_with("`rgbw` is no colour of pictures; known are mono, rgb, bayer_rggb"), "{error}");
+        assert!(
+            error.starts_with("`rgbw` is no colour of pictures; known are mono, rgb, bayer_rggb"),
+            "{error}"
+        );
     }
 }

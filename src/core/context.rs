@@ -1,7 +1,7 @@
 //! What a node may ask while it runs: its rows, its seed, whether to stop, where to write files.
 //!
-//! There is no clock, no environment and no thread-local randomness here, because a node's output is a function of its inputs,
-//! parameters, declared files and seed.
+//! There is no clock, no environment and no thread-local randomness here, because a node's output is a
+//! function of its inputs, parameters, declared files and seed.
 
 use crate::error::NodeError;
 use crate::extent::Rows;
@@ -73,7 +73,8 @@ impl Notes {
     }
 }
 
-/// What the row bands of one task share: work that does not depend on the band, by a number of the node's own choice.
+/// What the row bands of one task share: work that does not depend on the band, by a number of the node's own
+/// choice.
 #[derive(Default)]
 pub struct Common(Mutex<BTreeMap<u64, Arc<dyn Any + Send + Sync>>>);
 
@@ -151,7 +152,8 @@ impl<'a> Context<'a> {
         if self.cancel.load(Ordering::Relaxed) { Err(NodeError::interrupted()) } else { Ok(()) }
     }
 
-    /// An empty folder for the files of a node that exports; the engine moves it to its place when the node is done.
+    /// An empty folder for the files of a node that exports; the engine moves it to its place when the node
+    /// is done.
     ///
     /// # Errors
     /// When the node did not declare that it exports.
@@ -159,19 +161,20 @@ impl<'a> Context<'a> {
         self.export.ok_or_else(|| NodeError::failed("this node writes files but does not declare `exports`"))
     }
 
-    /// Reports something that is no error: "row_time of the recording wins over the description's". Kept with the result, shown
-    /// again on a cache hit. The same text said for several row bands counts once.
+    /// Reports something that is no error: "row_time of the recording wins over the description's". Kept with
+    /// the result, shown again on a cache hit. The same text said for several row bands counts once.
     pub fn note(&self, text: impl Into<String>) {
         self.notes.say(text.into());
     }
 
-    /// Reports a damaged part of the input that was left out; what stands around it was taken. The run goes on and ends with exit code 3.
+    /// Reports a damaged part of the input that was left out; what stands around it was taken. The run goes
+    /// on and ends with exit code 3.
     pub fn loss(&self, text: impl AsRef<str>) {
         self.notes.say(format!("{LOSS}{}", text.as_ref()));
     }
 
-    /// Reports how many of something there were: `count(31, "pixels did not converge")`. Counts of one text add up over threads and row
-    /// bands, so the sum does not depend on either; a zero is not shown.
+    /// Reports how many of something there were: `count(31, "pixels did not converge")`. Counts of one text
+    /// add up over threads and row bands, so the sum does not depend on either; a zero is not shown.
     pub fn count(&self, n: u64, what: &str) {
         self.notes.count(n, what);
     }

@@ -1,7 +1,8 @@
 //! Documents of a diagnosis: what one of its stages found, as JSON of a stated kind.
 //!
-//! The stages are far apart in what they say and alike in how they are kept, so that there is one data type for all: a kind, which is known before any data and
-//! checked while planning, and a text. The text is the content, byte for byte: what is written out for the user is what was digested.
+//! The stages are far apart in what they say and alike in how they are kept, so that there is one data type
+//! for all: a kind, which is known before any data and checked while planning, and a text. The text is the
+//! content, byte for byte: what is written out for the user is what was digested.
 
 use crate::data_type::DataType;
 use crate::digest::{Digest, DigestBuilder};
@@ -64,9 +65,12 @@ impl DiagnosisMeta {
         if self.kind == needed {
             return Ok(());
         }
-        Err(NodeError::usage(format!("`{port}` takes a diagnosis of kind {needed}, and this one is of kind {}", self.kind))
-            .hint("`photocurrent nodes` says which node gives which")
-            .blames(DataType::Diagnosis))
+        Err(NodeError::usage(format!(
+            "`{port}` takes a diagnosis of kind {needed}, and this one is of kind {}",
+            self.kind
+        ))
+        .hint("`photocurrent nodes` says which node gives which")
+        .blames(DataType::Diagnosis))
     }
 }
 
@@ -82,12 +86,23 @@ impl Diagnosis {
     ///
     /// # Errors
     /// When it cannot be read again as it is: a number in it is not finite, which JSON has no word for.
-    pub fn of<T: Serialize + DeserializeOwned + PartialEq>(kind: DiagnosisKind, found: &T) -> Result<Diagnosis, DataError> {
-        let text = serde_json::to_string(found).map_err(|error| DataError::new(format!("a diagnosis of kind {kind} cannot be written as JSON: {error}")))?;
+    pub fn of<T: Serialize + DeserializeOwned + PartialEq>(
+        kind: DiagnosisKind,
+        found: &T,
+    ) -> Result<Diagnosis, DataError> {
+        let text = serde_json::to_string(found).map_err(|error| {
+            DataError::new(format!(
+                "a diagnosis of kind \
+                                                            {kind} cannot be written as JSON: {error}"
+            ))
+        })?;
         let document = Diagnosis { kind, text };
         let again: T = document.read()?;
         if again != *found {
-            return Err(DataError::new(format!("a diagnosis of kind {kind} is not the same after it was written as JSON: a number in it is not finite")));
+            return Err(DataError::new(format!(
+                "a diagnosis of kind {kind} is not the same after it was \
+                                               written as JSON: a number in it is not finite"
+            )));
         }
         Ok(document)
     }
@@ -118,7 +133,13 @@ impl Diagnosis {
     /// # Errors
     /// When the text does not say it: another version of the program made it.
     pub fn read<T: DeserializeOwned>(&self) -> Result<T, DataError> {
-        serde_json::from_str(&self.text).map_err(|error| DataError::new(format!("a diagnosis of kind {} cannot be read: {error}", self.kind)))
+        serde_json::from_str(&self.text).map_err(|error| {
+            DataError::new(format!(
+                "a diagnosis of kind {} \
+                                                            cannot be read: {error}",
+                self.kind
+            ))
+        })
     }
 
     /// The name of the content.
@@ -156,13 +177,23 @@ mod tests {
     fn a_text_is_kept_byte_for_byte_and_must_be_json() {
         let text = "{\n  \"verdict\": \"named\"\n}\n";
         assert_eq!(Diagnosis::from_text(DiagnosisKind::Report, text.into()).unwrap().text(), text);
-        assert!(Diagnosis::from_text(DiagnosisKind::Report, "{".into()).unwrap_err().message.contains("kind report is no JSON"));
+        assert!(
+            Diagnosis::from_text(DiagnosisKind::Report, "{".into())
+                .unwrap_err()
+                .message
+                .contains("kind report is no JSON")
+        );
     }
 
     #[test]
     fn another_stage_is_refused_by_name() {
         let meta = DiagnosisMeta { kind: DiagnosisKind::Page };
         assert!(meta.need(DiagnosisKind::Page, "page").is_ok());
-        assert_eq!(meta.need(DiagnosisKind::Report, "report").unwrap_err().message, "`report` takes a diagnosis of kind report, and this one is of kind page");
+        assert_eq!(
+            meta.need(DiagnosisKind::Report, "report").unwrap_err().message,
+            "`report` takes a \
+                                                            diagnosis of kind report, and this one is of \
+                                                            kind page"
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! The name of a content: a BLAKE3 hash over framed fields.
 //!
-//! Each field is preceded by its length, so that no two different sequences of fields hash alike.
-//! Numbers are little-endian. The bytes of an HDF5 file never enter: two libraries may store one content differently.
+//! Each field is preceded by its length, so that no two different sequences of fields hash alike. Numbers are
+//! little-endian. The bytes of an HDF5 file never enter: two libraries may store one content differently.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -118,8 +118,13 @@ impl DigestBuilder {
 
     /// A slice of plain numbers, as its little-endian bytes.
     pub fn slice<T: bytemuck::Pod>(&mut self, values: &[T]) -> &mut Self {
-        // The tool is built for little-endian machines only; `LITTLE_ENDIAN` below makes that a compile error elsewhere.
-        const LITTLE_ENDIAN: () = assert!(cfg!(target_endian = "little"), "digests are defined over little-endian bytes");
+        // The tool is built for little-endian machines only; `LITTLE_ENDIAN` below makes that a compile error
+        // elsewhere.
+        const LITTLE_ENDIAN: () = assert!(
+            cfg!(target_endian = "little"),
+            "digests are defined over \
+                                                            little-endian bytes"
+        );
         #[allow(clippy::let_unit_value)]
         let () = LITTLE_ENDIAN;
         self.framed(bytemuck::cast_slice(values))

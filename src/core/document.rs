@@ -1,8 +1,8 @@
 //! TOML with its positions kept, so that every mistake can be shown where it stands.
 //!
-//! Converting a `toml::Table` to a struct loses the spans. So a text becomes a [`Tree`] whose every key and value knows its origin;
-//! manifests overlay such trees, [`crate::schema`] checks them, and only what passed is turned into a struct. A mistake is a [`Problem`]: data,
-//! rendered in one place by the command.
+//! Converting a `toml::Table` to a struct loses the spans. So a text becomes a [`Tree`] whose every key and
+//! value knows its origin; manifests overlay such trees, [`crate::schema`] checks them, and only what passed
+//! is turned into a struct. A mistake is a [`Problem`]: data, rendered in one place by the command.
 
 use std::fmt;
 use std::ops::Range;
@@ -113,8 +113,8 @@ impl Problem {
     }
 }
 
-/// The known name nearest to `found`, when it is near enough to be a slip of the hand: less than half of the letters differ, and of a long
-/// name few.
+/// The known name nearest to `found`, when it is near enough to be a slip of the hand: less than half of the
+/// letters differ, and of a long name few.
 pub fn nearest<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     known
         .into_iter()
@@ -246,7 +246,9 @@ pub fn parse(source: &Arc<Source>) -> Result<Table, Vec<Problem>> {
         .map(|error| {
             let span = error.span().unwrap_or(0..0);
             let message = match error.message().trim_end() {
-                "duplicate key" => format!("not TOML: `{}` stands twice", source.text.get(span.clone()).unwrap_or_default()),
+                "duplicate key" => {
+                    format!("not TOML: `{}` stands twice", source.text.get(span.clone()).unwrap_or_default())
+                }
                 other => format!("not TOML: {other}"),
             };
             Problem::at(&Origin { source: source.clone(), span }, message)
@@ -262,7 +264,10 @@ fn convert_table(source: &Arc<Source>, table: &toml::de::DeTable<'_>, problems: 
     let mut entries: Vec<(Key, Tree)> = table
         .iter()
         .map(|(key, value)| {
-            let key = Key { name: key.get_ref().to_string(), origin: Origin { source: source.clone(), span: key.span() } };
+            let key = Key {
+                name: key.get_ref().to_string(),
+                origin: Origin { source: source.clone(), span: key.span() },
+            };
             (key, convert(source, value, problems))
         })
         .collect();
@@ -271,7 +276,11 @@ fn convert_table(source: &Arc<Source>, table: &toml::de::DeTable<'_>, problems: 
 }
 
 #[cfg(feature = "graph")]
-fn convert(source: &Arc<Source>, value: &serde_spanned::Spanned<toml::de::DeValue<'_>>, problems: &mut Vec<Problem>) -> Tree {
+fn convert(
+    source: &Arc<Source>,
+    value: &serde_spanned::Spanned<toml::de::DeValue<'_>>,
+    problems: &mut Vec<Problem>,
+) -> Tree {
     use toml::de::DeValue;
     let origin = Origin { source: source.clone(), span: value.span() };
     let item = match value.get_ref() {
@@ -286,7 +295,9 @@ fn convert(source: &Arc<Source>, value: &serde_spanned::Spanned<toml::de::DeValu
         DeValue::Float(number) => Item::Float(number.as_str().parse().unwrap_or(f64::NAN)),
         DeValue::Boolean(value) => Item::Boolean(*value),
         DeValue::Datetime(date) => Item::Datetime(date.to_string()),
-        DeValue::Array(items) => Item::Array(items.iter().map(|item| convert(source, item, problems)).collect()),
+        DeValue::Array(items) => {
+            Item::Array(items.iter().map(|item| convert(source, item, problems)).collect())
+        }
         DeValue::Table(table) => Item::Table(convert_table(source, table, problems)),
     };
     Tree { item, origin }

@@ -71,7 +71,16 @@ pub struct NodeError {
 
 impl NodeError {
     fn with(trouble: Trouble, message: impl Into<String>) -> NodeError {
-        NodeError { trouble, message: message.into(), notes: Vec::new(), hint: None, param: None, blamed_input: None, problems: Vec::new(), lacks: Vec::new() }
+        NodeError {
+            trouble,
+            message: message.into(),
+            notes: Vec::new(),
+            hint: None,
+            param: None,
+            blamed_input: None,
+            problems: Vec::new(),
+            lacks: Vec::new(),
+        }
     }
 
     /// The parameters or the wiring cannot work.

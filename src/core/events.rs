@@ -1,7 +1,8 @@
 //! Events: ON and OFF steps of log light, each with its pixel and stamps.
 //!
-//! Canonical order is (y, t, x): row by row, and inside a row by off-pixel time, then column, ties in file order. So a row band
-//! is one contiguous piece, and a pixel's events are found by one counting sort of a row ([`EventRow::by_pixel`]).
+//! Canonical order is (y, t, x): row by row, and inside a row by off-pixel time, then column, ties in file
+//! order. So a row band is one contiguous piece, and a pixel's events are found by one counting sort of a row
+//! ([`EventRow::by_pixel`]).
 
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
@@ -41,7 +42,8 @@ impl Polarity {
 pub struct EventsMeta {
     /// Size of the sensor.
     pub extent: Extent,
-    /// The time that the stream covers, at least from the first stamp to just after the last; `None` when that is not known and there is no event.
+    /// The time that the stream covers, at least from the first stamp to just after the last; `None` when
+    /// that is not known and there is no event.
     pub span: Option<TimeSpan>,
     /// Does every event carry its in-pixel time?
     pub has_t_in: bool,
@@ -132,12 +134,19 @@ impl EventBand {
         })
     }
 
-    /// Puts columns in file order (usually by time) into canonical order: one counting sort by row, then only rows that are out of time order and
-    /// equal stamps are sorted; ties keep file order.
+    /// Puts columns in file order (usually by time) into canonical order: one counting sort by row, then only
+    /// rows that are out of time order and equal stamps are sorted; ties keep file order.
     ///
     /// # Errors
     /// When columns differ in length or an event lies outside `rows`.
-    pub fn from_file_order(rows: Rows, y: &[u16], x: &[u16], on: &[u8], t: &[i64], t_in: Option<&[i64]>) -> Result<EventBand, DataError> {
+    pub fn from_file_order(
+        rows: Rows,
+        y: &[u16],
+        x: &[u16],
+        on: &[u8],
+        t: &[i64],
+        t_in: Option<&[i64]>,
+    ) -> Result<EventBand, DataError> {
         let n = y.len();
         if x.len() != n || on.len() != n || t.len() != n || t_in.is_some_and(|column| column.len() != n) {
             return Err(DataError::new("the columns of an event band do not fit each other"));
@@ -169,7 +178,15 @@ impl EventBand {
             order.iter().map(|&i| column[i]).collect()
         }
         let t_in = t_in.map(|column| gather(&order, column));
-        EventBand::from_columns(rows.start, offsets, gather(&order, x), gather(&order, on), gather(&order, t), t_in, None)
+        EventBand::from_columns(
+            rows.start,
+            offsets,
+            gather(&order, x),
+            gather(&order, on),
+            gather(&order, t),
+            t_in,
+            None,
+        )
     }
 
     /// The band with events of one time, pixel and sign once each.
@@ -195,7 +212,15 @@ impl EventBand {
         }
         let t_in = self.t_in.as_ref().map(|column| pick(&kept, column));
         let step = self.step.as_ref().map(|column| pick(&kept, column));
-        EventBand::from_columns(self.start_row, offsets, pick(&kept, &self.x), pick(&kept, &self.on), pick(&kept, &self.t), t_in, step)
+        EventBand::from_columns(
+            self.start_row,
+            offsets,
+            pick(&kept, &self.x),
+            pick(&kept, &self.on),
+            pick(&kept, &self.t),
+            t_in,
+            step,
+        )
     }
 
     /// From columns that are in canonical order already; `offsets` has one entry per row and a last one.
@@ -213,9 +238,13 @@ impl EventBand {
     ) -> Result<EventBand, DataError> {
         let band = EventBand { start_row, offsets, x, on, t, t_in, step };
         let n = band.t.len();
-        let lengths =
-            band.x.len() == n && band.on.len() == n && band.t_in.as_ref().is_none_or(|c| c.len() == n) && band.step.as_ref().is_none_or(|c| c.len() == n);
-        let rising = band.offsets.first() == Some(&0) && band.offsets.last() == Some(&n) && band.offsets.windows(2).all(|w| w[0] <= w[1]);
+        let lengths = band.x.len() == n
+            && band.on.len() == n
+            && band.t_in.as_ref().is_none_or(|c| c.len() == n)
+            && band.step.as_ref().is_none_or(|c| c.len() == n);
+        let rising = band.offsets.first() == Some(&0)
+            && band.offsets.last() == Some(&n)
+            && band.offsets.windows(2).all(|w| w[0] <= w[1]);
         if !lengths || !rising || !band.rows().iter().all(|row| band.row(row).t.is_sorted()) {
             return Err(DataError::new("the columns of an event band do not fit each other"));
         }
@@ -452,13 +481,21 @@ mod tests {
     #[test]
     fn what_is_there_twice_stays_once_and_other_signs_stay() {
         let event = |t, x, on| Event { x, y: 3, polarity: Polarity::from_bit(on), t, t_in: Some(t) };
-        let events = vec![event(5, 1, 1), event(5, 1, 1), event(5, 1, 0), event(5, 1, 1), event(5, 2, 1), event(6, 1, 1)];
+        let events = vec![
+            event(5, 1, 1),
+            event(5, 1, 1),
+            event(5, 1, 0),
+            event(5, 1, 1),
+            event(5, 2, 1),
+            event(6, 1, 1),
+        ];
         let band = EventBand::from_events(ROWS, events).unwrap().without_duplicates().unwrap();
         let row = band.row(3);
         assert_eq!((row.t, row.x, row.on), (&[5, 5, 5, 6][..], &[1, 1, 2, 1][..], &[1, 0, 1, 1][..]));
         let all = EventBand::from_events(ROWS, some_events(500)).unwrap();
         let once = all.clone().without_duplicates().unwrap();
-        let distinct: std::collections::BTreeSet<_> = some_events(500).iter().map(|e| (e.y, e.t, e.x, e.polarity == Polarity::On)).collect();
+        let distinct: std::collections::BTreeSet<_> =
+            some_events(500).iter().map(|e| (e.y, e.t, e.x, e.polarity == Polarity::On)).collect();
         assert_eq!(once.t.len(), distinct.len());
     }
 
@@ -474,7 +511,11 @@ mod tests {
     #[test]
     fn equal_stamps_keep_file_order() {
         let event = |on| Event { x: 1, y: 2, polarity: on, t: 5, t_in: None };
-        let band = EventBand::from_events(ROWS, vec![event(Polarity::Off), event(Polarity::On), event(Polarity::Off)]).unwrap();
+        let band = EventBand::from_events(
+            ROWS,
+            vec![event(Polarity::Off), event(Polarity::On), event(Polarity::Off)],
+        )
+        .unwrap();
         assert_eq!(band.on, [0, 1, 0]);
     }
 
@@ -498,7 +539,8 @@ mod tests {
         let on: Vec<u8> = events.iter().map(|e| u8::from(e.polarity == Polarity::On)).collect();
         let t: Vec<i64> = events.iter().map(|e| e.t).collect();
         let t_in: Vec<i64> = events.iter().map(|e| e.t_in.unwrap()).collect();
-        let band = EventBand::from_file_order(ROWS, &column(|e| e.y), &column(|e| e.x), &on, &t, Some(&t_in)).unwrap();
+        let band = EventBand::from_file_order(ROWS, &column(|e| e.y), &column(|e| e.x), &on, &t, Some(&t_in))
+            .unwrap();
         assert_eq!(band, EventBand::from_events(ROWS, events).unwrap());
         assert!(EventBand::from_file_order(Rows { start: 0, end: 1 }, &[1], &[0], &[0], &[0], None).is_err());
     }

@@ -18,7 +18,8 @@ impl Extent {
         self.width as usize * self.height as usize
     }
 
-    /// How many of these pixels lie along the side of one of `coarse`; `None` when it is no whole number, or another one for width and height.
+    /// How many of these pixels lie along the side of one of `coarse`; `None` when it is no whole number, or
+    /// another one for width and height.
     ///
     /// ```
     /// use photocurrent_core::Extent;
@@ -28,7 +29,10 @@ impl Extent {
     /// ```
     pub fn multiple_of(&self, coarse: Extent) -> Option<u32> {
         let ratio = self.width.checked_div(coarse.width)?;
-        (ratio > 0 && coarse.width.checked_mul(ratio) == Some(self.width) && coarse.height.checked_mul(ratio) == Some(self.height)).then_some(ratio)
+        (ratio > 0
+            && coarse.width.checked_mul(ratio) == Some(self.width)
+            && coarse.height.checked_mul(ratio) == Some(self.height))
+        .then_some(ratio)
     }
 
     /// All rows.

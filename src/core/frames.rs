@@ -1,8 +1,9 @@
 //! Frames: digital numbers of whole pictures, captured or rendered, each row with its own exposure.
 //!
-//! A sequence is read by row band and by range of frames. Its times stand in [`FrameTimes`]: the exposure of row 0 of every
-//! frame, and how much later each further row starts. A captured frame's DN belongs to its own exposure;
-//! a rendered one's is scaled to a nominal exposure, so that it compares with what the sensor records ([`FrameScale`]).
+//! A sequence is read by row band and by range of frames. Its times stand in [`FrameTimes`]: the exposure of
+//! row 0 of every frame, and how much later each further row starts. A captured frame's DN belongs to its own
+//! exposure; a rendered one's is scaled to a nominal exposure, so that it compares with what the sensor
+//! records ([`FrameScale`]).
 
 use crate::colour::Colour;
 use crate::digest::{Digest, DigestBuilder};
@@ -39,7 +40,12 @@ impl FrameTimes {
                 )));
             }
             if l > 0 && exposures[l - 1].start > exposure.start {
-                return Err(DataError::new(format!("frame {l} starts at {} ns, before frame {} at {} ns", exposure.start.0, l - 1, exposures[l - 1].start.0)));
+                return Err(DataError::new(format!(
+                    "frame {l} starts at {} ns, before frame {} at {} ns",
+                    exposure.start.0,
+                    l - 1,
+                    exposures[l - 1].start.0
+                )));
             }
         }
         Ok(FrameTimes { exposures: Arc::new(exposures), row_time_ns })
@@ -69,13 +75,17 @@ impl FrameTimes {
     /// Mean time from the start of one exposure to that of the next, ns; none of fewer than two.
     pub fn mean_period_ns(&self) -> Option<f64> {
         let (first, last) = (self.exposures.first()?, self.exposures.last()?);
-        (self.exposures.len() > 1).then(|| (last.start.0 - first.start.0) as f64 / (self.exposures.len() - 1) as f64)
+        (self.exposures.len() > 1)
+            .then(|| (last.start.0 - first.start.0) as f64 / (self.exposures.len() - 1) as f64)
     }
 
     /// From the first exposure's start to the last one's end, all rows of a sensor of `height` rows counted.
     pub fn span(&self, height: u32) -> Option<TimeSpan> {
         let shift = self.row_time_ns * i64::from(height.saturating_sub(1));
-        self.exposures.iter().map(|e| TimeSpan::new(e.start.0.min(e.start.0 + shift), e.end.0.max(e.end.0 + shift))).reduce(TimeSpan::union)
+        self.exposures
+            .iter()
+            .map(|e| TimeSpan::new(e.start.0.min(e.start.0 + shift), e.end.0.max(e.end.0 + shift)))
+            .reduce(TimeSpan::union)
     }
 
     /// Median exposure length in ns, the lower one of an even number: what "a frame of the recording" means.
@@ -87,7 +97,10 @@ impl FrameTimes {
 
     /// The times of some frames only.
     pub fn select(&self, frames: &[usize]) -> FrameTimes {
-        FrameTimes { exposures: Arc::new(frames.iter().map(|&l| self.exposures[l]).collect()), row_time_ns: self.row_time_ns }
+        FrameTimes {
+            exposures: Arc::new(frames.iter().map(|&l| self.exposures[l]).collect()),
+            row_time_ns: self.row_time_ns,
+        }
     }
 
     fn write_digest(&self, digest: &mut DigestBuilder) {
@@ -135,7 +148,11 @@ impl FramesMeta {
 
     /// Writes every attribute that is part of the content.
     pub(crate) fn write_digest(&self, digest: &mut DigestBuilder) {
-        digest.text("frames/1").integer(self.extent.width.into()).integer(self.extent.height.into()).integer(self.channels().into());
+        digest
+            .text("frames/1")
+            .integer(self.extent.width.into())
+            .integer(self.extent.height.into())
+            .integer(self.channels().into());
         // Grey frames and three channels are the content they were before mosaics had a name.
         if self.colour.is_mosaic() {
             digest.text(self.colour.name());
@@ -269,7 +286,12 @@ impl FrameSequence {
     /// When a row or frame is asked for that is not here, or the source cannot be read.
     pub fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
         if !self.rows.contains(rows) || frames.end > self.len() || frames.start > frames.end {
-            return Err(DataError::new(format!("frames {frames:?}, {rows} were asked for, but only 0..{}, {} are here", self.len(), self.rows)));
+            return Err(DataError::new(format!(
+                "frames {frames:?}, {rows} were asked for, but only 0..{}, {} \
+                                               are here",
+                self.len(),
+                self.rows
+            )));
         }
         self.source.read(frames, rows)
     }
@@ -290,7 +312,11 @@ impl FrameSequence {
     /// Some of the frames, in the given order, without copying.
     pub fn select(&self, frames: Vec<usize>) -> FrameSequence {
         let meta = FramesMeta { times: self.meta.times.select(&frames), ..(*self.meta).clone() };
-        FrameSequence { meta: Arc::new(meta), rows: self.rows, source: Arc::new(Selected { frames, of: self.clone() }) }
+        FrameSequence {
+            meta: Arc::new(meta),
+            rows: self.rows,
+            source: Arc::new(Selected { frames, of: self.clone() }),
+        }
     }
 
     /// Parts that follow each other without gap, as one sequence.
@@ -343,7 +369,8 @@ impl FrameSource for Spliced {
     }
 }
 
-/// True frames of simulated data. A type of its own, so that only a scorer's port takes them: no solver can be wired to them.
+/// True frames of simulated data. A type of its own, so that only a scorer's port takes them: no solver can
+/// be wired to them.
 #[derive(Clone)]
 pub struct Truth(pub FrameSequence);
 
@@ -391,7 +418,17 @@ mod tests {
 
     #[test]
     fn an_exposure_must_have_a_length_and_frames_an_order() {
-        assert!(FrameTimes::new(vec![Exposure::new(5, 5)], 0).unwrap_err().message.contains("an exposure of 0 ns"));
-        assert!(FrameTimes::new(vec![Exposure::new(5, 9), Exposure::new(4, 9)], 0).unwrap_err().message.contains("before frame 0"));
+        assert!(
+            FrameTimes::new(vec![Exposure::new(5, 5)], 0)
+                .unwrap_err()
+                .message
+                .contains("an exposure of 0 ns")
+        );
+        assert!(
+            FrameTimes::new(vec![Exposure::new(5, 9), Exposure::new(4, 9)], 0)
+                .unwrap_err()
+                .message
+                .contains("before frame 0")
+        );
     }
 }

@@ -1,8 +1,9 @@
 //! A value is a handle: data is read by row band, whether it lives in memory or in the store.
 //!
-//! A second of one megapixel is hundreds of millions of events. So no node holds a whole recording; it asks a handle for
-//! the rows it works on. [`Handle`] is the common part of events, tracks and maps: what is known of the data (its meta), which
-//! rows are there, and a source to read them from. Frames, which are also read by time, have their own in [`crate::frames`].
+//! A second of one megapixel is hundreds of millions of events. So no node holds a whole recording; it asks a
+//! handle for the rows it works on. [`Handle`] is the common part of events, tracks and maps: what is known
+//! of the data (its meta), which rows are there, and a source to read them from. Frames, which are also read
+//! by time, have their own in [`crate::frames`].
 
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
@@ -73,8 +74,8 @@ pub trait BandSource<B>: Send + Sync {
         None
     }
 
-    /// Reads what of some rows is stamped within a window of time; only called with rows that the handle holds. A source that can leave out the rest without
-    /// reading it does.
+    /// Reads what of some rows is stamped within a window of time; only called with rows that the handle
+    /// holds. A source that can leave out the rest without reading it does.
     fn read_within(&self, rows: Rows, window: TimeSpan) -> Result<B, DataError>
     where
         B: InTime,
@@ -83,7 +84,8 @@ pub trait BandSource<B>: Send + Sync {
             return Ok(self.read(rows)?.within(window));
         }
         // Row by row, so that one at a time is held in full.
-        let bands: Result<Vec<B>, DataError> = rows.bands(1).into_iter().map(|row| Ok(self.read(row)?.within(window))).collect();
+        let bands: Result<Vec<B>, DataError> =
+            rows.bands(1).into_iter().map(|row| Ok(self.read(row)?.within(window))).collect();
         Ok(B::concat(bands?))
     }
 }
@@ -159,10 +161,19 @@ impl<M: BandMeta> Handle<M> {
     }
 
     fn check(&self, rows: Rows) -> Result<(), DataError> {
-        if self.rows.contains(rows) { Ok(()) } else { Err(DataError::new(format!("{rows} were asked for, but only {} are here", self.rows))) }
+        if self.rows.contains(rows) {
+            Ok(())
+        } else {
+            Err(DataError::new(format!(
+                "{rows} were asked for, \
+                                                            but only {} are here",
+                self.rows
+            )))
+        }
     }
 
-    /// Bytes that some rows take when they are read, where that is known without reading them; only of rows that are here.
+    /// Bytes that some rows take when they are read, where that is known without reading them; only of rows
+    /// that are here.
     pub fn bytes(&self, rows: Rows) -> Option<u64> {
         self.source.bytes(self.rows.intersect(rows))
     }
@@ -200,7 +211,8 @@ impl<M: BandMeta> BandSource<M::Band> for Spliced<M> {
             return self.0[0].read(Rows { start: self.0[0].rows.start, end: self.0[0].rows.start });
         }
         let overlapping = self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty());
-        let bands: Result<Vec<M::Band>, DataError> = overlapping.map(|part| part.read(part.rows.intersect(rows))).collect();
+        let bands: Result<Vec<M::Band>, DataError> =
+            overlapping.map(|part| part.read(part.rows.intersect(rows))).collect();
         Ok(M::Band::concat(bands?))
     }
 
@@ -212,11 +224,13 @@ impl<M: BandMeta> BandSource<M::Band> for Spliced<M> {
     where
         M::Band: InTime,
     {
-        let overlapping: Vec<&Handle<M>> = self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty()).collect();
+        let overlapping: Vec<&Handle<M>> =
+            self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty()).collect();
         if overlapping.is_empty() {
             return self.read(rows);
         }
-        let bands: Result<Vec<M::Band>, DataError> = overlapping.into_iter().map(|part| part.read_within(part.rows.intersect(rows), window)).collect();
+        let bands: Result<Vec<M::Band>, DataError> =
+            overlapping.into_iter().map(|part| part.read_within(part.rows.intersect(rows), window)).collect();
         Ok(M::Band::concat(bands?))
     }
 }

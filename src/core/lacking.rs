@@ -1,7 +1,9 @@
-//! Fields that a sensor description does not state although somebody needs them: what each one is, and how it is written.
+//! Fields that a sensor description does not state although somebody needs them: what each one is, and how it
+//! is written.
 //!
-//! A pipeline's nodes ask for fields one after the other, and each refuses at the first that is absent. So that a person writes all of them in one go, the planner
-//! goes on with example values ([`with_examples`]) after a refusal and hears what else is missing. Nothing ever runs with them.
+//! A pipeline's nodes ask for fields one after the other, and each refuses at the first that is absent. So
+//! that a person writes all of them in one go, the planner goes on with example values ([`with_examples`])
+//! after a refusal and hears what else is missing. Nothing ever runs with them.
 
 use crate::sensor::Sensor;
 use serde_json::{Map, Value, json};
@@ -20,16 +22,39 @@ pub struct Needed {
 /// Every field that a node asks for.
 pub const NEEDED: [Needed; 11] = [
     Needed { path: "front_end.tau_0", example: "\"20 us\"", about: "time constant in bright light" },
-    Needed { path: "front_end.alpha", example: "\"12 ms\"", about: "how the time constant grows in the dark: time times photocurrent unit" },
+    Needed {
+        path: "front_end.alpha",
+        example: "\"12 ms\"",
+        about: "how the time constant grows in the \
+                                                            dark: time times photocurrent unit",
+    },
     Needed { path: "comparator.threshold_on", example: "0.2", about: "ON threshold, natural-log units" },
     Needed { path: "comparator.threshold_off", example: "0.2", about: "OFF threshold, natural-log units" },
-    Needed { path: "readout.refractory", example: "\"50 us\"", about: "blind time of a pixel after an event" },
-    Needed { path: "readout.latency_min", example: "\"1 us\"", about: "smallest delay from the pixel to the stamp" },
+    Needed {
+        path: "readout.refractory",
+        example: "\"50 us\"",
+        about: "blind time of a pixel after an event",
+    },
+    Needed {
+        path: "readout.latency_min",
+        example: "\"1 us\"",
+        about: "smallest delay from the pixel to the stamp",
+    },
     Needed { path: "frames.gain", example: "1000.0", about: "DN per second and photocurrent unit" },
     Needed { path: "frames.black_level_dn", example: "0.0", about: "DN of darkness" },
     Needed { path: "frames.saturation_dn", example: "1023.0", about: "DN of a full pixel" },
-    Needed { path: "frames.row_time", example: "\"0 us\"", about: "delay from one row's exposure to the next; 0 is a global shutter" },
-    Needed { path: "optics.photocurrent_per_lux", example: "0.001", about: "photocurrent units per lux on the scene" },
+    Needed {
+        path: "frames.row_time",
+        example: "\"0 us\"",
+        about: "delay from one row's exposure to the \
+                                                            next; 0 is a global shutter",
+    },
+    Needed {
+        path: "optics.photocurrent_per_lux",
+        example: "0.001",
+        about: "photocurrent units per lux on \
+                                                            the scene",
+    },
 ];
 
 /// A field by its path.
@@ -59,7 +84,9 @@ pub fn as_toml(paths: &[String]) -> String {
     }
     for table in tables {
         text += &format!("[{table}]\n");
-        for (path, field) in paths.iter().filter_map(|path| path.split_once('.').filter(|(of, _)| *of == table).map(|(_, field)| (path, field))) {
+        for (path, field) in paths.iter().filter_map(|path| {
+            path.split_once('.').filter(|(of, _)| *of == table).map(|(_, field)| (path, field))
+        }) {
             let (example, about) = needed(path).map_or(("...", ""), |needed| (needed.example, needed.about));
             text += &format!("{field} = {example}  # {about}\n");
         }

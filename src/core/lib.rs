@@ -4,8 +4,8 @@
 //!
 //! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
 //! - [`colour`]: grey, three channels, or a mosaic of filters.
-//! - [`sensor`]: the sensor description. [`error`]: what can go wrong. [`document`]: texts with their positions
-//!   kept, so that a mistake can be shown where it stands.
+//! - [`sensor`]: the sensor description. [`error`]: what can go wrong. [`document`]: texts with their
+//!   positions kept, so that a mistake can be shown where it stands.
 //! - [`random`]: numbers that depend on (seed, pixel, index) only.
 //!
 //! With the feature `data`, recordings and results in memory:
@@ -18,10 +18,11 @@
 //!
 //! With the feature `graph`, which is on by default and includes `data`:
 //!
-//! - [`value`]: the closed set of things that flow between nodes, and [`Meta`], what is known of them before data.
+//! - [`value`]: the closed set of things that flow between nodes, and [`Meta`], what is known of them before
+//!   data.
 //! - [`node`], [`ports`]: what a node is, what its sockets are.
-//! - [`schema`]: documents checked against parameter structs. [`lacking`]: fields that a sensor description does
-//!   not state.
+//! - [`schema`]: documents checked against parameter structs. [`lacking`]: fields that a sensor description
+//!   does not state.
 //! - [`testing`]: small helpers that the tests of several crates share.
 //!
 //! ```

@@ -1,8 +1,9 @@
 //! Light: the photocurrent that a scene causes in every pixel over time, what a simulated sensor looks at.
 //!
-//! A pixel's light is a list of instants with a photocurrent each, positive and finite. Between two instants it is **linear** (a track,
-//! [`crate::tracks`], holds); before the first it is the first, after the last the last. A pixel has at least one instant,
-//! and one is enough where nothing moves. How instants are kept: [`crate::series`].
+//! A pixel's light is a list of instants with a photocurrent each, positive and finite. Between two instants
+//! it is **linear** (a track, [`crate::tracks`], holds); before the first it is the first, after the last the
+//! last. A pixel has at least one instant, and one is enough where nothing moves. How instants are kept:
+//! [`crate::series`].
 
 use crate::colour::Colour;
 use crate::digest::DigestBuilder;
@@ -19,7 +20,8 @@ pub struct LightMeta {
     pub extent: Extent,
     /// The time in which the light is known.
     pub span: TimeSpan,
-    /// Grey, red, green and blue of every pixel (three series, one after the other), or what a mosaic of filters lets through.
+    /// Grey, red, green and blue of every pixel (three series, one after the other), or what a mosaic of
+    /// filters lets through.
     #[serde(default)]
     pub colour: Colour,
     /// About how many instants all pixels have together, for memory estimates only: no part of the content.
@@ -60,7 +62,8 @@ pub type Light = Handle<LightMeta>;
 /// The light of some rows: linear from `(t[k], photocurrent[k])` to the next.
 pub type LightBand = SeriesBand<LightMeta>;
 
-/// The photocurrent of one pixel's light at an instant; `None` for a pixel without instants, which valid light does not have.
+/// The photocurrent of one pixel's light at an instant; `None` for a pixel without instants, which valid
+/// light does not have.
 ///
 /// ```
 /// use photocurrent_core::{light, series::Series};

@@ -46,7 +46,12 @@ impl MapBand {
     /// All zero.
     pub fn zeros(rows: Rows, meta: &MapMeta) -> MapBand {
         let planes = meta.planes.len();
-        MapBand { rows, width: meta.extent.width, values: vec![0.0; rows.len() * planes * meta.extent.width as usize], planes }
+        MapBand {
+            rows,
+            width: meta.extent.width,
+            values: vec![0.0; rows.len() * planes * meta.extent.width as usize],
+            planes,
+        }
     }
 
     /// From values as [row][plane][x]; `None` when their number does not fit.
@@ -94,7 +99,8 @@ impl Band for MapBand {
     }
 
     fn slice(&self, rows: Rows) -> MapBand {
-        let range = (rows.start - self.rows.start) as usize * self.row_values()..(rows.end - self.rows.start) as usize * self.row_values();
+        let range = (rows.start - self.rows.start) as usize * self.row_values()
+            ..(rows.end - self.rows.start) as usize * self.row_values();
         MapBand { rows, values: self.values[range].to_vec(), ..*self }
     }
 

@@ -1,7 +1,8 @@
 //! Some rows of a value as a value by itself, and back: how a row band is kept in a file of its own.
 //!
-//! A band that is kept begins at row 0 of a sensor that is as high as the band, so that every layout takes it as it is. When it is read again, its rows go
-//! back to where they were. No number changes, so the digests of rows stay.
+//! A band that is kept begins at row 0 of a sensor that is as high as the band, so that every layout takes it
+//! as it is. When it is read again, its rows go back to where they were. No number changes, so the digests of
+//! rows stay.
 
 use crate::error::DataError;
 use crate::extent::{Extent, Rows};
@@ -42,7 +43,8 @@ impl Meta {
     /// The same of a sensor with so many rows; of what is not banded, the same.
     pub(crate) fn with_height(&self, height: u32) -> Meta {
         let of = |extent: Extent| Extent { height, ..extent };
-        let frames = |meta: &Arc<FramesMeta>| Arc::new(FramesMeta { extent: of(meta.extent), ..(**meta).clone() });
+        let frames =
+            |meta: &Arc<FramesMeta>| Arc::new(FramesMeta { extent: of(meta.extent), ..(**meta).clone() });
         macro_rules! cut {
             ($variant:ident, $meta:expr) => {{
                 let mut meta = (**$meta).clone();
@@ -70,7 +72,8 @@ impl Value {
         self.at(&self.meta().with_height(all.end), all, -i64::from(rows.start))
     }
 
-    /// Undoes [`Value::alone`]: the value's rows as those from `first_row` on of what `whole` says; `None` when it is no part of that.
+    /// Undoes [`Value::alone`]: the value's rows as those from `first_row` on of what `whole` says; `None`
+    /// when it is no part of that.
     pub fn placed(&self, whole: &Meta, first_row: u32) -> Option<Value> {
         let Some(rows) = self.rows() else { return (self.meta() == *whole).then(|| self.clone()) };
         let placed = Rows { start: first_row, end: first_row.checked_add(rows.end)? };
@@ -84,7 +87,9 @@ impl Value {
                 Value::$variant(Handle::new($meta.clone(), rows, Arc::new(Moved { of: $value.clone(), by })))
             };
         }
-        let frames = |of: &FrameSequence, meta: &Arc<FramesMeta>| FrameSequence::new(meta.clone(), rows, Arc::new(Moved { of: of.clone(), by }));
+        let frames = |of: &FrameSequence, meta: &Arc<FramesMeta>| {
+            FrameSequence::new(meta.clone(), rows, Arc::new(Moved { of: of.clone(), by }))
+        };
         match (self, meta) {
             (Value::Events(value), Meta::Events(meta)) => moved!(Events, value, meta),
             (Value::Tracks(value), Meta::Tracks(meta)) => moved!(Tracks, value, meta),
@@ -112,7 +117,10 @@ mod tests {
         let whole = Value::Light(Light::in_memory(Arc::new(meta), band));
         let rows = Rows { start: 2, end: 5 };
         let alone = whole.cut(rows).alone();
-        assert_eq!((alone.rows(), alone.meta().rows()), (Some(Rows { start: 0, end: 3 }), Some(Rows { start: 0, end: 3 })));
+        assert_eq!(
+            (alone.rows(), alone.meta().rows()),
+            (Some(Rows { start: 0, end: 3 }), Some(Rows { start: 0, end: 3 }))
+        );
         assert_eq!(alone.bytes(Rows { start: 0, end: 3 }), whole.bytes(rows));
         let back = alone.placed(&whole.meta(), 2).unwrap();
         let read = |value: &Value| match value {

@@ -42,7 +42,8 @@ pub struct Decl {
     pub exports: bool,
     /// Papers and equations behind it.
     pub sources: &'static [&'static str],
-    /// A manifest fragment that uses it (`[nodes.x]` tables): checked by the conformance test, shown in the manual.
+    /// A manifest fragment that uses it (`[nodes.x]` tables): checked by the conformance test, shown in the
+    /// manual.
     pub example: &'static str,
 }
 
@@ -59,8 +60,9 @@ pub struct FileRef {
 pub trait Node: Sized + Send + Sync + 'static {
     /// What it says about itself.
     const DECL: Decl;
-    /// Is what it gives at some instant decided by what its inputs have near that instant? Then a long recording may be cut into blocks of time
-    /// that overlap (`pipeline.blocks`), the node run for each, and its events, frames or tracks joined.
+    /// Is what it gives at some instant decided by what its inputs have near that instant? Then a long
+    /// recording may be cut into blocks of time that overlap (`pipeline.blocks`), the node run for each, and
+    /// its events, frames or tracks joined.
     const LOCAL_IN_TIME: bool = false;
     /// Its parameters: doc comments are the manual, ranges and units the checks.
     type Params: DeserializeOwned + Serialize + JsonSchema + Default;
@@ -81,8 +83,8 @@ pub trait Node: Sized + Send + Sync + 'static {
     /// When these inputs cannot work, with the reason.
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError>;
 
-    /// How far an output element reaches with these inputs: asked after [`Node::plan`] accepted them. For a node that couples pixels only
-    /// when its inputs say so; all others leave it at what they declare.
+    /// How far an output element reaches with these inputs: asked after [`Node::plan`] accepted them. For a
+    /// node that couples pixels only when its inputs say so; all others leave it at what they declare.
     fn grain(&self, _inputs: &PortMetas) -> Grain {
         Self::DECL.grain
     }
@@ -167,8 +169,10 @@ impl Kind {
             local_in_time: N::LOCAL_IN_TIME,
             schema: schemars::schema_for!(N::Params).to_value(),
             build: |params| {
-                let params: N::Params = serde_json::from_value(params).map_err(|error| NodeError::usage(error.to_string()))?;
-                let canonical = serde_json::to_value(&params).map_err(|error| NodeError::usage(error.to_string()))?;
+                let params: N::Params =
+                    serde_json::from_value(params).map_err(|error| NodeError::usage(error.to_string()))?;
+                let canonical =
+                    serde_json::to_value(&params).map_err(|error| NodeError::usage(error.to_string()))?;
                 Ok(Built { node: Box::new(Erased(N::build(params)?)), params: canonical })
             },
         }
@@ -215,7 +219,12 @@ impl Catalogue {
     /// When a name appears twice.
     pub fn new(kinds: Vec<Kind>) -> Catalogue {
         for (i, kind) in kinds.iter().enumerate() {
-            assert!(kinds[..i].iter().all(|other| other.decl.kind != kind.decl.kind), "node kind {} is listed twice", kind.decl.kind);
+            assert!(
+                kinds[..i].iter().all(|other| other.decl.kind != kind.decl.kind),
+                "node kind {} is \
+                                                            listed twice",
+                kind.decl.kind
+            );
         }
         Catalogue { kinds, retired: &[] }
     }
@@ -242,7 +251,8 @@ impl Catalogue {
     }
 }
 
-/// Writes parameters for a key: object keys sorted, floats by their bits (`-0.0` folded), paths left out (their content counts, not their place).
+/// Writes parameters for a key: object keys sorted, floats by their bits (`-0.0` folded), paths left out
+/// (their content counts, not their place).
 pub fn canonical_params(params: &serde_json::Value, schema: &serde_json::Value) -> String {
     let mut params = params.clone();
     crate::schema::strip_paths(&mut params, schema);
@@ -289,7 +299,13 @@ mod tests {
     #[test]
     fn canonical_parameters_do_not_depend_on_key_order_or_on_the_sign_of_zero() {
         let schema = json!({});
-        assert_eq!(canonical_params(&json!({"a": 1.5, "b": [0.0, "x"]}), &schema), canonical_params(&json!({"b": [-0.0, "x"], "a": 1.5}), &schema));
-        assert_ne!(canonical_params(&json!({"a": 1.5}), &schema), canonical_params(&json!({"a": 1.5000000000000002}), &schema));
+        assert_eq!(
+            canonical_params(&json!({"a": 1.5, "b": [0.0, "x"]}), &schema),
+            canonical_params(&json!({"b": [-0.0, "x"], "a": 1.5}), &schema)
+        );
+        assert_ne!(
+            canonical_params(&json!({"a": 1.5}), &schema),
+            canonical_params(&json!({"a": 1.5000000000000002}), &schema)
+        );
     }
 }

@@ -23,12 +23,15 @@ pub(crate) fn offsets_of(ranges: &[Range<usize>]) -> Vec<usize> {
     offsets
 }
 
-/// Lists of several parts, `(offsets, column)` each, so that the first lists of all parts stand together, then the second ones.
+/// Lists of several parts, `(offsets, column)` each, so that the first lists of all parts stand together,
+/// then the second ones.
 pub(crate) fn interleaved<T: Copy>(parts: &[(&[usize], &[T])]) -> Vec<T> {
     let lists = parts.first().map_or(0, |(offsets, _)| offsets.len().saturating_sub(1));
     let mut all = Vec::with_capacity(parts.iter().map(|(_, column)| column.len()).sum());
     for list in 0..lists {
-        parts.iter().for_each(|(offsets, column)| all.extend_from_slice(&column[offsets[list]..offsets[list + 1]]));
+        parts
+            .iter()
+            .for_each(|(offsets, column)| all.extend_from_slice(&column[offsets[list]..offsets[list + 1]]));
     }
     all
 }

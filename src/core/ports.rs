@@ -1,7 +1,8 @@
 //! Ports: the sockets of a node. Typed inside the node, erased outside.
 //!
-//! A node declares its sockets as a struct with the [`ports!`](crate::ports!) macro; a field's Rust type says the data type and how many
-//! values may be plugged in: `EventStream` exactly one, `Option<FrameSequence>` none or one, `Vec<Arc<Table>>` one or more.
+//! A node declares its sockets as a struct with the [`ports!`](crate::ports!) macro; a field's Rust type says
+//! the data type and how many values may be plugged in: `EventStream` exactly one, `Option<FrameSequence>`
+//! none or one, `Vec<Arc<Table>>` one or more.
 
 use crate::data_type::DataType;
 use crate::diagnosis::{Diagnosis, DiagnosisMeta};
@@ -50,7 +51,8 @@ pub trait Port: Sized {
     const DATA_TYPE: DataType;
     /// How many.
     const ARITY: Arity;
-    /// From the values plugged in. The engine has checked type and number; anything else is a broken invariant.
+    /// From the values plugged in. The engine has checked type and number; anything else is a broken
+    /// invariant.
     fn take(values: Vec<Value>) -> Self;
     /// Back to values.
     fn give(self) -> Vec<Value>;
@@ -134,10 +136,10 @@ pub trait Ports: Sized {
 /// ```
 #[macro_export]
 macro_rules! ports {
-    ($(#[$doc:meta])* $vis:vis struct $name:ident { $(#[doc = $about:literal] $port:ident: $type:ty),* $(,)? }) => {
+    ($(#[$doc:meta])* $vis:vis struct $name:ident { $($(#[doc = $about:literal])+ $port:ident: $type:ty),* $(,)? }) => {
         $(#[$doc])*
         $vis struct $name {
-            $(#[doc = $about] pub $port: $type,)*
+            $($(#[doc = $about])+ pub $port: $type,)*
         }
 
         impl $crate::ports::Ports for $name {
@@ -146,7 +148,8 @@ macro_rules! ports {
                     name: stringify!($port),
                     data_type: <$type as $crate::ports::Port>::DATA_TYPE,
                     arity: <$type as $crate::ports::Port>::ARITY,
-                    about: $about.trim_ascii(),
+                    // Every line of a doc comment begins with a space.
+                    about: concat!($($about),+).trim_ascii(),
                 }),*]
             }
             #[allow(unused_mut, unused_variables)]
@@ -169,7 +172,8 @@ macro_rules! meta_of {
         $(#[$doc])*
         ///
         /// # Errors
-        /// When nothing of this type is there; the engine has checked that for required ports, so this is for optional ones.
+        /// When nothing of this type is there; the engine has checked that for required ports, so this is for
+        /// optional ones.
         pub fn $one(&self, port: &str) -> Result<&Arc<$meta>, NodeError> {
             self.0.get(port).and_then(|metas| metas.first()).and_then(|meta| match meta { Meta::$variant(meta) => Some(meta), _ => None })
                 .ok_or_else(|| NodeError::usage(format!("nothing is connected to `{port}`")))

@@ -1,7 +1,8 @@
 //! Values with a unit, written as text: `"100 us"`, `"10 kHz"`.
 //!
-//! A bare number where a unit is needed is an error that lists the units accepted. Times are exact: `"0.1 us"` is 100 ns, and
-//! a time between two nanoseconds becomes the nearer one, and one that would become zero is refused.
+//! A bare number where a unit is needed is an error that lists the units accepted. Times are exact:
+//! `"0.1 us"` is 100 ns, and a time between two nanoseconds becomes the nearer one, and one that would become
+//! zero is refused.
 
 #[cfg(feature = "graph")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -27,7 +28,8 @@ pub enum Dimension {
 
 impl Dimension {
     /// All of them.
-    pub const ALL: [Dimension; 4] = [Dimension::Time, Dimension::Rate, Dimension::Rotation, Dimension::Illuminance];
+    pub const ALL: [Dimension; 4] =
+        [Dimension::Time, Dimension::Rate, Dimension::Rotation, Dimension::Illuminance];
 
     /// The name in schemas: `time`, `rate`, `rotation`, `illuminance`.
     pub fn name(self) -> &'static str {
@@ -87,7 +89,8 @@ impl Dimension {
         let unit = unit.replace(['\u{b5}', '\u{3bc}'], "u");
         let size = self.units().iter().find(|(name, _)| *name == unit).map(|(_, size)| *size);
         let size = size.ok_or_else(|| {
-            let knows_it = |other: &Dimension| *other != self && other.units().iter().any(|(name, _)| *name == unit);
+            let knows_it =
+                |other: &Dimension| *other != self && other.units().iter().any(|(name, _)| *name == unit);
             bad(match Dimension::ALL.into_iter().find(knows_it) {
                 Some(other) => format!("`{unit}` is a unit of {}, not of {}", other.name(), self.name()),
                 None => format!("unknown unit `{unit}`"),
@@ -99,7 +102,8 @@ impl Dimension {
             if whole.abs() > i64::MAX as f64 / 4.0 {
                 return Err(bad(format!("`{text}` is longer than the clock can count (about 73 years)")));
             }
-            // Calibrations give time constants to the picosecond; the clock counts nanoseconds. Only a time that would vanish is refused.
+            // Calibrations give time constants to the picosecond; the clock counts nanoseconds. Only a time
+            // that would vanish is refused.
             if whole == 0.0 && base != 0.0 {
                 return Err(bad(format!("`{text}` is shorter than the clock can count (1 ns)")));
             }
@@ -111,8 +115,12 @@ impl Dimension {
     /// Writes a value in base units with the largest unit that leaves no fraction (or the base unit).
     pub fn write(self, base: f64) -> String {
         let whole = |size: f64| base != 0.0 && (base / size).fract() == 0.0;
-        let preferred =
-            self.units().iter().rev().find(|(name, size)| whole(*size) && *name != "fps" && *name != "min" && !(self == Dimension::Rotation && *name != "rpm"));
+        let preferred = self.units().iter().rev().find(|(name, size)| {
+            whole(*size)
+                && *name != "fps"
+                && *name != "min"
+                && !(self == Dimension::Rotation && *name != "rpm")
+        });
         let (name, size) = match (preferred, self) {
             (Some(unit), _) => *unit,
             (None, Dimension::Rotation) => ("rpm", 1.0),
@@ -239,7 +247,8 @@ impl Illuminance {
     }
 }
 
-/// A file to read, written relative to the file that names it. Its place is no part of a cache key; its content is.
+/// A file to read, written relative to the file that names it. Its place is no part of a cache key; its
+/// content is.
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct InputPath(PathBuf);
@@ -293,9 +302,18 @@ mod tests {
     #[test]
     fn a_bare_number_lists_the_units() {
         let error = "100".parse::<Duration>().unwrap_err().to_string();
-        assert_eq!(error, "`100` has no unit; expected a time such as \"100 us\" (units: ns, us, ms, s, min)");
+        assert_eq!(
+            error,
+            "`100` has no unit; expected a time such as \"100 us\" (units: ns, us, ms, s, min)"
+        );
         assert!("3 parsec".parse::<Rate>().unwrap_err().to_string().starts_with("unknown unit `parsec`"));
-        assert!("0.3 ns".parse::<Duration>().unwrap_err().to_string().contains("shorter than the clock can count"));
+        assert!(
+            "0.3 ns"
+                .parse::<Duration>()
+                .unwrap_err()
+                .to_string()
+                .contains("shorter than the clock can count")
+        );
     }
 
     #[test]
@@ -305,13 +323,21 @@ mod tests {
         assert_eq!(said("10 kHz".parse::<Duration>().unwrap_err()), "`kHz` is a unit of rate, not of time");
         assert_eq!(said("fast Hz".parse::<Rate>().unwrap_err()), "`fast Hz` does not begin with a number");
         for text in ["9e12 s", "-9e12 s", "9e300 min"] {
-            assert_eq!(said(text.parse::<Duration>().unwrap_err()), format!("`{text}` is longer than the clock can count (about 73 years)"));
+            assert_eq!(
+                said(text.parse::<Duration>().unwrap_err()),
+                format!(
+                    "`{text}` is longer than the \
+                                                            clock can count (about 73 years)"
+                )
+            );
         }
     }
 
     #[test]
     fn one_quantity_has_one_text() {
-        for (text, canonical) in [("0.1 ms", "100 us"), ("1000 us", "1 ms"), ("0 s", "0 ns"), ("1500 ns", "1500 ns")] {
+        for (text, canonical) in
+            [("0.1 ms", "100 us"), ("1000 us", "1 ms"), ("0 s", "0 ns"), ("1500 ns", "1500 ns")]
+        {
             assert_eq!(text.parse::<Duration>().unwrap().to_string(), canonical);
         }
         assert_eq!("10000 Hz".parse::<Rate>().unwrap().to_string(), "10 kHz");

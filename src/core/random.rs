@@ -1,8 +1,9 @@
 //! Random numbers that depend on (seed, stream, index) and on nothing else.
 //!
-//! A node that draws gets the same numbers whatever the row bands, threads or order of work, because each pixel
-//! has its own stream. The generator is SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) started from a mix of the seed and the
-//! stream's coordinates; transforms use the `libm` crate, so the bits are equal on every machine.
+//! A node that draws gets the same numbers whatever the row bands, threads or order of work, because each
+//! pixel has its own stream. The generator is SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) started from a mix
+//! of the seed and the stream's coordinates; transforms use the `libm` crate, so the bits are equal on every
+//! machine.
 
 /// A stream of random numbers.
 #[derive(Clone, Debug)]
@@ -19,7 +20,9 @@ fn mix(mut z: u64) -> u64 {
 impl Random {
     /// The stream at some coordinates, such as `[x, y, purpose]`.
     pub fn new(seed: u64, stream: &[u64]) -> Random {
-        let state = stream.iter().fold(mix(seed ^ 0x9e37_79b9_7f4a_7c15), |state, &s| mix(state.rotate_left(23) ^ mix(s.wrapping_add(0x9e37_79b9_7f4a_7c15))));
+        let state = stream.iter().fold(mix(seed ^ 0x9e37_79b9_7f4a_7c15), |state, &s| {
+            mix(state.rotate_left(23) ^ mix(s.wrapping_add(0x9e37_79b9_7f4a_7c15)))
+        });
         Random { state }
     }
 

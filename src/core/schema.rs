@@ -1,9 +1,11 @@
-//! Checks a [`Tree`] against the JSON Schema that a `Params` struct generates, reporting every mistake at its place.
+//! Checks a [`Tree`] against the JSON Schema that a `Params` struct generates, reporting every mistake at its
+//! place.
 //!
-//! The struct stays the only statement of what is allowed: its doc comments, ranges and units become the schema (through `schemars`), the
-//! schema becomes checks here, the manual, and completion in an editor. Beyond JSON Schema there are five keys of ours: `x-quantity` (a text with
-//! a unit, see [`crate::quantity`]), `x-min` and `x-max` (bounds of a quantity, with unit), `x-path` (a path, relative to the file that wrote it),
-//! and `x-example` (what to write instead of a value of the wrong form).
+//! The struct stays the only statement of what is allowed: its doc comments, ranges and units become the
+//! schema (through `schemars`), the schema becomes checks here, the manual, and completion in an editor.
+//! Beyond JSON Schema there are five keys of ours: `x-quantity` (a text with a unit, see
+//! [`crate::quantity`]), `x-min` and `x-max` (bounds of a quantity, with unit), `x-path` (a path, relative to
+//! the file that wrote it), and `x-example` (what to write instead of a value of the wrong form).
 
 use crate::document::{Item, Problem, Tree, nearest};
 use crate::quantity::Dimension;
@@ -20,10 +22,15 @@ struct Checker<'a> {
     what: &'a str,
 }
 
-/// Follows `$ref` and a nullable `anyOf` to the schema that counts; keys next to `$ref` (such as `x-min`) are looked up by the caller first.
+/// Follows `$ref` and a nullable `anyOf` to the schema that counts; keys next to `$ref` (such as `x-min`) are
+/// looked up by the caller first.
 pub fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
     loop {
-        if let Some(target) = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {
+        if let Some(target) = schema["$ref"]
+            .as_str()
+            .and_then(|r| r.strip_prefix('#'))
+            .and_then(|pointer| root.pointer(pointer))
+        {
             schema = target;
         } else if let Some([one]) = alternatives(schema).as_deref() {
             schema = one;
@@ -47,7 +54,8 @@ fn words<'a>(root: &'a Json, schema: &'a Json) -> Option<Vec<&'a str>> {
     if let Some(word) = schema["const"].as_str() {
         return Some(vec![word]);
     }
-    let words: Option<Vec<Vec<&str>>> = alternatives(schema)?.into_iter().map(|s| words(root, resolve(root, s))).collect();
+    let words: Option<Vec<Vec<&str>>> =
+        alternatives(schema)?.into_iter().map(|s| words(root, resolve(root, s))).collect();
     Some(words?.concat())
 }
 
@@ -55,13 +63,23 @@ fn allows(schema: &Json, name: &str) -> bool {
     schema["type"] == name || schema["type"].as_array().is_some_and(|types| types.iter().any(|t| t == name))
 }
 
-/// "from 1 to 8", "at least 0", "greater than 0 and at most 100": the whole range, from bounds as they are written.
-fn range(least: Option<String>, above: Option<String>, most: Option<String>, below: Option<String>) -> String {
+/// "from 1 to 8", "at least 0", "greater than 0 and at most 100": the whole range, from bounds as they are
+/// written.
+fn range(
+    least: Option<String>,
+    above: Option<String>,
+    most: Option<String>,
+    below: Option<String>,
+) -> String {
     if let (Some(least), None, Some(most), None) = (&least, &above, &most, &below) {
         return format!("from {least} to {most}");
     }
     let named = [("at least", least), ("greater than", above), ("at most", most), ("less than", below)];
-    named.into_iter().filter_map(|(words, bound)| Some(format!("{words} {}", bound?))).collect::<Vec<_>>().join(" and ")
+    named
+        .into_iter()
+        .filter_map(|(words, bound)| Some(format!("{words} {}", bound?)))
+        .collect::<Vec<_>>()
+        .join(" and ")
 }
 
 impl Checker<'_> {
@@ -95,7 +113,8 @@ impl Checker<'_> {
         match (&tree.item, expected) {
             (Item::Table(_), "a table") => self.check_table(tree, schema, path, problems),
             (Item::Array(items), "a list") => {
-                let (least, most, found) = (schema["minItems"].as_u64(), schema["maxItems"].as_u64(), items.len() as u64);
+                let (least, most, found) =
+                    (schema["minItems"].as_u64(), schema["maxItems"].as_u64(), items.len() as u64);
                 let bound = match (least, most) {
                     (Some(least), Some(most)) if least == most && found != least => Some(format!("{least}")),
                     (Some(least), _) if found < least => Some(format!("at least {least}")),
@@ -103,23 +122,39 @@ impl Checker<'_> {
                     _ => None,
                 };
                 if let Some(bound) = bound {
-                    problems.push(Problem::at(&tree.origin, format!("a list of {bound} is needed, found {found}")));
+                    problems.push(Problem::at(
+                        &tree.origin,
+                        format!(
+                            "a list of {bound} is needed, found \
+                                                            {found}"
+                        ),
+                    ));
                 }
                 for (i, item) in items.iter().enumerate() {
                     self.check(item, &schema["items"], &format!("{path}[{i}]"), problems);
                 }
             }
             (Item::Boolean(_), "`true` or `false`") | (Item::String(_), "a text in quotes") => {}
-            (Item::Integer(number), "an integer" | "a number") => self.check_range(tree, *number as f64, (outer, schema), path, problems),
-            (Item::Float(number), "a number") if number.is_finite() => self.check_range(tree, *number, (outer, schema), path, problems),
-            (Item::Float(_), "a number") => {
-                problems.push(Problem::at(&tree.origin, format!("expected a finite number, found {}", tree.describe())).label("not finite"))
+            (Item::Integer(number), "an integer" | "a number") => {
+                self.check_range(tree, *number as f64, (outer, schema), path, problems)
             }
+            (Item::Float(number), "a number") if number.is_finite() => {
+                self.check_range(tree, *number, (outer, schema), path, problems)
+            }
+            (Item::Float(_), "a number") => problems.push(
+                Problem::at(&tree.origin, format!("expected a finite number, found {}", tree.describe()))
+                    .label("not finite"),
+            ),
             _ => {
-                let problem = Problem::at(&tree.origin, format!("expected {expected}, found {}", tree.describe())).label(format!("expected {expected}"));
+                let problem =
+                    Problem::at(&tree.origin, format!("expected {expected}, found {}", tree.describe()))
+                        .label(format!("expected {expected}"));
                 problems.push(match (schema["x-example"].as_str(), tree.as_str()) {
                     (Some(example), _) => problem.help(format!("such as {example}")),
-                    (None, Some(text)) if expected == "a list" => problem.help(format!("a list of one is [\"{text}\"]")),
+                    (None, Some(text)) if expected == "a list" => problem.help(format!(
+                        "a list of one is \
+                                                            [\"{text}\"]"
+                    )),
                     _ => problem,
                 });
             }
@@ -131,18 +166,29 @@ impl Checker<'_> {
         match tree.as_str() {
             Some(text) if words.contains(&text) => {}
             Some(text) => {
-                let problem = Problem::at(&tree.origin, format!("\"{text}\" is not one of {list}")).label("unknown value");
+                let problem = Problem::at(&tree.origin, format!("\"{text}\" is not one of {list}"))
+                    .label("unknown value");
                 problems.push(match crate::document::nearest(text, words.iter().copied()) {
                     Some(word) => problem.help(format!("did you mean \"{word}\"?")),
                     None => problem,
                 });
             }
-            None => problems.push(Problem::at(&tree.origin, format!("expected one of {list}, found {}", tree.describe())).label("expected a text in quotes")),
+            None => problems.push(
+                Problem::at(&tree.origin, format!("expected one of {list}, found {}", tree.describe()))
+                    .label("expected a text in quotes"),
+            ),
         }
     }
 
-    /// Accepts what any alternative accepts; otherwise reports the complaints of the alternative that complains deepest inside.
-    fn check_alternatives(&self, tree: &Tree, alternatives: &[&Json], path: &str, problems: &mut Vec<Problem>) {
+    /// Accepts what any alternative accepts; otherwise reports the complaints of the alternative that
+    /// complains deepest inside.
+    fn check_alternatives(
+        &self,
+        tree: &Tree,
+        alternatives: &[&Json],
+        path: &str,
+        problems: &mut Vec<Problem>,
+    ) {
         let mut best: Option<Vec<Problem>> = None;
         for schema in alternatives {
             let mut found = Vec::new();
@@ -150,7 +196,8 @@ impl Checker<'_> {
             if found.is_empty() {
                 return;
             }
-            let depth = |list: &[Problem]| list.iter().filter(|p| p.at.as_ref() != Some(&tree.origin)).count();
+            let depth =
+                |list: &[Problem]| list.iter().filter(|p| p.at.as_ref() != Some(&tree.origin)).count();
             if best.as_ref().is_none_or(|best| depth(&found) > depth(best)) {
                 best = Some(found);
             }
@@ -158,12 +205,26 @@ impl Checker<'_> {
         problems.extend(best.unwrap_or_default());
     }
 
-    fn check_quantity(&self, tree: &Tree, dimension: Dimension, (outer, schema): (&Json, &Json), path: &str, problems: &mut Vec<Problem>) {
+    fn check_quantity(
+        &self,
+        tree: &Tree,
+        dimension: Dimension,
+        (outer, schema): (&Json, &Json),
+        path: &str,
+        problems: &mut Vec<Problem>,
+    ) {
         let Some(text) = tree.as_str() else {
-            let problem = Problem::at(&tree.origin, format!("expected a {} with its unit, found {}", dimension.name(), tree.describe()));
+            let problem = Problem::at(
+                &tree.origin,
+                format!("expected a {} with its unit, found {}", dimension.name(), tree.describe()),
+            );
             let help = match tree.item {
                 Item::Integer(_) | Item::Float(_) => {
-                    format!("write it as text with a unit, such as \"{}\" (units: {})", dimension.example(), dimension.unit_list())
+                    format!(
+                        "write it as text with a unit, such as \"{}\" (units: {})",
+                        dimension.example(),
+                        dimension.unit_list()
+                    )
                 }
                 _ => format!("such as \"{}\"", dimension.example()),
             };
@@ -173,11 +234,15 @@ impl Checker<'_> {
         let value = match dimension.read(text) {
             Ok(value) => value,
             Err(error) => {
-                problems.push(Problem::at(&tree.origin, error.what).label(format!("expected a {}", dimension.name())).help(format!(
-                    "such as \"{}\" (units: {})",
-                    dimension.example(),
-                    dimension.unit_list()
-                )));
+                problems.push(
+                    Problem::at(&tree.origin, error.what)
+                        .label(format!("expected a {}", dimension.name()))
+                        .help(format!(
+                            "such as \"{}\" (units: {})",
+                            dimension.example(),
+                            dimension.unit_list()
+                        )),
+                );
                 return;
             }
         };
@@ -191,18 +256,36 @@ impl Checker<'_> {
         }
     }
 
-    fn check_range(&self, tree: &Tree, value: f64, (outer, schema): (&Json, &Json), path: &str, problems: &mut Vec<Problem>) {
+    fn check_range(
+        &self,
+        tree: &Tree,
+        value: f64,
+        (outer, schema): (&Json, &Json),
+        path: &str,
+        problems: &mut Vec<Problem>,
+    ) {
         let bound = |key: &str| outer[key].as_f64().or_else(|| schema[key].as_f64());
-        let (least, above, most, below) = (bound("minimum"), bound("exclusiveMinimum"), bound("maximum"), bound("exclusiveMaximum"));
+        let (least, above, most, below) =
+            (bound("minimum"), bound("exclusiveMinimum"), bound("maximum"), bound("exclusiveMaximum"));
         let too_small = least.is_some_and(|least| value < least) || above.is_some_and(|above| value <= above);
         if too_small || most.is_some_and(|most| value > most) || below.is_some_and(|below| value >= below) {
             let shown = |bound: Option<f64>| bound.map(|bound| bound.to_string());
-            problems.push(self.outside(tree, path, &range(shown(least), shown(above), shown(most), shown(below)), &value.to_string(), too_small));
+            problems.push(self.outside(
+                tree,
+                path,
+                &range(shown(least), shown(above), shown(most), shown(below)),
+                &value.to_string(),
+                too_small,
+            ));
         }
     }
 
     fn outside(&self, tree: &Tree, path: &str, range: &str, found: &str, too_small: bool) -> Problem {
-        Problem::at(&tree.origin, format!("`{path}` must be {range}, found {found}")).label(if too_small { "too small" } else { "too large" })
+        Problem::at(&tree.origin, format!("`{path}` must be {range}, found {found}")).label(if too_small {
+            "too small"
+        } else {
+            "too large"
+        })
     }
 
     fn check_table(&self, tree: &Tree, schema: &Json, path: &str, problems: &mut Vec<Problem>) {
@@ -219,14 +302,18 @@ impl Checker<'_> {
                 self.check(value, &schema["additionalProperties"], &inner, problems);
             } else if schema["additionalProperties"] == Json::Bool(false) {
                 let what = if path.is_empty() { self.what.to_string() } else { format!("key of `{path}`") };
-                let problem = Problem::at(&key.origin, format!("`{}` is not a {what}", key.name)).label("unknown key");
+                let problem =
+                    Problem::at(&key.origin, format!("`{}` is not a {what}", key.name)).label("unknown key");
                 problems.push(problem.did_you_mean(&key.name, known.iter().copied()));
                 suggested.extend(nearest(&key.name, known.iter().copied()));
             }
         }
         for name in schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str) {
             if table.get(name).is_none() && !suggested.contains(&name) {
-                problems.push(Problem::at(&tree.origin, format!("`{name}` is missing")).label(format!("needs `{name}`")));
+                problems.push(
+                    Problem::at(&tree.origin, format!("`{name}` is missing"))
+                        .label(format!("needs `{name}`")),
+                );
             }
         }
     }
@@ -240,15 +327,31 @@ pub fn to_json(tree: &Tree, schema: &Json) -> Json {
 fn convert(tree: &Tree, schema: &Json, root: &Json) -> Json {
     let schema = resolve(root, schema);
     match &tree.item {
-        Item::String(text) if schema["x-path"] == Json::Bool(true) => Json::String(tree.origin.source.folder.join(text).to_string_lossy().into_owned()),
+        Item::String(text) if schema["x-path"] == Json::Bool(true) => {
+            Json::String(tree.origin.source.folder.join(text).to_string_lossy().into_owned())
+        }
         Item::String(text) | Item::Datetime(text) => Json::String(text.clone()),
         Item::Integer(number) => Json::from(*number),
         Item::Float(number) => Json::from(*number),
         Item::Boolean(value) => Json::Bool(*value),
-        Item::Array(items) => Json::Array(items.iter().map(|item| convert(item, &schema["items"], root)).collect()),
+        Item::Array(items) => {
+            Json::Array(items.iter().map(|item| convert(item, &schema["items"], root)).collect())
+        }
         Item::Table(table) => {
-            let property = |name: &str| if schema["properties"][name].is_null() { &schema["additionalProperties"] } else { &schema["properties"][name] };
-            Json::Object(table.entries.iter().map(|(key, value)| (key.name.clone(), convert(value, property(&key.name), root))).collect())
+            let property = |name: &str| {
+                if schema["properties"][name].is_null() {
+                    &schema["additionalProperties"]
+                } else {
+                    &schema["properties"][name]
+                }
+            };
+            Json::Object(
+                table
+                    .entries
+                    .iter()
+                    .map(|(key, value)| (key.name.clone(), convert(value, property(&key.name), root)))
+                    .collect(),
+            )
         }
     }
 }
@@ -262,7 +365,9 @@ fn strip(value: &mut Json, schema: &Json, root: &Json) {
     let schema = resolve(root, schema);
     match value {
         Json::Object(map) => {
-            map.retain(|name, _| resolve(root, &schema["properties"][name.as_str()])["x-path"] != Json::Bool(true));
+            map.retain(|name, _| {
+                resolve(root, &schema["properties"][name.as_str()])["x-path"] != Json::Bool(true)
+            });
             map.iter_mut().for_each(|(name, value)| strip(value, &schema["properties"][name.as_str()], root));
         }
         Json::Array(items) => {
@@ -322,14 +427,24 @@ mod tests {
         validate(&tree, &schema, "parameter of test/node", &mut problems);
         let shown = problems
             .iter()
-            .map(|p| format!("{}: {}{}", p.at.as_ref().unwrap(), p.message, p.help.as_ref().map(|h| format!(" | {h}")).unwrap_or_default()))
+            .map(|p| {
+                format!(
+                    "{}: {}{}",
+                    p.at.as_ref().unwrap(),
+                    p.message,
+                    p.help.as_ref().map(|h| format!(" | {h}")).unwrap_or_default()
+                )
+            })
             .collect();
         (shown, to_json(&tree, &schema))
     }
 
     #[test]
     fn what_is_right_passes_and_becomes_the_struct() {
-        let (problems, json) = check("rate = \"1 kHz\"\nexposure = \"1 ms\"\nweight = 2\nshutter = \"rolling\"\npath = \"a.h5\"\nlabels = [\"x\"]\n");
+        let (problems, json) = check(
+            "rate = \"1 kHz\"\nexposure = \"1 ms\"\nweight = 2\nshutter = \
+                                      \"rolling\"\npath = \"a.h5\"\nlabels = [\"x\"]\n",
+        );
         assert_eq!(problems, [""; 0]);
         let params: Params = serde_json::from_value(json).unwrap();
         assert_eq!(params.rate.hz(), 1000.0);
@@ -338,11 +453,15 @@ mod tests {
 
     #[test]
     fn every_mistake_is_reported_at_its_place() {
-        let (problems, _) = check("rate = 5\nexposure = \"2 s\"\nweight = -1.0\nshutter = \"roling\"\nlabels = [3]\nwieght = 1\n");
+        let (problems, _) = check(
+            "rate = 5\nexposure = \"2 s\"\nweight = -1.0\nshutter = \
+                                   \"roling\"\nlabels = [3]\nwieght = 1\n",
+        );
         assert_eq!(
             problems,
             [
-                "m.toml:1:8: expected a rate with its unit, found the integer 5 | write it as text with a unit, such as \"10 kHz\" (units: Hz, fps, kHz, MHz)",
+                "m.toml:1:8: expected a rate with its unit, found the integer 5 | write it as text with a \
+                 unit, such as \"10 kHz\" (units: Hz, fps, kHz, MHz)",
                 "m.toml:2:12: `exposure` must be from 0 ns to 1 s, found 2 s",
                 "m.toml:3:10: `weight` must be from 0 to 10, found -1",
                 "m.toml:4:11: \"roling\" is not one of \"global\", \"rolling\" | did you mean \"rolling\"?",
@@ -382,7 +501,10 @@ mod tests {
         }
         let schema = schemars::schema_for!(Outer).to_value();
         let source = Source::new("m.toml", "", "crop = { widht = 3, height = -1 }");
-        let tree = Tree { item: Item::Table(parse(&source).unwrap()), origin: crate::document::Origin { source, span: 0..0 } };
+        let tree = Tree {
+            item: Item::Table(parse(&source).unwrap()),
+            origin: crate::document::Origin { source, span: 0..0 },
+        };
         let mut problems = Vec::new();
         validate(&tree, &schema, "parameter of test/node", &mut problems);
         let said: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();

@@ -1,7 +1,7 @@
 //! The sensor description: what is known of one sensor, in TOML (`format = "photocurrent-sensor/1"`).
 //!
-//! A field that is absent is unknown, not zero, where zero would be a claim. So most fields are optional, and who needs one asks
-//! with [`Sensor::need`], which says what to add to the description.
+//! A field that is absent is unknown, not zero, where zero would be a claim. So most fields are optional, and
+//! who needs one asks with [`Sensor::need`], which says what to add to the description.
 
 use crate::data_type::DataType;
 #[cfg(feature = "graph")]
@@ -15,7 +15,8 @@ use std::collections::BTreeMap;
 #[cfg(feature = "graph")]
 use std::sync::Arc;
 
-/// The ids that `[effects]` may name: what a sensor may do beyond the paper's model. The list grows, ids never change meaning.
+/// The ids that `[effects]` may name: what a sensor may do beyond the paper's model. The list grows, ids
+/// never change meaning.
 pub const EFFECT_IDS: [&str; 41] = [
     // Front end.
     "dark_current",
@@ -178,7 +179,8 @@ pub struct Frames {
     #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
-    /// Gain of red, green and blue over `gain`; absent = 1 each: a channel's photocurrent is then counted in what its frames read.
+    /// Gain of red, green and blue over `gain`; absent = 1 each: a channel's photocurrent is then counted in
+    /// what its frames read.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channel_gain: Option<[f64; 3]>,
     /// DN of darkness.
@@ -211,7 +213,8 @@ pub struct Optics {
     #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photocurrent_per_lux: Option<f64>,
-    /// How strongly an event pixel sees the light of the red, green and blue frame pixels that it lies on, relative to each other; absent = every photodiode alike.
+    /// How strongly an event pixel sees the light of the red, green and blue frame pixels that it lies on,
+    /// relative to each other; absent = every photodiode alike.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub event_weights: Option<[f64; 3]>,
 }
@@ -245,14 +248,17 @@ impl Sensor {
         let effects = tree.as_table().and_then(|table| table.get("effects")).and_then(Tree::as_table);
         for (key, _) in effects.iter().flat_map(|effects| &effects.entries) {
             if !EFFECT_IDS.contains(&key.name.as_str()) {
-                let problem = Problem::at(&key.origin, format!("`{}` is no effect of the catalogue", key.name)).label("unknown id");
+                let problem =
+                    Problem::at(&key.origin, format!("`{}` is no effect of the catalogue", key.name))
+                        .label("unknown id");
                 problems.push(problem.did_you_mean(&key.name, EFFECT_IDS));
             }
         }
         if !problems.is_empty() {
             return Err(problems);
         }
-        serde_json::from_value(schema::to_json(&tree, &schema)).map_err(|error| vec![Problem::at(&tree.origin, error.to_string())])
+        serde_json::from_value(schema::to_json(&tree, &schema))
+            .map_err(|error| vec![Problem::at(&tree.origin, error.to_string())])
     }
 
     /// With fields laid over, table by table, in the form of the TOML file.
@@ -288,13 +294,14 @@ impl Sensor {
         value.ok_or_else(|| self.lacks(&[field], who))
     }
 
-    /// Refuses a description that does not state all of several fields, so that those that are missing are reported at once. Each field is given with
-    /// whether it is stated.
+    /// Refuses a description that does not state all of several fields, so that those that are missing are
+    /// reported at once. Each field is given with whether it is stated.
     ///
     /// # Errors
     /// When one is not.
     pub fn need_all(&self, fields: &[(&str, bool)], who: &str) -> Result<(), NodeError> {
-        let missing: Vec<&str> = fields.iter().filter(|(_, stated)| !stated).map(|(field, _)| *field).collect();
+        let missing: Vec<&str> =
+            fields.iter().filter(|(_, stated)| !stated).map(|(field, _)| *field).collect();
         if missing.is_empty() { Ok(()) } else { Err(self.lacks(&missing, who)) }
     }
 
@@ -306,9 +313,12 @@ impl Sensor {
         };
         let called = if self.name.is_empty() { String::new() } else { format!(" \"{}\"", self.name) };
         let them = if fields.len() == 1 { "it" } else { "them" };
-        let error = NodeError::usage(format!("{who} needs {list}, and the sensor description{called} does not state {them}"))
-            .hint(format!("add {list} to the sensor description"))
-            .blames(DataType::Sensor);
+        let error = NodeError::usage(format!(
+            "{who} needs {list}, and the sensor description{called} does \
+                                              not state {them}"
+        ))
+        .hint(format!("add {list} to the sensor description"))
+        .blames(DataType::Sensor);
         NodeError { lacks: fields.iter().map(ToString::to_string).collect(), ..error }
     }
 }
@@ -354,9 +364,19 @@ leak_events = { rate = "0.1 Hz" }
         assert_eq!(sensor.frames.black_level_dn, None);
         assert_eq!(sensor.effects["leak_events"]["rate"], "0.1 Hz");
         let error = sensor.need(sensor.frames.row_time, "frames.row_time", "render/rows").unwrap_err();
-        assert_eq!(error.message, "render/rows needs `frames.row_time`, and the sensor description \"hybrid, indoor\" does not state it");
-        let error = Sensor::unknown("").need_all(&[("a", false), ("b", true), ("c", false), ("d", false)], "somebody").unwrap_err();
-        assert_eq!(error.message, "somebody needs `a`, `c` and `d`, and the sensor description does not state them");
+        assert_eq!(
+            error.message,
+            "render/rows needs `frames.row_time`, and the sensor description \
+                                   \"hybrid, indoor\" does not state it"
+        );
+        let error = Sensor::unknown("")
+            .need_all(&[("a", false), ("b", true), ("c", false), ("d", false)], "somebody")
+            .unwrap_err();
+        assert_eq!(
+            error.message,
+            "somebody needs `a`, `c` and `d`, and the sensor description does not \
+                                   state them"
+        );
         assert_eq!(error.hint.as_deref(), Some("add `a`, `c` and `d` to the sensor description"));
     }
 
@@ -377,9 +397,16 @@ leak_events = { rate = "0.1 Hz" }
 
     #[test]
     fn colours_are_three_numbers() {
-        let text = HYBRID.replace("gain = 850", "gain = 850\nchannel_gain = [1.0, 2.0, 0.5]\n[optics]\nevent_weights = [1, 2, 1]");
+        let text = HYBRID.replace(
+            "gain = 850",
+            "gain = 850\nchannel_gain = [1.0, 2.0, \
+                                                 0.5]\n[optics]\nevent_weights = [1, 2, 1]",
+        );
         let sensor = Sensor::parse(&Source::new("s.toml", "", text.clone())).unwrap();
-        assert_eq!((sensor.frames.channel_gain, sensor.optics.event_weights), (Some([1.0, 2.0, 0.5]), Some([1.0, 2.0, 1.0])));
+        assert_eq!(
+            (sensor.frames.channel_gain, sensor.optics.event_weights),
+            (Some([1.0, 2.0, 0.5]), Some([1.0, 2.0, 1.0]))
+        );
         let text = text.replace("[1, 2, 1]", "[1, 2]").replace("[1.0, 2.0, 0.5]", "[1.0, 2.0, 0.5, 1.0]");
         let problems = Sensor::parse(&Source::new("s.toml", "", text)).unwrap_err();
         let messages: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
@@ -388,7 +415,9 @@ leak_events = { rate = "0.1 Hz" }
 
     #[test]
     fn mistakes_are_all_reported() {
-        let text = HYBRID.replace("threshold_on = 0.20", "threshold_on = -0.2").replace("refractory = \"50 us\"", "refractory = 50\nrefactory = 1");
+        let text = HYBRID
+            .replace("threshold_on = 0.20", "threshold_on = -0.2")
+            .replace("refractory = \"50 us\"", "refractory = 50\nrefactory = 1");
         let problems = Sensor::parse(&Source::new("s.toml", "", text)).unwrap_err();
         let messages: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
         assert_eq!(

@@ -1,8 +1,9 @@
 //! Series: instants and photocurrents of every pixel in flat columns, the common part of tracks and light.
 //!
-//! What happens between two instants is not said here: tracks hold ([`crate::tracks`]), light is linear ([`crate::light`]).
-//! Pixels stand in row-major order, one flat list of samples with an offset per pixel, so a row band is one contiguous piece. A pixel of three colours has
-//! three series side by side, as if the row were three times as wide.
+//! What happens between two instants is not said here: tracks hold ([`crate::tracks`]), light is linear
+//! ([`crate::light`]). Pixels stand in row-major order, one flat list of samples with an offset per pixel, so
+//! a row band is one contiguous piece. A pixel of three colours has three series side by side, as if the row
+//! were three times as wide.
 
 use crate::colour::Colour;
 use crate::digest::{Digest, DigestBuilder};
@@ -17,7 +18,8 @@ use std::ops::Range;
 
 /// What is known of data that are kept as series.
 pub trait SeriesMeta: BandMeta<Band = SeriesBand<Self>> + Clone + fmt::Debug + PartialEq {
-    /// The name of the data type, `tracks`: it stands in the digests of rows, in messages and in the layout of the store.
+    /// The name of the data type, `tracks`: it stands in the digests of rows, in messages and in the layout
+    /// of the store.
     const NAME: &'static str;
 
     /// Grey, or the colours whose series stand next to each other.
@@ -66,7 +68,15 @@ pub struct Series<'a> {
 impl<M: SeriesMeta> SeriesBand<M> {
     /// An empty band that pixels are pushed to, left to right and top to bottom.
     pub fn begin(start_row: u32, width: u32) -> SeriesBand<M> {
-        SeriesBand { start_row, width, offsets: vec![0], t: Vec::new(), photocurrent: Vec::new(), sigma: Vec::new(), kind: PhantomData }
+        SeriesBand {
+            start_row,
+            width,
+            offsets: vec![0],
+            t: Vec::new(),
+            photocurrent: Vec::new(),
+            sigma: Vec::new(),
+            kind: PhantomData,
+        }
     }
 
     /// Adds the next pixel.
@@ -88,7 +98,8 @@ impl<M: SeriesMeta> SeriesBand<M> {
         self.offsets.push(self.t.len());
     }
 
-    /// From columns in canonical order; `offsets` has one entry per pixel and a last one, `sigma` as many as `t` or none.
+    /// From columns in canonical order; `offsets` has one entry per pixel and a last one, `sigma` as many as
+    /// `t` or none.
     ///
     /// # Errors
     /// When lengths disagree or offsets do not rise: the artefact is damaged.
@@ -100,11 +111,17 @@ impl<M: SeriesMeta> SeriesBand<M> {
         photocurrent: Vec<f32>,
         sigma: Vec<f32>,
     ) -> Result<SeriesBand<M>, DataError> {
-        let whole_rows = width > 0 && !offsets.is_empty() && (offsets.len() - 1).is_multiple_of(width as usize);
-        let rising = offsets.first() == Some(&0) && offsets.last() == Some(&t.len()) && offsets.windows(2).all(|w| w[0] <= w[1]);
+        let whole_rows =
+            width > 0 && !offsets.is_empty() && (offsets.len() - 1).is_multiple_of(width as usize);
+        let rising = offsets.first() == Some(&0)
+            && offsets.last() == Some(&t.len())
+            && offsets.windows(2).all(|w| w[0] <= w[1]);
         let fitting = t.len() == photocurrent.len() && (sigma.is_empty() || t.len() == sigma.len());
         if !whole_rows || !rising || !fitting {
-            return Err(DataError::new(format!("the columns of a band of {} do not fit each other", M::NAME)));
+            return Err(DataError::new(format!(
+                "the columns of a band of {} do not fit each other",
+                M::NAME
+            )));
         }
         Ok(SeriesBand { start_row, width, offsets, t, photocurrent, sigma, kind: PhantomData })
     }
@@ -118,7 +135,11 @@ impl<M: SeriesMeta> SeriesBand<M> {
     pub fn pixel(&self, x: u32, row: u32) -> Series<'_> {
         let at = ((row - self.start_row) * self.width + x) as usize;
         let range = self.offsets[at]..self.offsets[at + 1];
-        Series { t: &self.t[range.clone()], photocurrent: &self.photocurrent[range.clone()], sigma: self.sigma_of(range) }
+        Series {
+            t: &self.t[range.clone()],
+            photocurrent: &self.photocurrent[range.clone()],
+            sigma: self.sigma_of(range),
+        }
     }
 
     fn sigma_of(&self, samples: std::ops::Range<usize>) -> &[f32] {
@@ -141,7 +162,8 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
 
     fn row_digest(&self, row: u32) -> Digest {
         let pixels = self.row_pixels(Rows { start: row, end: row + 1 });
-        let counts: Vec<u64> = pixels.clone().map(|p| (self.offsets[p + 1] - self.offsets[p]) as u64).collect();
+        let counts: Vec<u64> =
+            pixels.clone().map(|p| (self.offsets[p + 1] - self.offsets[p]) as u64).collect();
         let samples = self.offsets[pixels.start]..self.offsets[pixels.end];
         let mut digest = DigestBuilder::new(&format!("{}-row/1", M::NAME));
         digest.slice(&counts).slice(&self.t[samples.clone()]).slice(&self.photocurrent[samples.clone()]);
@@ -168,7 +190,10 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
         SeriesBand {
             start_row: rows.start,
             width: self.width,
-            offsets: self.offsets[pixels.start..=pixels.end].iter().map(|offset| offset - samples.start).collect(),
+            offsets: self.offsets[pixels.start..=pixels.end]
+                .iter()
+                .map(|offset| offset - samples.start)
+                .collect(),
             t: self.t[samples.clone()].to_vec(),
             photocurrent: self.photocurrent[samples.clone()].to_vec(),
             sigma: self.sigma_of(samples).to_vec(),
@@ -198,7 +223,13 @@ impl<M: SeriesMeta> InTime for SeriesBand<M> {
         };
         let kept: Vec<Range<usize>> = self.offsets.windows(2).map(of_pixel).collect();
         let sigma = if self.sigma.is_empty() { Vec::new() } else { gather(&kept, &self.sigma) };
-        SeriesBand { offsets: offsets_of(&kept), t: gather(&kept, &self.t), photocurrent: gather(&kept, &self.photocurrent), sigma, ..*self }
+        SeriesBand {
+            offsets: offsets_of(&kept),
+            t: gather(&kept, &self.t),
+            photocurrent: gather(&kept, &self.photocurrent),
+            sigma,
+            ..*self
+        }
     }
 
     fn follow(parts: Vec<SeriesBand<M>>) -> SeriesBand<M> {
@@ -208,7 +239,9 @@ impl<M: SeriesMeta> InTime for SeriesBand<M> {
         let first = parts.first().expect("at least one band to join");
         let has_sigma = parts.iter().any(|part| !part.sigma.is_empty());
         SeriesBand {
-            offsets: interleaved_offsets(&parts.iter().map(|part| part.offsets.as_slice()).collect::<Vec<_>>()),
+            offsets: interleaved_offsets(
+                &parts.iter().map(|part| part.offsets.as_slice()).collect::<Vec<_>>(),
+            ),
             t: all(&parts, |part| &part.t),
             photocurrent: all(&parts, |part| &part.photocurrent),
             sigma: if has_sigma { all(&parts, |part| &part.sigma) } else { Vec::new() },
@@ -234,7 +267,9 @@ mod tests {
     fn standard_deviations_go_where_their_samples_go() {
         let mut known = TrackBand::begin(4, 3);
         for pixel in 0..12 {
-            known.push_with_sigma((0..pixel % 4).map(|k| (k * 100, (pixel * 10 + k) as f32, (pixel * 20 + k) as f32)));
+            known.push_with_sigma(
+                (0..pixel % 4).map(|k| (k * 100, (pixel * 10 + k) as f32, (pixel * 20 + k) as f32)),
+            );
         }
         let parts = vec![known.slice(Rows { start: 4, end: 5 }), known.slice(Rows { start: 5, end: 8 })];
         assert_eq!(TrackBand::concat(parts), known);
@@ -248,8 +283,13 @@ mod tests {
         let band = band();
         assert_eq!(band.rows(), Rows { start: 4, end: 8 });
         for height in 1..5 {
-            let parts: Vec<TrackBand> = band.rows().bands(height).into_iter().map(|rows| band.slice(rows)).collect();
-            assert!(parts.iter().all(|part| part.rows().iter().all(|row| part.row_digest(row) == band.row_digest(row))));
+            let parts: Vec<TrackBand> =
+                band.rows().bands(height).into_iter().map(|rows| band.slice(rows)).collect();
+            assert!(
+                parts
+                    .iter()
+                    .all(|part| part.rows().iter().all(|row| part.row_digest(row) == band.row_digest(row)))
+            );
             assert_eq!(TrackBand::concat(parts), band);
         }
     }

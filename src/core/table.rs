@@ -1,7 +1,7 @@
 //! Tables: named columns of numbers or text, one row per frame, method or whatever was measured.
 //!
-//! Scores use one fixed form, [`Table::scores`]: one row per (metric, frame), so that the command can write metrics as JSON Lines and
-//! pool them without knowing any scorer.
+//! Scores use one fixed form, [`Table::scores`]: one row per (metric, frame), so that the command can write
+//! metrics as JSON Lines and pool them without knowing any scorer.
 
 use crate::digest::{Digest, DigestBuilder};
 use serde::{Deserialize, Serialize};
@@ -88,7 +88,8 @@ pub struct Tails {
 }
 
 impl Tails {
-    /// Of the frames of one metric, those that were not measured (NaN) left out; `None` when none was measured.
+    /// Of the frames of one metric, those that were not measured (NaN) left out; `None` when none was
+    /// measured.
     pub fn of<'a>(scores: impl IntoIterator<Item = &'a Score>, metric: &str) -> Option<Tails> {
         let frames = scores.into_iter().filter(|score| score.frame >= 0 && score.metric == metric);
         let mut values: Vec<f64> = frames.map(|score| score.value).filter(|value| !value.is_nan()).collect();
@@ -98,7 +99,8 @@ impl Tails {
     }
 }
 
-/// The value below which a share (0 to 1) of sorted values lies, linear between neighbouring values; NaN when there is none.
+/// The value below which a share (0 to 1) of sorted values lies, linear between neighbouring values; NaN when
+/// there is none.
 ///
 /// ```
 /// use photocurrent_core::table::percentile;
@@ -109,7 +111,11 @@ pub fn percentile(sorted: &[f64], share: f64) -> f64 {
     let at = share * last as f64;
     let (below, part) = (at.floor() as usize, at.fract());
     // Two infinities have no difference.
-    if part == 0.0 || sorted[below] == sorted[below + 1] { sorted[below] } else { sorted[below] + part * (sorted[below + 1] - sorted[below]) }
+    if part == 0.0 || sorted[below] == sorted[below + 1] {
+        sorted[below]
+    } else {
+        sorted[below] + part * (sorted[below + 1] - sorted[below])
+    }
 }
 
 /// Is a higher value of a metric better? `None` when its name does not say.
@@ -137,7 +143,11 @@ impl Table {
     /// # Panics
     /// When its length differs from that of the columns before it: a mistake of the node.
     pub fn with(mut self, name: &str, column: Column) -> Table {
-        assert!(self.columns.is_empty() || self.columns[0].1.len() == column.len(), "columns of one table have one length");
+        assert!(
+            self.columns.is_empty() || self.columns[0].1.len() == column.len(),
+            "columns of one table \
+                                                            have one length"
+        );
         self.columns.push((name.into(), column));
         self
     }
@@ -181,12 +191,33 @@ impl Table {
 
     /// The rows of a table made by [`Table::scores`]; `None` for another table.
     pub fn as_scores(&self) -> Option<Vec<Score>> {
-        let (Column::Texts(metric), Column::Integers(frame), Column::Integers(t_ns), Column::Numbers(value), Column::Texts(unit)) =
-            (self.column("metric")?, self.column("frame")?, self.column("t_ns")?, self.column("value")?, self.column("unit")?)
+        let (
+            Column::Texts(metric),
+            Column::Integers(frame),
+            Column::Integers(t_ns),
+            Column::Numbers(value),
+            Column::Texts(unit),
+        ) = (
+            self.column("metric")?,
+            self.column("frame")?,
+            self.column("t_ns")?,
+            self.column("value")?,
+            self.column("unit")?,
+        )
         else {
             return None;
         };
-        Some((0..self.len()).map(|i| Score { metric: metric[i].clone(), frame: frame[i], t_ns: t_ns[i], value: value[i], unit: unit[i].clone() }).collect())
+        Some(
+            (0..self.len())
+                .map(|i| Score {
+                    metric: metric[i].clone(),
+                    frame: frame[i],
+                    t_ns: t_ns[i],
+                    value: value[i],
+                    unit: unit[i].clone(),
+                })
+                .collect(),
+        )
     }
 
     /// The digest of everything in it.
@@ -217,7 +248,8 @@ mod tests {
 
     #[test]
     fn scores_survive_their_form() {
-        let scores = vec![Score { metric: "psnr_db".into(), frame: 3, t_ns: 17, value: 31.5, unit: "dB".into() }];
+        let scores =
+            vec![Score { metric: "psnr_db".into(), frame: 3, t_ns: 17, value: 31.5, unit: "dB".into() }];
         let table = Table::scores(scores.clone(), "full frame");
         assert_eq!(table.as_scores().unwrap(), scores);
         assert_eq!(Table::default().with("metric", Column::Texts(vec![])).as_scores(), None);
@@ -225,9 +257,14 @@ mod tests {
 
     #[test]
     fn tails_are_of_measured_frames_and_not_of_pooled_values() {
-        let score = |frame: i64, value| Score { metric: "psnr_db".into(), frame, t_ns: 0, value, unit: "dB".into() };
+        let score =
+            |frame: i64, value| Score { metric: "psnr_db".into(), frame, t_ns: 0, value, unit: "dB".into() };
         let mut scores: Vec<Score> = (0..=20).rev().map(|l| score(l, l as f64)).collect();
-        scores.extend([score(21, f64::NAN), score(-1, -99.0), Score { metric: "other".into(), ..score(3, 99.0) }]);
+        scores.extend([
+            score(21, f64::NAN),
+            score(-1, -99.0),
+            Score { metric: "other".into(), ..score(3, 99.0) },
+        ]);
         assert_eq!(Tails::of(&scores, "psnr_db"), Some(Tails { min: 0.0, p05: 1.0, p95: 19.0, max: 20.0 }));
         assert_eq!(Tails::of(&scores, "none"), None);
     }
@@ -235,8 +272,11 @@ mod tests {
     #[test]
     fn every_part_enters_the_digest() {
         let base = Table::default().with("a", Column::Numbers(vec![1.0]));
-        let others =
-            [Table::default().with("b", Column::Numbers(vec![1.0])), Table::default().with("a", Column::Integers(vec![1])), base.clone().note("n", "")];
+        let others = [
+            Table::default().with("b", Column::Numbers(vec![1.0])),
+            Table::default().with("a", Column::Integers(vec![1])),
+            base.clone().note("n", ""),
+        ];
         assert!(others.iter().all(|other| other.digest() != base.digest()));
     }
 }

@@ -1,4 +1,5 @@
-//! Small helpers that the tests of several crates share: made-up data of every type, and a context to run a node in.
+//! Small helpers that the tests of several crates share: made-up data of every type, and a context to run a
+//! node in.
 
 use crate::colour::Colour;
 use crate::context::{Context, Notes, Silent};
@@ -40,7 +41,14 @@ pub fn events(width: u32, height: u32) -> EventStream {
 pub fn stream(extent: Extent, events: Vec<Event>) -> EventStream {
     let span = events.iter().map(|e| TimeSpan::new(e.t, e.t + 1)).reduce(TimeSpan::union);
     let has_t_in = !events.is_empty() && events.iter().all(|e| e.t_in.is_some());
-    let meta = EventsMeta { extent, span, has_t_in, has_step: false, t_resolution_ns: None, count_hint: Some(events.len() as u64) };
+    let meta = EventsMeta {
+        extent,
+        span,
+        has_t_in,
+        has_step: false,
+        t_resolution_ns: None,
+        count_hint: Some(events.len() as u64),
+    };
     let mut band = EventBand::from_events(extent.rows(), events).expect("test events lie on the sensor");
     if !has_t_in {
         band.t_in = None;
@@ -50,7 +58,8 @@ pub fn stream(extent: Extent, events: Vec<Event>) -> EventStream {
 
 /// Random captured frames at 100 fps with 4 ms exposures and 10 us row time.
 pub fn frames(width: u32, height: u32, count: usize) -> FrameSequence {
-    let exposures = (0..count as i64).map(|l| Exposure::new(l * 10_000_000, l * 10_000_000 + 4_000_000)).collect();
+    let exposures =
+        (0..count as i64).map(|l| Exposure::new(l * 10_000_000, l * 10_000_000 + 4_000_000)).collect();
     let mut random = Random::new(2, &[u64::from(width), u64::from(height)]);
     captured(Extent { width, height }, exposures, 10_000, |_, _, _| (random.uniform() * 1000.0) as f32)
 }
@@ -59,7 +68,12 @@ pub fn frames(width: u32, height: u32, count: usize) -> FrameSequence {
 ///
 /// # Panics
 /// When the exposures are not in order.
-pub fn captured(extent: Extent, exposures: Vec<Exposure>, row_time_ns: i64, mut dn: impl FnMut(usize, u32, u32) -> f32) -> FrameSequence {
+pub fn captured(
+    extent: Extent,
+    exposures: Vec<Exposure>,
+    row_time_ns: i64,
+    mut dn: impl FnMut(usize, u32, u32) -> f32,
+) -> FrameSequence {
     let times = FrameTimes::new(exposures, row_time_ns).expect("test exposures are in order");
     let meta = FramesMeta { extent, colour: Colour::Mono, times, scale: FrameScale::Captured };
     let mut block = FrameBlock::zeros(0..meta.times.len(), extent.rows(), extent.width as usize);
@@ -115,11 +129,13 @@ pub fn light(width: u32, height: u32) -> Light {
             .collect();
         band.push(instants);
     }
-    let meta = LightMeta { extent, span: TimeSpan::new(0, 100_000_000), colour: Colour::Mono, count_hint: None };
+    let meta =
+        LightMeta { extent, span: TimeSpan::new(0, 100_000_000), colour: Colour::Mono, count_hint: None };
     Light::in_memory(Arc::new(meta), band)
 }
 
-/// Calls `work` with a context for some rows, all of `wanted` outputs wanted; gives back its result and the notes made.
+/// Calls `work` with a context for some rows, all of `wanted` outputs wanted; gives back its result and the
+/// notes made.
 pub fn with_context<T>(rows: Rows, wanted: &[&str], work: impl FnOnce(&Context) -> T) -> (T, Vec<String>) {
     let wanted: BTreeSet<String> = wanted.iter().map(|port| port.to_string()).collect();
     let (cancel, notes) = (AtomicBool::new(false), Notes::default());

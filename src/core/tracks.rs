@@ -1,9 +1,10 @@
 //! Tracks: the photocurrent of every pixel over time, what the solver finds and the renderer integrates.
 //!
-//! A pixel's track is a list of knots. What happens between two knots is the same for all pixels and said in [`TracksMeta::between`]: the value of
-//! knot k lasts until knot k+1 (the paper's zero-order hold), or its logarithm goes over linearly. Before the first knot its value holds,
-//! after the last one the last. A knot may carry the standard deviation of its log photocurrent, whose logarithm goes
-//! over linearly. How knots are kept: [`crate::series`].
+//! A pixel's track is a list of knots. What happens between two knots is the same for all pixels and said in
+//! [`TracksMeta::between`]: the value of knot k lasts until knot k+1 (the paper's zero-order hold), or its
+//! logarithm goes over linearly. Before the first knot its value holds, after the last one the last. A knot
+//! may carry the standard deviation of its log photocurrent, whose logarithm goes over linearly. How knots
+//! are kept: [`crate::series`].
 
 use crate::colour::Colour;
 use crate::digest::DigestBuilder;

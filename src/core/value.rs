@@ -81,7 +81,9 @@ impl Meta {
     /// About how many bytes the meta itself holds, from planning on: the exposures of its frames.
     pub fn held_bytes(&self) -> u64 {
         match self {
-            Meta::Frames(meta) | Meta::Truth(meta) => (meta.times.len() * size_of::<crate::time::Exposure>()) as u64,
+            Meta::Frames(meta) | Meta::Truth(meta) => {
+                (meta.times.len() * size_of::<crate::time::Exposure>()) as u64
+            }
             _ => 0,
         }
     }
@@ -105,14 +107,23 @@ impl Meta {
     /// About how many bytes the whole value takes in memory.
     pub fn estimated_bytes(&self) -> u64 {
         // Where a count is not known, eight events a pixel: a lively quarter of a second.
-        let per_pixel = |extent: crate::extent::Extent, hint: Option<u64>| hint.unwrap_or(8 * extent.pixels() as u64);
+        let per_pixel =
+            |extent: crate::extent::Extent, hint: Option<u64>| hint.unwrap_or(8 * extent.pixels() as u64);
         match self {
-            Meta::Events(meta) => per_pixel(meta.extent, meta.count_hint) * (11 + 8 * meta.has_t_in as u64 + 4 * meta.has_step as u64),
-            Meta::Frames(meta) | Meta::Truth(meta) => {
-                [meta.row_values(), meta.extent.height as usize, 4].iter().fold(meta.times.len() as u64, |bytes, &n| bytes.saturating_mul(n as u64))
+            Meta::Events(meta) => {
+                per_pixel(meta.extent, meta.count_hint)
+                    * (11 + 8 * meta.has_t_in as u64 + 4 * meta.has_step as u64)
             }
-            Meta::Tracks(meta) => per_pixel(meta.extent, meta.count_hint) * (12 + 4 * meta.has_sigma as u64) + 8 * meta.extent.pixels() as u64,
-            Meta::Light(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
+            Meta::Frames(meta) | Meta::Truth(meta) => [meta.row_values(), meta.extent.height as usize, 4]
+                .iter()
+                .fold(meta.times.len() as u64, |bytes, &n| bytes.saturating_mul(n as u64)),
+            Meta::Tracks(meta) => {
+                per_pixel(meta.extent, meta.count_hint) * (12 + 4 * meta.has_sigma as u64)
+                    + 8 * meta.extent.pixels() as u64
+            }
+            Meta::Light(meta) => {
+                per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64
+            }
             Meta::Map(meta) => (meta.extent.pixels() * meta.planes.len() * 4) as u64,
             Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => 1 << 16,
         }
@@ -184,7 +195,8 @@ impl Value {
         }
     }
 
-    /// Bytes that some rows take when they are read: counted where that is possible, else that share of the estimate. Of all of it where nothing is banded.
+    /// Bytes that some rows take when they are read: counted where that is possible, else that share of the
+    /// estimate. Of all of it where nothing is banded.
     pub fn bytes(&self, rows: Rows) -> u64 {
         let counted = match self {
             Value::Events(value) => value.bytes(rows),
@@ -224,15 +236,20 @@ impl Value {
         match parts.first().expect("a splice has at least one part") {
             Value::Events(_) => Value::Events(EventStream::splice(of!(Events).collect())),
             Value::Frames(_) => Value::Frames(FrameSequence::splice(of!(Frames).collect())),
-            Value::Truth(_) => Value::Truth(Truth(FrameSequence::splice(of!(Truth).map(|truth| truth.0).collect()))),
+            Value::Truth(_) => {
+                Value::Truth(Truth(FrameSequence::splice(of!(Truth).map(|truth| truth.0).collect())))
+            }
             Value::Tracks(_) => Value::Tracks(TrackSet::splice(of!(Tracks).collect())),
             Value::Light(_) => Value::Light(Light::splice(of!(Light).collect())),
             Value::Map(_) => Value::Map(MapSet::splice(of!(Map).collect())),
-            Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => parts.into_iter().next().expect("a splice has at least one part"),
+            Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => {
+                parts.into_iter().next().expect("a splice has at least one part")
+            }
         }
     }
 
-    /// The digest of its content: header and one digest per row for banded data, whatever the band height it is read with.
+    /// The digest of its content: header and one digest per row for banded data, whatever the band height it
+    /// is read with.
     ///
     /// # Errors
     /// When the data cannot be read.
@@ -321,11 +338,15 @@ mod tests {
 
     #[test]
     fn a_digest_does_not_depend_on_how_the_value_was_put_together() {
-        let (events, frames) = (Value::Events(testing::events(6, 90)), Value::Frames(testing::frames(6, 90, 3)));
-        for value in [events, frames, Value::Tracks(testing::tracks(6, 90)), Value::Light(testing::light(6, 90))] {
+        let (events, frames) =
+            (Value::Events(testing::events(6, 90)), Value::Frames(testing::frames(6, 90, 3)));
+        for value in
+            [events, frames, Value::Tracks(testing::tracks(6, 90)), Value::Light(testing::light(6, 90))]
+        {
             let whole = value.digest().unwrap();
             for height in [1, 7, 64, 200] {
-                let parts = value.rows().unwrap().bands(height).into_iter().map(|rows| value.cut(rows)).collect();
+                let parts =
+                    value.rows().unwrap().bands(height).into_iter().map(|rows| value.cut(rows)).collect();
                 assert_eq!(Value::splice(parts).digest().unwrap(), whole);
             }
         }
@@ -334,6 +355,9 @@ mod tests {
     #[test]
     fn true_frames_are_another_content_than_the_same_numbers_as_frames() {
         let frames = testing::frames(4, 4, 2);
-        assert_ne!(Value::Frames(frames.clone()).digest().unwrap(), Value::Truth(Truth(frames)).digest().unwrap());
+        assert_ne!(
+            Value::Frames(frames.clone()).digest().unwrap(),
+            Value::Truth(Truth(frames)).digest().unwrap()
+        );
     }
 }

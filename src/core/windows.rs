@@ -1,7 +1,8 @@
 //! Values in time: a window cut out of a recording, and parts that follow each other joined.
 //!
-//! Both are views. A window of events or frames reads what is stamped, or wholly exposed, within it; joined parts read each
-//! instant from one part only, that whose share of time it lies in. So a recording can be worked on in blocks that overlap, and what they give is one value again.
+//! Both are views. A window of events or frames reads what is stamped, or wholly exposed, within it; joined
+//! parts read each instant from one part only, that whose share of time it lies in. So a recording can be
+//! worked on in blocks that overlap, and what they give is one value again.
 
 use crate::error::DataError;
 use crate::events::EventsMeta;
@@ -35,7 +36,8 @@ where
     M::Band: InTime,
 {
     fn read(&self, rows: Rows) -> Result<M::Band, DataError> {
-        let parts: Result<Vec<M::Band>, DataError> = self.0.iter().map(|(part, share)| part.read_within(rows, *share)).collect();
+        let parts: Result<Vec<M::Band>, DataError> =
+            self.0.iter().map(|(part, share)| part.read_within(rows, *share)).collect();
         Ok(M::Band::follow(parts?))
     }
 
@@ -56,7 +58,11 @@ where
     }
 
     fn joined(meta: Arc<M>, parts: Vec<(Self, TimeSpan)>) -> Self {
-        let rows = parts.iter().map(|(part, _)| part.rows()).reduce(|all, rows| all.intersect(rows)).unwrap_or(Rows { start: 0, end: 0 });
+        let rows = parts
+            .iter()
+            .map(|(part, _)| part.rows())
+            .reduce(|all, rows| all.intersect(rows))
+            .unwrap_or(Rows { start: 0, end: 0 });
         Handle::new(meta, rows, Arc::new(Joined(parts)))
     }
 }
@@ -111,7 +117,8 @@ impl FrameTimes {
         (0..self.len()).filter(inside).collect()
     }
 
-    /// The frames whose first row is exposed around an instant of this share of time: shares that follow each other have each frame once.
+    /// The frames whose first row is exposed around an instant of this share of time: shares that follow each
+    /// other have each frame once.
     fn in_share(&self, share: TimeSpan) -> Vec<usize> {
         (0..self.len()).filter(|l| (share.start..share.end).contains(&self.exposures[*l].mid())).collect()
     }
@@ -121,7 +128,10 @@ impl FramesMeta {
     /// What is known of the frames that are exposed wholly within the window.
     #[must_use]
     pub fn within(&self, window: TimeSpan) -> FramesMeta {
-        FramesMeta { times: self.times.select(&self.times.within(window, self.extent.height)), ..self.clone() }
+        FramesMeta {
+            times: self.times.select(&self.times.within(window, self.extent.height)),
+            ..self.clone()
+        }
     }
 }
 
@@ -139,7 +149,10 @@ impl Meta {
     pub fn longest_frame_ns(&self) -> Option<(i64, i64)> {
         let Meta::Frames(meta) = self else { return None };
         let exposure_ns = meta.times.exposures.iter().map(Exposure::length_ns).max()?;
-        Some((exposure_ns, meta.times.row_time_ns.saturating_mul(i64::from(meta.extent.height.saturating_sub(1))).abs()))
+        Some((
+            exposure_ns,
+            meta.times.row_time_ns.saturating_mul(i64::from(meta.extent.height.saturating_sub(1))).abs(),
+        ))
     }
 
     /// What is known of the value within a window of time; what is no recording stays whole.
@@ -159,7 +172,14 @@ impl Meta {
     pub fn joined_in_time(parts: &[(Meta, TimeSpan)]) -> Result<Meta, DataError> {
         macro_rules! metas {
             ($variant:ident) => {
-                parts.iter().filter_map(|(part, share)| if let Meta::$variant(part) = part { Some((&**part, *share)) } else { None }).collect::<Vec<_>>()
+                parts
+                    .iter()
+                    .filter_map(
+                        |(part, share)| {
+                            if let Meta::$variant(part) = part { Some((&**part, *share)) } else { None }
+                        },
+                    )
+                    .collect::<Vec<_>>()
             };
         }
         let first = parts.first().ok_or_else(|| DataError::new("there is no part to join"))?;
@@ -167,24 +187,34 @@ impl Meta {
             Meta::Events(_) => Meta::Events(Arc::new(join_events(&metas!(Events))?)),
             Meta::Frames(_) => Meta::Frames(Arc::new(join_frames(&metas!(Frames))?)),
             Meta::Tracks(_) => Meta::Tracks(Arc::new(join_tracks(&metas!(Tracks))?)),
-            other => return Err(DataError::new(format!("each block of time has {} of its own, and nothing says what they are together", other.data_type()))),
+            other => {
+                return Err(DataError::new(format!(
+                    "each block of time has {} of its own, and nothing \
+                                                        says what they are together",
+                    other.data_type()
+                )));
+            }
         };
         Ok(joined)
     }
 }
 
 impl Value {
-    /// What of the value lies within a window of time, without copying: events that are stamped in it, frames that are exposed wholly in it; all else stays whole.
+    /// What of the value lies within a window of time, without copying: events that are stamped in it, frames
+    /// that are exposed wholly in it; all else stays whole.
     #[must_use]
     pub fn within(&self, window: TimeSpan) -> Value {
         match self {
             Value::Events(value) => Value::Events(value.within(Arc::new(value.meta.within(window)), window)),
-            Value::Frames(value) => Value::Frames(value.select(value.meta.times.within(window, value.meta.extent.height))),
+            Value::Frames(value) => {
+                Value::Frames(value.select(value.meta.times.within(window, value.meta.extent.height)))
+            }
             other => other.clone(),
         }
     }
 
-    /// Parts that follow each other in time as one value, each instant from the part whose share of time it lies in, without copying.
+    /// Parts that follow each other in time as one value, each instant from the part whose share of time it
+    /// lies in, without copying.
     ///
     /// # Errors
     /// As [`Meta::joined_in_time`].
@@ -192,25 +222,44 @@ impl Value {
         let metas: Vec<(Meta, TimeSpan)> = parts.iter().map(|(part, share)| (part.meta(), *share)).collect();
         macro_rules! of {
             ($variant:ident) => {
-                parts.into_iter().filter_map(|(part, share)| if let Value::$variant(part) = part { Some((part, share)) } else { None }).collect::<Vec<_>>()
+                parts
+                    .into_iter()
+                    .filter_map(
+                        |(part, share)| {
+                            if let Value::$variant(part) = part { Some((part, share)) } else { None }
+                        },
+                    )
+                    .collect::<Vec<_>>()
             };
         }
         Ok(match Meta::joined_in_time(&metas)? {
             Meta::Events(meta) => Value::Events(Handle::joined(meta, of!(Events))),
             Meta::Tracks(meta) => Value::Tracks(Handle::joined(meta, of!(Tracks))),
-            Meta::Frames(meta) => {
-                Value::Frames(follow(meta, of!(Frames).into_iter().map(|(part, share)| part.select(part.meta.times.in_share(share))).collect()))
-            }
+            Meta::Frames(meta) => Value::Frames(follow(
+                meta,
+                of!(Frames)
+                    .into_iter()
+                    .map(|(part, share)| part.select(part.meta.times.in_share(share)))
+                    .collect(),
+            )),
             _ => return Err(DataError::new("only events, frames and tracks are joined")),
         })
     }
 }
 
 /// The first part, and whether every other one is as it, some fields left out by `bare`.
-fn alike<'a, M: PartialEq>(parts: &[(&'a M, TimeSpan)], bare: impl Fn(&M) -> M, what: &str) -> Result<&'a M, DataError> {
-    let first = parts.first().map(|(part, _)| *part).ok_or_else(|| DataError::new("there is no part to join"))?;
+fn alike<'a, M: PartialEq>(
+    parts: &[(&'a M, TimeSpan)],
+    bare: impl Fn(&M) -> M,
+    what: &str,
+) -> Result<&'a M, DataError> {
+    let first =
+        parts.first().map(|(part, _)| *part).ok_or_else(|| DataError::new("there is no part to join"))?;
     match parts.iter().position(|(part, _)| bare(part) != bare(first)) {
-        Some(other) => Err(DataError::new(format!("{what} of block {} of time are not like those of the first", other + 1))),
+        Some(other) => Err(DataError::new(format!(
+            "{what} of block {} of time are not like those of the first",
+            other + 1
+        ))),
         None => Ok(first),
     }
 }
@@ -225,7 +274,11 @@ fn join_events(parts: &[(&EventsMeta, TimeSpan)]) -> Result<EventsMeta, DataErro
 fn join_tracks(parts: &[(&TracksMeta, TimeSpan)]) -> Result<TracksMeta, DataError> {
     let (first, end) = (parts.first().map(|(part, _)| part.span), parts.last().map(|(part, _)| part.span));
     let span = first.zip(end).map_or(TimeSpan::new(0, 0), |(first, end)| first.union(end));
-    let first = alike(parts, |meta| TracksMeta { span, count_hint: None, nominal_exposure_ns: 0, ..meta.clone() }, "tracks")?;
+    let first = alike(
+        parts,
+        |meta| TracksMeta { span, count_hint: None, nominal_exposure_ns: 0, ..meta.clone() },
+        "tracks",
+    )?;
     same_scale(parts.iter().map(|(part, _)| part.nominal_exposure_ns))?;
     let count_hint = parts.iter().map(|(part, _)| part.count_hint).sum();
     Ok(TracksMeta { span, count_hint, ..first.clone() })
@@ -238,9 +291,14 @@ fn join_frames(parts: &[(&FramesMeta, TimeSpan)]) -> Result<FramesMeta, DataErro
         Nominal { exposure_ns } => exposure_ns,
     };
     same_scale(parts.iter().map(|(part, _)| scale_of(part)))?;
-    let bare = |meta: &FramesMeta| FramesMeta { times: FrameTimes { exposures: Arc::default(), row_time_ns: meta.times.row_time_ns }, ..meta.clone() };
+    let bare = |meta: &FramesMeta| FramesMeta {
+        times: FrameTimes { exposures: Arc::default(), row_time_ns: meta.times.row_time_ns },
+        ..meta.clone()
+    };
     let first = alike(parts, bare, "frames")?;
-    let kept = |(part, share): &(&FramesMeta, TimeSpan)| part.times.in_share(*share).into_iter().map(|l| part.times.exposures[l]).collect::<Vec<_>>();
+    let kept = |(part, share): &(&FramesMeta, TimeSpan)| {
+        part.times.in_share(*share).into_iter().map(|l| part.times.exposures[l]).collect::<Vec<_>>()
+    };
     let exposures = parts.iter().flat_map(kept).collect();
     Ok(FramesMeta { times: FrameTimes::new(exposures, first.times.row_time_ns)?, ..first.clone() })
 }
@@ -250,7 +308,8 @@ fn same_scale(mut exposures_ns: impl Iterator<Item = i64>) -> Result<(), DataErr
     let first = exposures_ns.next();
     match exposures_ns.position(|other| Some(other) != first) {
         Some(other) => Err(DataError::new(format!(
-            "frames of the recording are exposed differently in block {} of time than in the first, so that DN of the two are not of one scale",
+            "frames of the recording are exposed differently in block {} of time than in the first, so that \
+             DN of the two are not of one scale",
             other + 2
         ))),
         None => Ok(()),
@@ -267,19 +326,34 @@ mod tests {
     /// Shares that follow each other, with windows that reach 5 ms further.
     fn blocks() -> [(TimeSpan, TimeSpan); 3] {
         let all = [(i64::MIN, 30 * MS), (30 * MS, 61 * MS), (61 * MS, i64::MAX)];
-        all.map(|(start, end)| (TimeSpan::new(start.saturating_sub(5 * MS), end.saturating_add(5 * MS)), TimeSpan::new(start, end)))
+        all.map(|(start, end)| {
+            (
+                TimeSpan::new(start.saturating_sub(5 * MS), end.saturating_add(5 * MS)),
+                TimeSpan::new(start, end),
+            )
+        })
     }
 
     #[test]
     fn a_recording_that_was_cut_and_joined_is_what_it_was() {
-        for value in [Value::Events(testing::events(6, 9)), Value::Frames(testing::frames(6, 9, 10)), Value::Tracks(testing::tracks(6, 9))] {
-            let parts: Vec<(Value, TimeSpan)> = blocks().map(|(window, share)| (value.within(window), share)).into();
+        for value in [
+            Value::Events(testing::events(6, 9)),
+            Value::Frames(testing::frames(6, 9, 10)),
+            Value::Tracks(testing::tracks(6, 9)),
+        ] {
+            let parts: Vec<(Value, TimeSpan)> =
+                blocks().map(|(window, share)| (value.within(window), share)).into();
             // Every block leaves something out, and has more than its share.
             if let Value::Events(all) = &value {
-                let count = |part: &Value| if let Value::Events(part) = part { part.read(part.rows()).unwrap().len() } else { 0 };
+                let count = |part: &Value| {
+                    if let Value::Events(part) = part { part.read(part.rows()).unwrap().len() } else { 0 }
+                };
                 let counts: Vec<usize> = parts.iter().map(|(part, _)| count(part)).collect();
                 let whole = all.read(all.rows()).unwrap().len();
-                assert!(counts.iter().all(|count| *count < whole) && counts.iter().sum::<usize>() > whole, "{counts:?} of {whole}");
+                assert!(
+                    counts.iter().all(|count| *count < whole) && counts.iter().sum::<usize>() > whole,
+                    "{counts:?} of {whole}"
+                );
             }
             let joined = Value::joined_in_time(parts).unwrap();
             assert_eq!(joined.digest().unwrap(), value.digest().unwrap(), "{value:?}");
@@ -291,8 +365,10 @@ mod tests {
     #[test]
     fn what_is_known_of_parts_is_known_before_they_are_there() {
         for value in [Value::Events(testing::events(3, 4)), Value::Frames(testing::frames(3, 4, 9))] {
-            let metas: Vec<(Meta, TimeSpan)> = blocks().map(|(window, share)| (value.meta().within(window), share)).into();
-            let values: Vec<(Value, TimeSpan)> = blocks().map(|(window, share)| (value.within(window), share)).into();
+            let metas: Vec<(Meta, TimeSpan)> =
+                blocks().map(|(window, share)| (value.meta().within(window), share)).into();
+            let values: Vec<(Value, TimeSpan)> =
+                blocks().map(|(window, share)| (value.within(window), share)).into();
             assert!(metas.iter().zip(&values).all(|((meta, _), (value, _))| *meta == value.meta()));
             assert_eq!(Meta::joined_in_time(&metas).unwrap(), Value::joined_in_time(values).unwrap().meta());
         }
@@ -301,12 +377,17 @@ mod tests {
     #[test]
     fn frames_around_a_border_are_taken_once_wherever_they_are_read() {
         let film = testing::frames(4, 3, 10);
-        let Value::Frames(joined) = Value::joined_in_time(blocks().map(|(window, share)| (Value::Frames(film.clone()).within(window), share)).into()).unwrap()
-        else {
+        let Value::Frames(joined) = Value::joined_in_time(
+            blocks().map(|(window, share)| (Value::Frames(film.clone()).within(window), share)).into(),
+        )
+        .unwrap() else {
             panic!("frames stay frames")
         };
         for (from, to) in [(0, 10), (2, 4), (3, 3), (5, 9), (9, 10)] {
-            assert_eq!(joined.read(from..to, film.rows()).unwrap(), film.read(from..to, film.rows()).unwrap());
+            assert_eq!(
+                joined.read(from..to, film.rows()).unwrap(),
+                film.read(from..to, film.rows()).unwrap()
+            );
         }
         assert!(joined.read(3..11, film.rows()).is_err());
     }
@@ -316,13 +397,32 @@ mod tests {
         let share = TimeSpan::new(0, 10);
         let frames = |exposure_ns: i64| {
             let frames = testing::frames(3, 4, 3);
-            Meta::Frames(Arc::new(FramesMeta { scale: crate::FrameScale::Nominal { exposure_ns }, ..(*frames.meta).clone() }))
+            Meta::Frames(Arc::new(FramesMeta {
+                scale: crate::FrameScale::Nominal { exposure_ns },
+                ..(*frames.meta).clone()
+            }))
         };
-        let refused = |parts: [Meta; 2]| Meta::joined_in_time(&parts.map(|part| (part, share))).unwrap_err().message;
+        let refused =
+            |parts: [Meta; 2]| Meta::joined_in_time(&parts.map(|part| (part, share))).unwrap_err().message;
         assert!(refused([frames(5), frames(6)]).contains("exposed differently in block 2"));
-        assert!(refused([Value::Frames(testing::frames(3, 4, 3)).meta(), Value::Frames(testing::frames(3, 5, 3)).meta()]).contains("frames of block 2"));
-        assert!(refused([Value::Tracks(testing::tracks(3, 4)).meta(), Value::Tracks(testing::tracks(4, 4)).meta()]).contains("tracks of block 2"));
-        let map = Meta::Map(Arc::new(crate::MapMeta { extent: crate::Extent { width: 3, height: 4 }, planes: vec!["a".into()] }));
+        assert!(
+            refused([
+                Value::Frames(testing::frames(3, 4, 3)).meta(),
+                Value::Frames(testing::frames(3, 5, 3)).meta()
+            ])
+            .contains("frames of block 2")
+        );
+        assert!(
+            refused([
+                Value::Tracks(testing::tracks(3, 4)).meta(),
+                Value::Tracks(testing::tracks(4, 4)).meta()
+            ])
+            .contains("tracks of block 2")
+        );
+        let map = Meta::Map(Arc::new(crate::MapMeta {
+            extent: crate::Extent { width: 3, height: 4 },
+            planes: vec!["a".into()],
+        }));
         assert!(refused([map.clone(), map]).contains("map of its own"));
     }
 
@@ -330,10 +430,15 @@ mod tests {
     fn samples_keep_their_pixels_and_standard_deviations() {
         let mut band = crate::TrackBand::begin(0, 2);
         for pixel in 0..4_i64 {
-            band.push_with_sigma((0..5).map(|k| (k * 10 + pixel, (100 * pixel + k) as f32, (100 * pixel + k) as f32 * 0.5)));
+            band.push_with_sigma(
+                (0..5).map(|k| (k * 10 + pixel, (100 * pixel + k) as f32, (100 * pixel + k) as f32 * 0.5)),
+            );
         }
         let early = band.within(TimeSpan::new(0, 21));
-        assert_eq!((early.pixel(0, 0).t.len(), early.pixel(1, 0).t.len(), early.pixel(1, 1).photocurrent.to_vec()), (3, 2, vec![300.0, 301.0]));
+        assert_eq!(
+            (early.pixel(0, 0).t.len(), early.pixel(1, 0).t.len(), early.pixel(1, 1).photocurrent.to_vec()),
+            (3, 2, vec![300.0, 301.0])
+        );
         let late = band.within(TimeSpan::new(21, 1000));
         let joined = crate::TrackBand::follow(vec![early, late]);
         assert_eq!(joined, band);

@@ -17,7 +17,10 @@ pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> 
         for (k, one) in set.iter().enumerate() {
             for other in &set[k + 1..] {
                 advice.push(apart(one, other).or_else(|| apart(other, one)).unwrap_or_else(|| {
-                    format!("to separate {one} from {other}: the same scene at another speed and in other light, as the two do not scale alike")
+                    format!(
+                        "to separate {one} from {other}: the same scene at another speed and in other \
+                             light, as the two do not scale alike"
+                    )
                 }));
             }
         }
@@ -25,14 +28,22 @@ pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> 
     if answer.verdict == Verdict::Insufficient {
         // What the description lacks is stated, not recorded.
         let of_description = without_scene(&case.sensor);
-        let is_recorded = |what: &&String| of_description.as_ref().is_none_or(|why| !what.contains(why.as_str()));
-        advice.extend(integrity.lacking.iter().filter(is_recorded).map(|what| format!("record more: {what}")));
+        let is_recorded =
+            |what: &&String| of_description.as_ref().is_none_or(|why| !what.contains(why.as_str()));
+        advice
+            .extend(integrity.lacking.iter().filter(is_recorded).map(|what| format!("record more: {what}")));
     }
     if answer.verdict == Verdict::BrokenData {
-        advice.push("record again, or repair the file: nothing can be said of a sensor whose data contradict themselves".into());
+        advice.push(
+            "record again, or repair the file: nothing can be said of a sensor whose data \
+                     contradict themselves"
+                .into(),
+        );
     }
     if answer.verdict == Verdict::Consistent && case.frame_count() > 0 {
-        advice.push("faster motion, sharper edges and a wider range of light make smaller effects visible".into());
+        advice.push(
+            "faster motion, sharper edges and a wider range of light make smaller effects visible".into(),
+        );
     }
     if answer.verdict != Verdict::BrokenData && is_enough(case) {
         advice.extend(unstated::advice(&case.sensor));

@@ -1,7 +1,9 @@
-//! Every effect of the catalogue as a candidate: what its file says of the numbers that are sought ([`Sought`]), on a recording.
+//! Every effect of the catalogue as a candidate: what its file says of the numbers that are sought
+//! ([`Sought`]), on a recording.
 //!
-//! An effect with several independent parameters gives several candidates of the same id ("time_constant" by `tau_0` or by `alpha`). An *effect size* of 1 is an effect that
-//! an engineer would care for, 0 none; what parameter value that is depends on the recording's light and speed ([`Scales`]).
+//! An effect with several independent parameters gives several candidates of the same id ("time_constant" by
+//! `tau_0` or by `alpha`). An *effect size* of 1 is an effect that an engineer would care for, 0 none; what
+//! parameter value that is depends on the recording's light and speed ([`Scales`]).
 
 use crate::record::Described;
 use photocurrent_core::sensor::Reset;
@@ -27,7 +29,8 @@ pub struct Scales {
     pub signal_dn: f64,
     /// DN below which nearly all frame values lie: the range that is used.
     pub largest_dn: f64,
-    /// A fast slope of the scene, ln/s: thresholds over the 5th percentile of intervals between events of one polarity.
+    /// A fast slope of the scene, ln/s: thresholds over the 5th percentile of intervals between events of one
+    /// polarity.
     pub slope_per_s: f64,
     /// Events per second of the whole array.
     pub rate_hz: f64,
@@ -51,24 +54,58 @@ impl Scales {
         if let Some(frames) = &case.frames {
             exposure_s = frames.times.nominal_exposure_ns().unwrap_or(0) as f64 * 1e-9;
             // Every 7th value: enough for a median.
-            signals = frames.every(7).filter(|dn| dn.is_finite()).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
+            signals = frames
+                .every(7)
+                .filter(|dn| dn.is_finite())
+                .map(|dn| f64::from(dn) - nominal.number.black_level)
+                .collect();
             frame_period_s = frames.times.mean_period_ns().map_or(duration_s, |period_ns| period_ns * 1e-9);
-            frame_phase_s = frames.times.exposures.first().map_or(0.0, |exposure| exposure.end.0 as f64 * 1e-9).rem_euclid(frame_period_s);
+            frame_phase_s = frames
+                .times
+                .exposures
+                .first()
+                .map_or(0.0, |exposure| exposure.end.0 as f64 * 1e-9)
+                .rem_euclid(frame_period_s);
         }
         signals.sort_by(f64::total_cmp);
-        let largest_dn = nominal.number.black_level + signals.get(signals.len() * 199 / 200).copied().unwrap_or(1.0).max(1.0);
+        let largest_dn = nominal.number.black_level
+            + signals.get(signals.len() * 199 / 200).copied().unwrap_or(1.0).max(1.0);
         let signal_dn = signals.get(signals.len() / 2).copied().unwrap_or(0.0).max(0.0);
-        let light = if exposure_s > 0.0 && signal_dn > 0.0 { signal_dn / (nominal.number.gain * exposure_s) } else { 1.0 };
+        let light = if exposure_s > 0.0 && signal_dn > 0.0 {
+            signal_dn / (nominal.number.gain * exposure_s)
+        } else {
+            1.0
+        };
         let mut intervals: Vec<i64> = Vec::new();
         for pixel in (0..case.events.pixels()).step_by(5) {
             let of_pixel = case.events.of(pixel);
-            intervals.extend(of_pixel.windows(2).filter(|pair| pair[0].polarity == pair[1].polarity).map(|pair| pair[1].t_in_ns - pair[0].t_in_ns));
+            intervals.extend(
+                of_pixel
+                    .windows(2)
+                    .filter(|pair| pair[0].polarity == pair[1].polarity)
+                    .map(|pair| pair[1].t_in_ns - pair[0].t_in_ns),
+            );
         }
         intervals.sort_unstable();
-        let short_s = intervals.get(intervals.len() / 20).map_or(1e-2, |ns| f64::max(*ns as f64 * 1e-9, 1e-5));
+        let short_s =
+            intervals.get(intervals.len() / 20).map_or(1e-2, |ns| f64::max(*ns as f64 * 1e-9, 1e-5));
         let rate_hz = f64::max(case.events.len() as f64 / duration_s, 1.0);
-        let (stamp_s, rows, slope_per_s) = (case.t_resolution_ns as f64 * 1e-9, f64::from(case.extent.height), threshold / short_s);
-        Scales { light, threshold, duration_s, exposure_s, signal_dn, largest_dn, slope_per_s, rate_hz, frame_period_s, frame_phase_s, stamp_s, rows }
+        let (stamp_s, rows, slope_per_s) =
+            (case.t_resolution_ns as f64 * 1e-9, f64::from(case.extent.height), threshold / short_s);
+        Scales {
+            light,
+            threshold,
+            duration_s,
+            exposure_s,
+            signal_dn,
+            largest_dn,
+            slope_per_s,
+            rate_hz,
+            frame_period_s,
+            frame_phase_s,
+            stamp_s,
+            rows,
+        }
     }
 
     /// How much there is of a measure.
@@ -123,7 +160,8 @@ pub struct Trial {
 
 /// All candidates: the numbers that effects are sought by, in the order of the catalogue.
 pub static CANDIDATES: LazyLock<Vec<Candidate>> = LazyLock::new(|| {
-    let numbers = |decl: EffectDecl| decl.search.numbers().iter().map(move |sought| Candidate::of(decl, *sought));
+    let numbers =
+        |decl: EffectDecl| decl.search.numbers().iter().map(move |sought| Candidate::of(decl, *sought));
     let mut all: Vec<Candidate> = catalogue().into_iter().flat_map(|kind| numbers(kind.decl)).collect();
     all.sort_by_key(|candidate| candidate.sought.comes_last);
     all
@@ -131,7 +169,14 @@ pub static CANDIDATES: LazyLock<Vec<Candidate>> = LazyLock::new(|| {
 
 impl Candidate {
     fn of(decl: EffectDecl, sought: Sought) -> Candidate {
-        Candidate { id: decl.id, parameter: sought.parameter, signs: sought.signs, is_random: sought.is_random, sought, decl }
+        Candidate {
+            id: decl.id,
+            parameter: sought.parameter,
+            signs: sought.signs,
+            is_random: sought.is_random,
+            sought,
+            decl,
+        }
     }
 
     /// A name of its own: `leak_events.rate`, `large_signal_front_end`.
@@ -185,7 +230,8 @@ impl Candidate {
             return typical / f64::max(effect_size, 1e-6);
         }
         let value = self.nominal_value(nominal) + effect_size * typical;
-        let (least, most) = self.parameter_decl().map_or((f64::NEG_INFINITY, f64::INFINITY), |decl| decl.allowed);
+        let (least, most) =
+            self.parameter_decl().map_or((f64::NEG_INFINITY, f64::INFINITY), |decl| decl.allowed);
         value.clamp(least, most)
     }
 
@@ -199,7 +245,8 @@ impl Candidate {
     pub fn apply(&self, trial: &mut Trial, effect_size: f64, scales: &Scales) {
         if self.is_reset() {
             trial.effects.remove(self.id);
-            trial.nominal.reset = if trial.nominal.reset == Reset::Resample { Reset::Advance } else { Reset::Resample };
+            trial.nominal.reset =
+                if trial.nominal.reset == Reset::Resample { Reset::Advance } else { Reset::Resample };
             return;
         }
         let parameters = trial.effects.entry(self.id.to_owned()).or_default();
@@ -207,15 +254,20 @@ impl Candidate {
             return;
         }
         let value = self.value(effect_size, scales, &trial.nominal);
-        let written = |name: &str, value: f64| self.decl.parameter(name).map(|decl| (name.to_owned(), decl.unit.written(value)));
+        let written = |name: &str, value: f64| {
+            self.decl.parameter(name).map(|decl| (name.to_owned(), decl.unit.written(value)))
+        };
         parameters.extend(written(self.parameter, value));
-        for (name, size) in self.sought.others.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>() {
+        for (name, size) in
+            self.sought.others.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>()
+        {
             parameters.extend(written(name, scales.size(size, &trial.nominal)));
         }
         let Some(companion) = self.sought.companion else { return };
         let applied = Applied { effect_size, value, light: scales.light, model: &trial.nominal };
         if let Some(seconds) = (companion.seconds)(&applied) {
-            let stated = [(companion.parameter.to_owned(), Unit::Time.written(seconds))].into_iter().collect();
+            let stated =
+                [(companion.parameter.to_owned(), Unit::Time.written(seconds))].into_iter().collect();
             trial.effects.entry(companion.id.to_owned()).or_insert(stated);
         }
     }
@@ -248,7 +300,9 @@ mod tests {
         for kind in catalogue() {
             let of_effect = CANDIDATES.iter().filter(|candidate| candidate.id == kind.decl.id).count();
             match kind.decl.search {
-                Search::For(sought) => assert!(!sought.is_empty() && of_effect == sought.len(), "{}", kind.decl.id),
+                Search::For(sought) => {
+                    assert!(!sought.is_empty() && of_effect == sought.len(), "{}", kind.decl.id)
+                }
                 Search::Not(why) => assert!(!why.is_empty() && of_effect == 0, "{}", kind.decl.id),
             }
             numbers += of_effect;

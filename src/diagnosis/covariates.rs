@@ -1,7 +1,9 @@
-//! What an event may depend on: where it is, when, how bright and fast its light, what its pixel and the array did before.
+//! What an event may depend on: where it is, when, how bright and fast its light, what its pixel and the
+//! array did before.
 //!
-//! Names are those of reports (`location.covariate`). All are computed from the recording and the estimated scene alone, for any event at any time: recorded ones,
-//! and ones that a simulation has and the recording has not.
+//! Names are those of reports (`location.covariate`). All are computed from the recording and the estimated
+//! scene alone, for any event at any time: recorded ones, and ones that a simulation has and the recording
+//! has not.
 
 use crate::curves::Curves;
 use crate::sample::Sample;
@@ -112,7 +114,10 @@ impl Covariate {
 
     /// Is it a class rather than a number on a scale?
     pub fn is_class(self) -> bool {
-        matches!(self, Covariate::RowParity | Covariate::ColumnBlock | Covariate::Polarity | Covariate::PreviousPolarity)
+        matches!(
+            self,
+            Covariate::RowParity | Covariate::ColumnBlock | Covariate::Polarity | Covariate::PreviousPolarity
+        )
     }
 }
 
@@ -141,12 +146,19 @@ pub struct Surroundings<'a> {
 impl<'a> Surroundings<'a> {
     /// Of a recording and its scene; `tau` is (tau_0, alpha) in seconds.
     pub fn new(case: &'a Case, sample: &'a Sample, scene: &'a Curves, tau: (f64, f64)) -> Surroundings<'a> {
-        let light = |pixel: usize, t_ns: i64| sample.place(pixel).filter(|&n| scene.is_known[n]).map(|n| scene.at(n, t_ns));
+        let light = |pixel: usize, t_ns: i64| {
+            sample.place(pixel).filter(|&n| scene.is_known[n]).map(|n| scene.at(n, t_ns))
+        };
         Surroundings::of(case, Box::new(light), sample.len(), tau)
     }
 
     /// Of a recording whose log photocurrent `light` says, by pixel and instant, for `pixels` of them.
-    pub fn of(case: &'a Case, light: Box<dyn Fn(usize, i64) -> Option<f64> + Sync + 'a>, pixels: usize, tau: (f64, f64)) -> Surroundings<'a> {
+    pub fn of(
+        case: &'a Case,
+        light: Box<dyn Fn(usize, i64) -> Option<f64> + Sync + 'a>,
+        pixels: usize,
+        tau: (f64, f64),
+    ) -> Surroundings<'a> {
         let bins = usize::try_from((case.span.1 - case.span.0) / LOAD_NS + 2).unwrap_or(2);
         let mut array_load = vec![0; bins];
         let mut row_load = vec![vec![0; bins]; case.extent.height as usize];
@@ -172,7 +184,8 @@ impl<'a> Surroundings<'a> {
         (self.case.extent, self.pixels)
     }
 
-    /// The value for an event of `polarity` at `t_ns` in a pixel of the array; none where it is not defined (no event before, no neighbour in the sample).
+    /// The value for an event of `polarity` at `t_ns` in a pixel of the array; none where it is not defined
+    /// (no event before, no neighbour in the sample).
     pub fn value(&self, covariate: Covariate, pixel: usize, t_ns: i64, polarity: i8) -> Option<f64> {
         let (x, y) = self.case.place(pixel);
         let (width, height) = (self.case.extent.width, self.case.extent.height);
@@ -182,9 +195,14 @@ impl<'a> Surroundings<'a> {
             Covariate::Column => f64::from(x),
             Covariate::ColumnBlock => f64::from(8 * x / width),
             Covariate::Radius => {
-                let off = |at: u32, size: u32| (f64::from(at) - 0.5 * f64::from(size - 1)) / f64::max(0.5 * f64::from(size - 1), 0.5);
+                let off = |at: u32, size: u32| {
+                    (f64::from(at) - 0.5 * f64::from(size - 1)) / f64::max(0.5 * f64::from(size - 1), 0.5)
+                };
                 let (dx, dy) = (off(x, width) * f64::from(width), off(y, height) * f64::from(height));
-                libm::sqrt((dx * dx + dy * dy) / (f64::from(width) * f64::from(width) + f64::from(height) * f64::from(height)))
+                libm::sqrt(
+                    (dx * dx + dy * dy)
+                        / (f64::from(width) * f64::from(width) + f64::from(height) * f64::from(height)),
+                )
             }
             Covariate::Time => (t_ns - self.case.span.0) as f64 * 1e-9,
             Covariate::FramePhase => {
@@ -201,11 +219,18 @@ impl<'a> Surroundings<'a> {
             Covariate::PreviousPolarity => f64::from(polarity * self.before(pixel, t_ns)?.1),
             Covariate::TimeSinceLastEvent => (t_ns - self.before(pixel, t_ns)?.0) as f64 * 1e-9,
             Covariate::BurstIndex => self.burst_index(pixel, t_ns, polarity),
-            Covariate::LocalRate => self.around(x, y).map(|neighbour| self.count_before(neighbour, t_ns)).sum::<usize>() as f64,
+            Covariate::LocalRate => {
+                self.around(x, y).map(|neighbour| self.count_before(neighbour, t_ns)).sum::<usize>() as f64
+            }
             Covariate::RowRate => f64::from(self.row_load[y as usize][self.bin(t_ns)]),
             Covariate::GlobalRate => f64::from(self.array_load[self.bin(t_ns)]),
             Covariate::SpatialGradient => {
-                let difference = |by: (i32, i32)| Some(0.5 * (self.neighbour(x, y, by, t_ns)? - self.neighbour(x, y, (-by.0, -by.1), t_ns)?));
+                let difference = |by: (i32, i32)| {
+                    Some(
+                        0.5 * (self.neighbour(x, y, by, t_ns)?
+                            - self.neighbour(x, y, (-by.0, -by.1), t_ns)?),
+                    )
+                };
                 let (across, down) = (difference((1, 0))?, difference((0, 1))?);
                 libm::sqrt(across * across + down * down)
             }
@@ -214,7 +239,11 @@ impl<'a> Surroundings<'a> {
                 neighbours.into_iter().sum::<Option<f64>>()? / 4.0 - self.log_light(pixel, t_ns)?
             }
             Covariate::NeighbourEvent => {
-                let latest = self.around(x, y).filter(|&neighbour| neighbour != pixel).filter_map(|neighbour| Some(self.before(neighbour, t_ns)?.0)).max()?;
+                let latest = self
+                    .around(x, y)
+                    .filter(|&neighbour| neighbour != pixel)
+                    .filter_map(|neighbour| Some(self.before(neighbour, t_ns)?.0))
+                    .max()?;
                 (t_ns - latest) as f64 * 1e-9
             }
             Covariate::AcPhase => {
@@ -231,7 +260,9 @@ impl<'a> Surroundings<'a> {
     fn around(&self, x: u32, y: u32) -> impl Iterator<Item = usize> {
         let (width, height) = (self.case.extent.width, self.case.extent.height);
         let rows = y.saturating_sub(1)..=u32::min(y + 1, height - 1);
-        rows.flat_map(move |y| (x.saturating_sub(1)..=u32::min(x + 1, width - 1)).map(move |x| (y * width + x) as usize))
+        rows.flat_map(move |y| {
+            (x.saturating_sub(1)..=u32::min(x + 1, width - 1)).map(move |x| (y * width + x) as usize)
+        })
     }
 
     /// Stamp and polarity of the pixel's last event before `t_ns`.
@@ -243,7 +274,8 @@ impl<'a> Surroundings<'a> {
 
     fn count_before(&self, pixel: usize, t_ns: i64) -> usize {
         let events = self.case.events.of(pixel);
-        events.partition_point(|event| event.t_in_ns < t_ns) - events.partition_point(|event| event.t_in_ns < t_ns - LOAD_NS)
+        events.partition_point(|event| event.t_in_ns < t_ns)
+            - events.partition_point(|event| event.t_in_ns < t_ns - LOAD_NS)
     }
 
     fn burst_index(&self, pixel: usize, t_ns: i64, polarity: i8) -> f64 {
@@ -263,7 +295,10 @@ impl<'a> Surroundings<'a> {
     }
 
     fn slope(&self, pixel: usize, t_ns: i64) -> Option<f64> {
-        Some((self.log_light(pixel, t_ns + SLOPE_NS)? - self.log_light(pixel, t_ns - SLOPE_NS)?) / (2.0 * SLOPE_NS as f64 * 1e-9))
+        Some(
+            (self.log_light(pixel, t_ns + SLOPE_NS)? - self.log_light(pixel, t_ns - SLOPE_NS)?)
+                / (2.0 * SLOPE_NS as f64 * 1e-9),
+        )
     }
 
     fn neighbour(&self, x: u32, y: u32, by: (i32, i32), t_ns: i64) -> Option<f64> {

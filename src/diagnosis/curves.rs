@@ -52,7 +52,9 @@ impl Curves {
         match (after.checked_sub(1), t.get(after)) {
             (None, _) => u[0],
             (Some(last), None) => u[last],
-            (Some(before), Some(&next)) => u[before] + (u[after] - u[before]) * (t_ns - t[before]) as f64 / (next - t[before]) as f64,
+            (Some(before), Some(&next)) => {
+                u[before] + (u[after] - u[before]) * (t_ns - t[before]) as f64 / (next - t[before]) as f64
+            }
         }
     }
 }

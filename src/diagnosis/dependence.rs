@@ -54,9 +54,11 @@ pub struct Dependence {
     pub value: Vec<f64>,
     /// Half the difference of what two halves of the pixels say; of a rate of events, its standard error.
     pub error: Vec<f64>,
-    /// Share of the squares that it removes, on pixels that it was not fitted to; of a rate of events, the share of those of counts.
+    /// Share of the squares that it removes, on pixels that it was not fitted to; of a rate of events, the
+    /// share of those of counts.
     pub taken: f64,
-    /// The same over its standard error from part to part of the array; of a rate of events, what its test measured.
+    /// The same over its standard error from part to part of the array; of a rate of events, what its test
+    /// measured.
     pub significance: f64,
     /// Held-out gain in log-likelihood, nats an event.
     pub nats_per_event: f64,
@@ -72,7 +74,8 @@ impl Dependence {
             Moved::Rate => format!("{value:+.2} Hz at {}", short(*at)),
         };
         let points: Vec<String> = self.at.iter().zip(&self.value).map(point).collect();
-        let rhythm = self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
+        let rhythm =
+            self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
         format!("{}, c({name}){rhythm} = {}", self.moved.equation(), points.join(", "))
     }
 }

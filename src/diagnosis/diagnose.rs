@@ -1,4 +1,5 @@
-//! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report; and its last two stages one by one ([`check`], [`confirm`]).
+//! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report;
+//! and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::fitted::{add_numbers, fitted};
@@ -6,7 +7,10 @@ use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
 use crate::judge::{Judging, judged};
-use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
+use crate::report::{
+    BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance,
+    Report, SCHEMA, Verdict,
+};
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
 use crate::unstated;
@@ -36,7 +40,13 @@ pub struct Setting {
 
 impl Default for Setting {
     fn default() -> Setting {
-        Setting { seed: 0, solve: SolveOptions::default(), without_proof: false, most_worse_db: 0.05, judging: Judging::default() }
+        Setting {
+            seed: 0,
+            solve: SolveOptions::default(),
+            without_proof: false,
+            most_worse_db: 0.05,
+            judging: Judging::default(),
+        }
     }
 }
 
@@ -100,7 +110,8 @@ pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
     integrity.broken.is_empty() && is_enough(case)
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude: what is decided on a scene is the rest.
+/// The recording with what direct tests found in its description, and without the pixels that they exclude:
+/// what is decided on a scene is the rest.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
@@ -113,11 +124,17 @@ pub fn amend(case: &Case, integrity: &Integrity) -> Result<Case, NodeError> {
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed) -> Result<Diagnosis, NodeError> {
+pub fn confirm(
+    case: &Case,
+    setting: &Setting,
+    mut integrity: Integrity,
+    proposed: Proposed,
+) -> Result<Diagnosis, NodeError> {
     let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
     let can_compare = can_compare(case, &integrity);
-    let sample = (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    let sample =
+        (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     if proposed.decided().is_none() {
         judged(case, &nominal, &setting.judging, &setting.solve, &mut integrity)?;
     }
@@ -127,18 +144,30 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         if let Proposed::Nothing(why) = &proposed {
             answer.verdict = Verdict::Insufficient;
             let is_unstated = unstated::without_scene(&case.sensor).is_some();
-            integrity.lacking.push(if is_unstated { format!("no direct test contradicts the description, and {why}") } else { why.clone() });
+            integrity.lacking.push(if is_unstated {
+                format!(
+                    "no direct test contradicts the description, \
+                                                            and {why}"
+                )
+            } else {
+                why.clone()
+            });
         } else if !can_compare {
             answer.verdict = Verdict::Insufficient;
         }
     }
     let of_claims = |claims: &[Claim]| description(case, &nominal, &scales, claims);
     let mut changed = of_claims(&answer.claims);
-    let predicted = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve));
+    let predicted = |sensor: &Sensor| {
+        sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
+    };
     let before = predicted(&case.sensor)?;
     let mut after = changed.as_ref().map(&predicted).transpose()?.flatten();
     let is_worse = |after: &Option<Prediction>| {
-        before.as_ref().zip(after.as_ref()).is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
+        before
+            .as_ref()
+            .zip(after.as_ref())
+            .is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
     let mut withdrawn = Vec::new();
     if is_worse(&after) {
@@ -154,23 +183,34 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         }
     }
     let predictions = (before, after);
-    let report = report(case, &nominal, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
+    let report =
+        report(case, &nominal, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
 }
 
 /// The description with claims put in; none without claims.
 fn description(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]) -> Option<Sensor> {
-    let values: Vec<(usize, f64)> = claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
+    let values: Vec<(usize, f64)> = claims
+        .iter()
+        .flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value)))
+        .collect();
     let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, nominal, scales, &values))?;
-    claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| add_numbers(&mut changed.effects, finding.id, &finding.parameters));
+    claims
+        .iter()
+        .filter_map(|claim| claim.finding.as_ref())
+        .for_each(|finding| add_numbers(&mut changed.effects, finding.id, &finding.parameters));
     Some(changed)
 }
 
-/// Claims without one of those that an estimate of the scene made, the weakest left out first; at last without all of them. What direct tests found stays.
+/// Claims without one of those that an estimate of the scene made, the weakest left out first; at last
+/// without all of them. What direct tests found stays.
 fn fewer(claims: &[Claim]) -> Vec<Vec<Claim>> {
-    let estimated: Vec<&str> = claims.iter().filter(|claim| claim.finding.is_none()).map(|claim| claim.id).collect();
-    let without = |ids: &[&str]| claims.iter().filter(|claim| !ids.contains(&claim.id)).cloned().collect::<Vec<Claim>>();
+    let estimated: Vec<&str> =
+        claims.iter().filter(|claim| claim.finding.is_none()).map(|claim| claim.id).collect();
+    let without = |ids: &[&str]| {
+        claims.iter().filter(|claim| !ids.contains(&claim.id)).cloned().collect::<Vec<Claim>>()
+    };
     let one_less = estimated.iter().rev().filter(|_| estimated.len() > 1).map(|id| without(&[*id]));
     one_less.chain([without(&estimated)]).collect()
 }
@@ -185,7 +225,8 @@ pub(crate) fn looked_at(case: &Case) -> Sample {
     Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude, what is decided on a scene is the rest.
+/// The recording with what direct tests found in its description, and without the pixels that they exclude,
+/// what is decided on a scene is the rest.
 pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
     let mut amended = case.without(&integrity.masked);
     // Hot rows and pixels are out with their pixels.
@@ -193,14 +234,18 @@ pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Inte
     let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &values);
     rest.for_each(|finding| add_numbers(&mut amended.sensor.effects, finding.id, &finding.parameters));
-    if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step) {
+    if let Some(step) =
+        values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step)
+    {
         amended.t_resolution_ns = (step * 1e9).round() as i64;
     }
     amended
 }
 
 fn values_of(finding: &Finding) -> Vec<(usize, f64)> {
-    let place = |parameter: &str| CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == parameter);
+    let place = |parameter: &str| {
+        CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == parameter)
+    };
     finding.parameters.iter().filter_map(|(parameter, value)| Some((place(parameter)?, *value))).collect()
 }
 
@@ -214,7 +259,8 @@ fn report(
     changed: Option<&Sensor>,
     predictions: &(Option<Prediction>, Option<Prediction>),
 ) -> Report {
-    let mut effects: Vec<EffectReport> = answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
+    let mut effects: Vec<EffectReport> =
+        answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
     for (effect, claim) in effects.iter_mut().zip(&answer.claims) {
         of_claim(proposed.decided(), claim).into_iter().for_each(|located| located.put(&mut effect.location));
     }
@@ -222,9 +268,21 @@ fn report(
         let mut location = everywhere(case, None);
         of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
         location.covariate.clone_from(&found.covariate);
-        let is_direct = found.dependence.as_ref().is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
-        let by = if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };
-        let evidence = Evidence { statistic: found.score, heldout_nats_per_event: Some(found.nats), found_by: vec![by.to_owned()], ..Evidence::default() };
+        let is_direct = found
+            .dependence
+            .as_ref()
+            .is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
+        let by = if is_direct {
+            DIRECT
+        } else {
+            proposed.decided().map_or(DIRECT, |decided| decided.name.as_str())
+        };
+        let evidence = Evidence {
+            statistic: found.score,
+            heldout_nats_per_event: Some(found.nats),
+            found_by: vec![by.to_owned()],
+            ..Evidence::default()
+        };
         effects.push(EffectReport {
             id: "unnamed".into(),
             also_possible: Vec::new(),
@@ -236,20 +294,35 @@ fn report(
             evidence,
         });
     }
-    let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
+    let psnr = predictions
+        .0
+        .as_ref()
+        .zip(predictions.1.as_ref())
+        .map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let decided = proposed.decided();
-    let gained: f64 = answer.claims.iter().filter(|claim| claim.finding.is_none()).filter_map(|claim| claim.heldout_nats_per_event).sum();
-    let nats = decided.and_then(|decided| decided.nats_per_event).filter(|_| gained > 0.0).map(|before| BeforeAfter { before, after: before + gained });
+    let gained: f64 = answer
+        .claims
+        .iter()
+        .filter(|claim| claim.finding.is_none())
+        .filter_map(|claim| claim.heldout_nats_per_event)
+        .sum();
+    let nats = decided
+        .and_then(|decided| decided.nats_per_event)
+        .filter(|_| gained > 0.0)
+        .map(|before| BeforeAfter { before, after: before + gained });
     // A second effect is fitted on top of the first, so the last one describes both.
     let left = answer.claims.iter().rev().find_map(|claim| claim.ks);
-    let calibration_ks = decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
+    let calibration_ks =
+        decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
         summary: summary(case, integrity, answer, decided),
         not_testable: not_testable(case, proposed, &answer.claims),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
-        residual_left: decided.and_then(|decided| decided.residual_left).filter(|_| answer.claims.iter().any(|claim| claim.finding.is_none())),
+        residual_left: decided
+            .and_then(|decided| decided.residual_left)
+            .filter(|_| answer.claims.iter().any(|claim| claim.finding.is_none())),
         effects,
         fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
         detectability: decided.map_or_else(Vec::new, |decided| {
@@ -260,10 +333,15 @@ fn report(
         sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),
         provenance: Provenance {
             recording_digest: digest(case),
-            sensor_digest: DigestBuilder::new("photocurrent-diagnosis-sensor/1").text(&case.sensor.canonical_json()).finish().to_string(),
+            sensor_digest: DigestBuilder::new("photocurrent-diagnosis-sensor/1")
+                .text(&case.sensor.canonical_json())
+                .finish()
+                .to_string(),
             seed: setting.seed,
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            stages: std::iter::once("integrity".to_owned()).chain(decided.map(|decided| decided.name.clone())).collect(),
+            stages: std::iter::once("integrity".to_owned())
+                .chain(decided.map(|decided| decided.name.clone()))
+                .collect(),
         },
     }
 }
@@ -279,10 +357,18 @@ pub fn broken(why: &str, seed: u64) -> Report {
         detectability: Vec::new(),
         scene: Vec::new(),
         not_testable: Vec::new(),
-        next_experiment: vec!["record again, or repair the file: nothing can be said of a sensor whose data contradict themselves".into()],
+        next_experiment: vec![
+            "record again, or repair the file: nothing can be said of a sensor whose data \
+                               contradict themselves"
+                .into(),
+        ],
         residual_left: None,
         sensor_fitted: None,
-        provenance: Provenance { seed, version: env!("CARGO_PKG_VERSION").to_owned(), ..Provenance::default() },
+        provenance: Provenance {
+            seed,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            ..Provenance::default()
+        },
     }
 }
 
@@ -309,7 +395,9 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         }
     }
     if claim.values.iter().any(|(candidate, ..)| CANDIDATES[*candidate].is_reset()) {
-        effect.equation = "the reference moves by one threshold at each event, or is taken anew, other than stated (comparator.reset)".into();
+        effect.equation = "the reference moves by one threshold at each event, or is taken anew, other than \
+                           stated (comparator.reset)"
+            .into();
     }
     if let Some(finding) = &claim.finding {
         effect.plain = format!("{}: {}", decl.about, finding.seen);
@@ -318,11 +406,22 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         }
         // Numbers that are no candidates of their own are added.
         for (parameter, value) in &finding.parameters {
-            if let Some(of) = decl.parameters.iter().find(|of| of.name == *parameter).filter(|_| Candidate::find(claim.id, parameter).is_none()) {
+            if let Some(of) = decl
+                .parameters
+                .iter()
+                .find(|of| of.name == *parameter)
+                .filter(|_| Candidate::find(claim.id, parameter).is_none())
+            {
                 let key = format!("{parameter}{}", of.unit.suffix());
-                effect
-                    .parameters
-                    .insert(key, Parameter { estimate: *value, ci95: finding.interval(parameter), nominal: of.null, unit: of.unit.text().to_owned() });
+                effect.parameters.insert(
+                    key,
+                    Parameter {
+                        estimate: *value,
+                        ci95: finding.interval(parameter),
+                        nominal: of.null,
+                        unit: of.unit.text().to_owned(),
+                    },
+                );
             }
         }
     }
@@ -330,7 +429,11 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
 }
 
 fn decl(id: &str) -> EffectDecl {
-    catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id).unwrap_or_else(|| unreachable!("claims are of the catalogue"))
+    catalogue()
+        .into_iter()
+        .map(|kind| kind.decl)
+        .find(|decl| decl.id == id)
+        .unwrap_or_else(|| unreachable!("claims are of the catalogue"))
 }
 
 fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
@@ -357,8 +460,11 @@ fn location(case: &Case, decl: &EffectDecl, finding: Option<&Finding>) -> Locati
     let Some(finding) = finding else { return location };
     location.polarity = finding.polarity.to_owned();
     if !finding.pixels.is_empty() {
-        let places: Vec<(u32, u32)> = finding.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
-        let ends = |values: Vec<u32>| [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)];
+        let places: Vec<(u32, u32)> =
+            finding.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
+        let ends = |values: Vec<u32>| {
+            [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)]
+        };
         location.columns = ends(places.iter().map(|place| place.0).collect());
         location.rows = ends(places.iter().map(|place| place.1).collect());
         location.pixels = finding.pixels.len() as u64;
@@ -375,17 +481,30 @@ fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<
     let said = match answer.verdict {
         Verdict::BrokenData => return integrity.broken.join("; "),
         Verdict::Insufficient => return integrity.lacking.join("; "),
-        Verdict::Consistent => "the recording agrees with the description as far as these tests see; detectability says how far that is".into(),
-        Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue explains how".into(),
+        Verdict::Consistent => "the recording agrees with the description as far as these tests see; \
+                                detectability says how far that is"
+            .into(),
+        Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue \
+                             explains how"
+            .into(),
         Verdict::Numerical => "what differs is an error of our own".into(),
-        Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
+        Verdict::Named | Verdict::Ambiguous => {
+            answer.claims.iter().map(name).collect::<Vec<_>>().join(", and ")
+        }
     };
     let Some(decided) = decided else {
         let left_out = unstated::without_scene(&case.sensor).filter(|_| is_enough(case));
         return left_out.map_or(said.clone(), |why| format!("{said}; {why}"));
     };
     let near = nearly(decided, answer);
-    let near = if near.is_empty() { near } else { format!("; near the detection threshold, and not reported: {near}") };
+    let near = if near.is_empty() {
+        near
+    } else {
+        format!(
+            "; near the detection threshold, and not \
+                                                           reported: {near}"
+        )
+    };
     format!("{said} ({}){near}", looked_at_of(decided))
 }
 
@@ -394,10 +513,16 @@ const NEARLY: f64 = 0.5;
 
 /// What came near its detection threshold on the scene without being reported, with its share of it.
 fn nearly(decided: &Decided, answer: &Answer) -> String {
-    let is_reported = |id: &str| answer.claims.iter().any(|claim| claim.id == id || claim.also_possible.contains(&id));
+    let is_reported =
+        |id: &str| answer.claims.iter().any(|claim| claim.id == id || claim.also_possible.contains(&id));
     let share = |one: &Proposal| one.score * one.probability;
-    let near = decided.proposals.iter().filter(|one| (NEARLY..1.0).contains(&share(one)) && !is_reported(CANDIDATES[one.candidate].id));
-    near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * share(one))).collect::<Vec<_>>().join(", ")
+    let near = decided
+        .proposals
+        .iter()
+        .filter(|one| (NEARLY..1.0).contains(&share(one)) && !is_reported(CANDIDATES[one.candidate].id));
+    near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * share(one)))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// Which events were held against which scene.
@@ -407,7 +532,9 @@ fn looked_at_of(decided: &Decided) -> String {
         "patches" => "on a scene in parts",
         _ => "on a moving picture",
     };
-    let when = decided.span_ns.map_or_else(String::new, |(from, to)| format!(" from {:.2} to {:.2} s", from as f64 * 1e-9, to as f64 * 1e-9));
+    let when = decided.span_ns.map_or_else(String::new, |(from, to)| {
+        format!(" from {:.2} to {:.2} s", from as f64 * 1e-9, to as f64 * 1e-9)
+    });
     format!("{scene}, {:.0} % of the events{when}", 100.0 * decided.share)
 }
 
@@ -415,12 +542,21 @@ fn looked_at_of(decided: &Decided) -> String {
 fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTestable> {
     let why = match proposed {
         Proposed::Decided(_) => return Vec::new(),
-        _ if case.frame_count() < FEWEST_FRAMES => "it needs events and frames of the same scene, and there are not enough frames",
-        _ if case.events.len() < FEWEST_EVENTS => "it needs events and frames of the same scene, and there are not enough events",
+        _ if case.frame_count() < FEWEST_FRAMES => {
+            "it needs events and frames of the same scene, and there \
+                                                    are not enough frames"
+        }
+        _ if case.events.len() < FEWEST_EVENTS => {
+            "it needs events and frames of the same scene, and there \
+                                                   are not enough events"
+        }
         Proposed::Nothing(why) => why,
         Proposed::NotAsked => "it needs the scene, and no test that estimates the scene took part",
     };
-    let is_tested = |id: &str| TESTED.contains(&id) && case.events.len() >= FEWEST_EVENTS || claims.iter().any(|claim| claim.id == id);
+    let is_tested = |id: &str| {
+        TESTED.contains(&id) && case.events.len() >= FEWEST_EVENTS
+            || claims.iter().any(|claim| claim.id == id)
+    };
     if is_enough(case) {
         let left_out = unstated::not_testable(&case.sensor, is_tested);
         if !left_out.is_empty() {
@@ -434,9 +570,18 @@ fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTe
 /// Of events, frames and their times.
 fn digest(case: &Case) -> String {
     let mut digest = DigestBuilder::new("photocurrent-diagnosis-case/2");
-    digest.integer(case.extent.width.into()).integer(case.extent.height.into()).integer(case.t_resolution_ns).integer(case.has_t_in.into());
+    digest
+        .integer(case.extent.width.into())
+        .integer(case.extent.height.into())
+        .integer(case.t_resolution_ns)
+        .integer(case.has_t_in.into());
     for pixel in 0..case.events.pixels() {
-        let numbers: Vec<i64> = case.events.of(pixel).iter().flat_map(|event| [event.t_in_ns, event.t_off_ns, event.polarity.into()]).collect();
+        let numbers: Vec<i64> = case
+            .events
+            .of(pixel)
+            .iter()
+            .flat_map(|event| [event.t_in_ns, event.t_off_ns, event.polarity.into()])
+            .collect();
         digest.slice(&numbers);
     }
     if let Some(frames) = &case.frames {

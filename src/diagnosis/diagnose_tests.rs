@@ -10,8 +10,16 @@ fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
 
 fn clock(value: f64) -> Proposed {
     let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
-    let proposal =
-        Proposal { candidate, score: 1.1, probability: 0.9, value, passed: true, heldout_nats_per_event: Some(0.5), ks: Some(0.02), ..Proposal::default() };
+    let proposal = Proposal {
+        candidate,
+        score: 1.1,
+        probability: 0.9,
+        value,
+        passed: true,
+        heldout_nats_per_event: Some(0.5),
+        ks: Some(0.02),
+        ..Proposal::default()
+    };
     Proposed::Decided(Box::new(Decided {
         name: "picture".into(),
         detected: true,
@@ -43,7 +51,10 @@ fn a_named_effect_is_reported_fitted_and_proven() {
 #[test]
 fn what_predicts_held_out_frames_worse_is_withdrawn() {
     let found = diagnosed(&testing::case(), clock(3e-3));
-    assert_eq!((found.report.verdict, found.withdrawn), (Verdict::Consistent, vec!["clock_offset".to_owned()]));
+    assert_eq!(
+        (found.report.verdict, found.withdrawn),
+        (Verdict::Consistent, vec!["clock_offset".to_owned()])
+    );
 }
 
 #[test]
@@ -83,10 +94,19 @@ fn the_same_recording_gives_the_same_bytes() {
 #[test]
 fn an_effect_that_the_description_states_is_no_finding() {
     let step = serde_json::json!({"step": "130 us"});
-    let effects: crate::record::Described = [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
+    let effects: crate::record::Described =
+        [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
     let mut case = testing::case_with(&effects);
     // The stated resolution is that of the recorder: 1 ns.
-    assert_eq!(diagnosed(&case, Proposed::NotAsked).integrity.findings.iter().map(|finding| finding.id).collect::<Vec<_>>(), ["timestamp_quantization"]);
+    assert_eq!(
+        diagnosed(&case, Proposed::NotAsked)
+            .integrity
+            .findings
+            .iter()
+            .map(|finding| finding.id)
+            .collect::<Vec<_>>(),
+        ["timestamp_quantization"]
+    );
     case.sensor.effects = effects;
     assert!(diagnosed(&case, Proposed::NotAsked).integrity.findings.is_empty());
 }

@@ -1,7 +1,8 @@
-//! The fitted description: the stated one with what was found put in, in the form that simulator and solver load.
+//! The fitted description: the stated one with what was found put in, in the form that simulator and solver
+//! load.
 //!
-//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time, black level, row time, reset rule) changes that field; all
-//! others stand under `[effects]`.
+//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time,
+//! black level, row time, reset rule) changes that field; all others stand under `[effects]`.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::record::Described;
@@ -12,7 +13,8 @@ use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Field;
 
-/// A description with effects put in; each is an index into [`CANDIDATES`] with a value in the unit of its declaration.
+/// A description with effects put in; each is an index into [`CANDIDATES`] with a value in the unit of its
+/// declaration.
 pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usize, f64)]) -> Sensor {
     let mut sensor = sensor.clone();
     let mut trial = Trial::stated(nominal);
@@ -30,8 +32,9 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
     sensor
 }
 
-/// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot pixels) with those that are; each in the unit of its
-/// declaration. Nothing where the description does not state the effect under `[effects]`.
+/// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot
+/// pixels) with those that are; each in the unit of its declaration. Nothing where the description does not
+/// state the effect under `[effects]`.
 pub fn add_numbers(effects: &mut Described, id: &str, numbers: &[(&'static str, f64)]) {
     let Some(stated) = effects.get_mut(id) else { return };
     let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
@@ -41,7 +44,8 @@ pub fn add_numbers(effects: &mut Described, id: &str, numbers: &[(&'static str, 
     }
 }
 
-/// The text of a fitted description, with a word on where it comes from: what was found, each with what else it may be.
+/// The text of a fitted description, with a word on where it comes from: what was found, each with what else
+/// it may be.
 pub fn with_findings(fitted: &Sensor, found: &[(String, Vec<String>)]) -> String {
     let mut text = String::from("# The stated sensor with what `photocurrent diagnose` found put in.\n");
     for (id, also_possible) in found {
@@ -55,7 +59,8 @@ pub fn with_findings(fitted: &Sensor, found: &[(String, Vec<String>)]) -> String
 /// Changes the field that an effect belongs to; false when it has none.
 fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
     let duration = |seconds: f64| Some(Duration::new((seconds * 1e9).round().max(0.0) as i64));
-    let (on, off) = (sensor.comparator.threshold_on.unwrap_or(0.0), sensor.comparator.threshold_off.unwrap_or(0.0));
+    let (on, off) =
+        (sensor.comparator.threshold_on.unwrap_or(0.0), sensor.comparator.threshold_off.unwrap_or(0.0));
     let Some(field) = candidate.sought.field else { return false };
     match field {
         Field::Tau0 => sensor.front_end.tau_0 = duration(value),
@@ -91,19 +96,27 @@ mod tests {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
-        let place = |id: &str, parameter: &str| CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap();
-        let found: Vec<(usize, f64)> = found.iter().map(|(id, parameter, value)| (place(id, parameter), *value)).collect();
+        let place = |id: &str, parameter: &str| {
+            CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap()
+        };
+        let found: Vec<(usize, f64)> =
+            found.iter().map(|(id, parameter, value)| (place(id, parameter), *value)).collect();
         fitted(&testing::sensor(), &nominal, &scales, &found)
     }
 
     fn read_back(sensor: &Sensor) -> Sensor {
         let source = Source::new("sensor.fitted.toml", Path::new("."), sensor.to_toml());
-        Sensor::parse(&source).unwrap_or_else(|problems| panic!("{}\n{}", problems[0].message, sensor.to_toml()))
+        Sensor::parse(&source)
+            .unwrap_or_else(|problems| panic!("{}\n{}", problems[0].message, sensor.to_toml()))
     }
 
     #[test]
     fn effects_with_a_field_change_it_and_the_text_is_read_back() {
-        let sensor = fitted_with(&[("time_constant", "alpha", 0.012), ("threshold_asymmetry", "fraction", 0.1), ("refractory", "refractory", 379e-6)]);
+        let sensor = fitted_with(&[
+            ("time_constant", "alpha", 0.012),
+            ("threshold_asymmetry", "fraction", 0.1),
+            ("refractory", "refractory", 379e-6),
+        ]);
         assert_eq!(sensor.front_end.alpha, Some(Duration::new(12_000_000)));
         assert!((sensor.comparator.threshold_on.unwrap() - 0.22).abs() < 1e-12);
         assert!((sensor.comparator.threshold_off.unwrap() - 0.189).abs() < 1e-12);
@@ -115,12 +128,19 @@ mod tests {
     #[test]
     fn numbers_that_are_not_sought_are_added_to_those_that_are() {
         let mut sensor = fitted_with(&[("frame_coupling", "step", 0.03), ("hot_pixels", "fraction", 0.002)]);
-        add_numbers(&mut sensor.effects, "frame_coupling", &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)]);
+        add_numbers(
+            &mut sensor.effects,
+            "frame_coupling",
+            &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)],
+        );
         add_numbers(&mut sensor.effects, "hot_pixels", &[("rate", 900.0)]);
         add_numbers(&mut sensor.effects, "hot_rows", &[("rate", 900.0)]);
         let coupling = &sensor.effects["frame_coupling"];
         assert!((coupling["step"].as_f64().unwrap() - 0.03).abs() < 1e-12);
-        assert_eq!(["period", "phase", "row_time"].map(|name| coupling[name].clone()), ["40000000 ns", "470000 ns", "35250 ns"].map(|text| json!(text)));
+        assert_eq!(
+            ["period", "phase", "row_time"].map(|name| coupling[name].clone()),
+            ["40000000 ns", "470000 ns", "35250 ns"].map(|text| json!(text))
+        );
         assert_eq!(sensor.effects["hot_pixels"]["rate"], "900 Hz");
         assert!(!sensor.effects.contains_key("hot_rows"));
         assert_eq!(from_description(&read_back(&sensor).effects).unwrap().len(), 2);
@@ -128,7 +148,11 @@ mod tests {
 
     #[test]
     fn another_reset_rule_and_a_common_threshold_error_change_fields_too() {
-        let sensor = fitted_with(&[("refractory", "reset", 1.0), ("threshold_scale", "fraction", -0.25), ("black_level", "black_level_dn", 31.5)]);
+        let sensor = fitted_with(&[
+            ("refractory", "reset", 1.0),
+            ("threshold_scale", "fraction", -0.25),
+            ("black_level", "black_level_dn", 31.5),
+        ]);
         assert_eq!(sensor.comparator.reset, Reset::Advance);
         assert!((sensor.comparator.threshold_on.unwrap() - 0.15).abs() < 1e-12);
         assert_eq!(sensor.frames.black_level_dn, Some(31.5));
@@ -141,7 +165,12 @@ mod tests {
         let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
         for (which, candidate) in CANDIDATES.iter().enumerate() {
-            let sensor = fitted(&testing::sensor(), &nominal, &scales, &[(which, candidate.value(1.0, &scales, &nominal))]);
+            let sensor = fitted(
+                &testing::sensor(),
+                &nominal,
+                &scales,
+                &[(which, candidate.value(1.0, &scales, &nominal))],
+            );
             let back = read_back(&sensor);
             from_description(&back.effects).unwrap_or_else(|why| panic!("{}: {why}", candidate.label()));
             assert_ne!(back, testing::sensor(), "{}", candidate.label());

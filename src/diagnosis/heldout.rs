@@ -53,7 +53,12 @@ impl Prediction {
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOptions) -> Result<Option<Prediction>, NodeError> {
+pub fn predict(
+    case: &Case,
+    sensor: &Sensor,
+    sample: &Sample,
+    options: &SolveOptions,
+) -> Result<Option<Prediction>, NodeError> {
     let nominal = case.described(sensor)?;
     let undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
     let Some(frames) = &case.frames else { return Ok(None) };
@@ -69,10 +74,17 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOpt
         let track = Track::new(t_ns, log_light, STEP_NS);
         let stated = |l: usize| {
             let exposure = frames.times.exposure(l, y);
-            MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn: 0.0, sigma_dn: 1.0, saturated: false }
+            MapFrame {
+                start_ns: exposure.start.0,
+                end_ns: exposure.end.0,
+                dn: 0.0,
+                sigma_dn: 1.0,
+                saturated: false,
+            }
         };
         let all: Vec<MapFrame> = (0..case.frame_count()).map(stated).collect();
-        let look = Look { site: case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &all };
+        let look =
+            Look { site: case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &all };
         frame_values(&nominal, undo.known(), &look, &mut read);
         let (mut own, mut values, mut level) = (0.0, 0.0, 0.0);
         for (slot, &frame) in kept.iter().enumerate() {
@@ -98,12 +110,22 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOpt
         return Ok(None);
     }
     let peak_dn = if nominal.saturation_dn.is_finite() { nominal.saturation_dn } else { largest };
-    let by_frame = kept.iter().zip(by_frame).filter(|(_, (_, count))| *count > 0.0).map(|(frame, (sum, count))| (*frame, libm::sqrt(sum / count))).collect();
+    let by_frame = kept
+        .iter()
+        .zip(by_frame)
+        .filter(|(_, (_, count))| *count > 0.0)
+        .map(|(frame, (sum, count))| (*frame, libm::sqrt(sum / count)))
+        .collect();
     Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, light }))
 }
 
 /// The light of the pixels as `solve/map` estimates it, effects undone.
-fn estimate(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOptions) -> Result<Curves, NodeError> {
+fn estimate(
+    case: &Case,
+    sensor: &Sensor,
+    sample: &Sample,
+    options: &SolveOptions,
+) -> Result<Curves, NodeError> {
     let (events, Some(frames)) = case.streams() else { return Ok(Curves::default()) };
     let sensor = with_defaults(sensor);
     let recording = Recording { events: &events, frames: &frames, sensor: &sensor };
@@ -114,7 +136,8 @@ fn estimate(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOption
         if track.t_ns.is_empty() {
             return (vec![case.span.0], vec![0.0], false);
         }
-        let log_light = track.photocurrent.iter().map(|i| libm::log(f64::max(*i, f64::MIN_POSITIVE))).collect();
+        let log_light =
+            track.photocurrent.iter().map(|i| libm::log(f64::max(*i, f64::MIN_POSITIVE))).collect();
         (track.t_ns, log_light, true)
     })))
 }
@@ -157,14 +180,20 @@ mod tests {
             ("exposure_time", serde_json::json!({"difference": "1 ms"}), 6.0),
             ("image_lag", serde_json::json!({"fraction": 0.2}), 3.0),
         ] {
-            let effects: Described = [(id.to_owned(), parameters.as_object().unwrap().clone())].into_iter().collect();
+            let effects: Described =
+                [(id.to_owned(), parameters.as_object().unwrap().clone())].into_iter().collect();
             let case = testing::case_of(16, &effects);
             let sample = Sample::all(&case, 4);
             let options = SolveOptions::default();
             let before = predict(&case, &case.sensor, &sample, &options).unwrap().unwrap();
             let right = Sensor { effects, ..case.sensor.clone() };
             let after = predict(&case, &right, &sample, &options).unwrap().unwrap();
-            assert!(after.psnr_db() > before.psnr_db() + gain_db, "{id}: {} {}", before.psnr_db(), after.psnr_db());
+            assert!(
+                after.psnr_db() > before.psnr_db() + gain_db,
+                "{id}: {} {}",
+                before.psnr_db(),
+                after.psnr_db()
+            );
         }
     }
 

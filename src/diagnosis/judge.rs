@@ -36,22 +36,33 @@ impl Default for Judging {
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn judged(case: &Case, nominal: &Nominal, judging: &Judging, options: &SolveOptions, integrity: &mut Integrity) -> Result<(), NodeError> {
+pub fn judged(
+    case: &Case,
+    nominal: &Nominal,
+    judging: &Judging,
+    options: &SolveOptions,
+    integrity: &mut Integrity,
+) -> Result<(), NodeError> {
     if !can_compare(case, integrity) {
         return Ok(());
     }
     let means::Proposed { late, contrast } = means::proposed(case, nominal, &integrity.masked);
-    let is_new = |finding: &Finding| !case.sensor.effects.contains_key(finding.id) && integrity.findings.iter().all(|found| found.id != finding.id);
-    let steps: [Vec<Vec<Finding>>; 2] = [late.into_iter().map(|finding| vec![finding]).collect(), contrast].map(|alternatives| {
-        let new = |findings: Vec<Finding>| findings.into_iter().filter(is_new).collect::<Vec<Finding>>();
-        alternatives.into_iter().map(new).filter(|findings| !findings.is_empty()).collect()
-    });
+    let is_new = |finding: &Finding| {
+        !case.sensor.effects.contains_key(finding.id)
+            && integrity.findings.iter().all(|found| found.id != finding.id)
+    };
+    let steps: [Vec<Vec<Finding>>; 2] = [late.into_iter().map(|finding| vec![finding]).collect(), contrast]
+        .map(|alternatives| {
+            let new = |findings: Vec<Finding>| findings.into_iter().filter(is_new).collect::<Vec<Finding>>();
+            alternatives.into_iter().map(new).filter(|findings| !findings.is_empty()).collect()
+        });
     if steps.iter().all(Vec::is_empty) {
         return Ok(());
     }
     let (scales, sample) = (Scales::of(case, nominal), looked_at(case));
     let psnr_db = |findings: &[Finding]| -> Result<Option<f64>, NodeError> {
-        let with = Integrity { findings: [integrity.findings.as_slice(), findings].concat(), ..integrity.clone() };
+        let with =
+            Integrity { findings: [integrity.findings.as_slice(), findings].concat(), ..integrity.clone() };
         let amended = amended(case, nominal, &scales, &with);
         Ok(predict(&amended, &amended.sensor, &sample, options)?.map(|prediction| prediction.psnr_db()))
     };
@@ -75,7 +86,9 @@ pub fn judged(case: &Case, nominal: &Nominal, judging: &Judging, options: &Solve
     let with_dark = is_dark(&accepted);
     add_intervals(case, &mut accepted, &|case, out| {
         let means::Proposed { late, contrast } = means::proposed(case, nominal, &joined(masked, out));
-        late.into_iter().chain(contrast.into_iter().filter(|alternative| is_dark(alternative) == with_dark).flatten()).collect()
+        late.into_iter()
+            .chain(contrast.into_iter().filter(|alternative| is_dark(alternative) == with_dark).flatten())
+            .collect()
     });
     integrity.findings.extend(accepted);
     Ok(())

@@ -1,20 +1,26 @@
 //! Where a recording and the sensor model differ, and which physics is missing.
 //!
-//! The scene is unknown: it is estimated with the nominal model, and an effect shows in what that scene cannot explain. Everything physical is called
-//! from [`photocurrent_sensor`]: an effect that is added to the catalogue there is a candidate here.
+//! The scene is unknown: it is estimated with the nominal model, and an effect shows in what that scene
+//! cannot explain. Everything physical is called from [`photocurrent_sensor`]: an effect that is added to the
+//! catalogue there is a candidate here.
 //!
 //! In reading order:
 //!
-//! - [`photocurrent_scene`]: what is diagnosed, a recording in memory ([`photocurrent_scene::case`]), and the scene that its frames state.
+//! - [`photocurrent_scene`]: what is diagnosed, a recording in memory ([`photocurrent_scene::case`]), and the
+//!   scene that its frames state.
 //! - [`unstated`]: what a description leaves out, and which tests that excludes.
-//! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
+//! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events,
+//!   flicker.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is applied.
-//! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of that.
+//! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of
+//!   that.
 //! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
-//! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`], [`targets`]: made-up recordings).
+//! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`],
+//!   [`targets`]: made-up recordings).
 //! - [`verdict`]: one answer from direct tests and from what was decided.
 //! - [`fitted`]: the description with what was found put in.
-//! - [`heldout`]: held-out frames, before and after; [`sample`] (the pixels that are evaluated), [`curves`] (their light).
+//! - [`heldout`]: held-out frames, before and after; [`sample`] (the pixels that are evaluated), [`curves`]
+//!   (their light).
 //! - [`record`]: what a sensor with effects would have recorded of a light.
 //! - [`advice`]: what to record next.
 //! - [`diagnose`]: the stages, in order.

@@ -1,8 +1,11 @@
-//! What a sensor with effects would have recorded of an estimated scene: the same pixels, exposures and stamps as the recording.
+//! What a sensor with effects would have recorded of an estimated scene: the same pixels, exposures and
+//! stamps as the recording.
 //!
-//! Light is log-linear between knots in a scene and linear in the forward model: steep pieces are cut until both agree to a part in a thousand. Beyond the sample
-//! the nearest pixel of the same row or column stands in where an effect mixes neighbours' light. The load of a readout queue is that of the recording.
-//! Stamps are rounded to the recording's grid, frames get the noise that the description states and that the caller estimated.
+//! Light is log-linear between knots in a scene and linear in the forward model: steep pieces are cut until
+//! both agree to a part in a thousand. Beyond the sample the nearest pixel of the same row or column stands
+//! in where an effect mixes neighbours' light. The load of a readout queue is that of the recording. Stamps
+//! are rounded to the recording's grid, frames get the noise that the description states and that the caller
+//! estimated.
 
 use crate::curves::Curves;
 use crate::sample::Sample;
@@ -21,13 +24,15 @@ use std::collections::BTreeMap;
 /// Log light further from zero than this is no estimate: it is held there, as the solver does.
 const LOG_LIMIT: f64 = 40.0;
 
-/// The longest piece of log-linear light that counts as linear, natural-log units: they differ by an eighth of its square.
+/// The longest piece of log-linear light that counts as linear, natural-log units: they differ by an eighth
+/// of its square.
 const PIECE: f64 = 0.08;
 
 /// Mixtures of neighbours' light are evaluated at least this often, ns.
 const MIXED_NS: i64 = 100_000;
 
-/// Error allowed per step of front ends without a closed form, natural-log units: at 10 ln/s it moves an event by a microsecond.
+/// Error allowed per step of front ends without a closed form, natural-log units: at 10 ln/s it moves an
+/// event by a microsecond.
 const TOLERANCE: f64 = 1e-5;
 
 /// What a simulated recording adds to the stated sensor.
@@ -46,12 +51,20 @@ pub struct Conditions {
 /// Effects with their parameters, by catalogue id, as `[effects]` of a sensor description states them.
 pub type Described = BTreeMap<String, Map<String, Value>>;
 
-/// Records the sampled pixels with the nominal sensor and `more` effects in addition to (or, of the same id, instead of) those that the description states. Pixels outside
-/// the sample stay without events and with NaN in the frames.
+/// Records the sampled pixels with the nominal sensor and `more` effects in addition to (or, of the same id,
+/// instead of) those that the description states. Pixels outside the sample stay without events and with NaN
+/// in the frames.
 ///
 /// # Errors
 /// When an effect or its parameters are not understood, or effects cannot be combined.
-pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Curves, more: &Described, conditions: &Conditions) -> Result<Case, String> {
+pub fn record(
+    case: &Case,
+    nominal: &Nominal,
+    sample: &Sample,
+    scene: &Curves,
+    more: &Described,
+    conditions: &Conditions,
+) -> Result<Case, String> {
     let effects = effects_of(case, more)?;
     let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
     let effects: &[Box<dyn Effect>] = &effects;
@@ -66,17 +79,22 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Curves, m
         let events = recorded.map(|event| on_grid(case, nominal, &event)).collect();
         let mut random = Random::new(conditions.seed, &[pixel as u64, 2]);
         let frames = case.frames.as_ref().map_or_else(Vec::new, |frames| {
-            let exposures: Vec<_> = (0..frames.times.len()).map(|l| frames.times.exposure(l, site.y)).collect();
+            let exposures: Vec<_> =
+                (0..frames.times.len()).map(|l| frames.times.exposure(l, site.y)).collect();
             let dn = array.frame_values(&site, &LinearLight::new(&own.0, &own.1), nominal.number, &exposures);
             let noisy = |dn: f64| {
-                let sigma = nominal.frame_sigma_with_dn(dn, [conditions.frame_share * (dn - nominal.number.black_level), conditions.frame_dn]);
+                let sigma = nominal.frame_sigma_with_dn(
+                    dn,
+                    [conditions.frame_share * (dn - nominal.number.black_level), conditions.frame_dn],
+                );
                 (dn + sigma * random.normal()).min(nominal.saturation_dn) as f32
             };
             dn.into_iter().map(noisy).collect()
         });
         (events, frames)
     };
-    let recorded: Vec<(Vec<Recorded>, Vec<f32>)> = (0..sample.len()).into_par_iter().with_min_len(16).map(one).collect();
+    let recorded: Vec<(Vec<Recorded>, Vec<f32>)> =
+        (0..sample.len()).into_par_iter().with_min_len(16).map(one).collect();
     let mut pixels = vec![Vec::new(); case.extent.pixels()];
     let frames = case.frames.as_ref().map(|frames| {
         let mut dn = vec![f32::NAN; frames.times.len() * case.extent.pixels()];
@@ -93,7 +111,8 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Curves, m
     Ok(Case { events: PixelEvents::new(pixels), frames, sensor: case.sensor.clone(), ..*case })
 }
 
-/// What the description states with `more` in addition to (or, of the same id, instead of) it, given what the recording holds.
+/// What the description states with `more` in addition to (or, of the same id, instead of) it, given what the
+/// recording holds.
 ///
 /// # Errors
 /// When an effect or its parameters are not understood.
@@ -113,7 +132,11 @@ fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
     let mut load: Vec<ArrayEvent> = Vec::with_capacity(case.events.len());
     for pixel in 0..case.events.pixels() {
         let (x, y) = case.place(pixel);
-        load.extend(case.events.of(pixel).iter().map(|event| ArrayEvent { x, y, event: as_pixel_event(event) }));
+        load.extend(case.events.of(pixel).iter().map(|event| ArrayEvent {
+            x,
+            y,
+            event: as_pixel_event(event),
+        }));
     }
     load.sort_by_key(|event| event.event.t_off_ns);
     array::inform(effects, &load);
@@ -123,7 +146,8 @@ fn as_pixel_event(event: &Recorded) -> PixelEvent {
     PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity }
 }
 
-/// Stamps as the recorder writes them: on its grid, or the in-pixel time taken from the off-pixel one where it was not recorded.
+/// Stamps as the recorder writes them: on its grid, or the in-pixel time taken from the off-pixel one where
+/// it was not recorded.
 fn on_grid(case: &Case, nominal: &Nominal, event: &PixelEvent) -> Recorded {
     let step = case.t_resolution_ns;
     let rounded = |t: i64| if step > 1 { (t as f64 / step as f64).round() as i64 * step } else { t };
@@ -142,7 +166,8 @@ fn linear(scene: &Curves, n: usize) -> (Vec<i64>, Vec<f64>) {
     let (t, u) = scene.pixel(n);
     let (mut instants, mut light) = (vec![t[0]], vec![photocurrent(u[0])]);
     for k in 1..t.len() {
-        let pieces = (((u[k] - u[k - 1]).abs() / PIECE).ceil() as i64).clamp(1, i64::max(1, (t[k] - t[k - 1]) / 1000));
+        let pieces =
+            (((u[k] - u[k - 1]).abs() / PIECE).ceil() as i64).clamp(1, i64::max(1, (t[k] - t[k - 1]) / 1000));
         for piece in 1..=pieces {
             let share = piece as f64 / pieces as f64;
             instants.push(t[k - 1] + ((t[k] - t[k - 1]) as f64 * share) as i64);
@@ -168,10 +193,13 @@ fn mix(case: &Case, sample: &Sample, scene: &Curves, kernel: &Kernel, n: usize) 
         }
         at
     };
-    let lights: Vec<(Vec<i64>, Vec<f64>)> = kernel.taps.iter().map(|tap| linear(scene, neighbour(tap))).collect();
+    let lights: Vec<(Vec<i64>, Vec<f64>)> =
+        kernel.taps.iter().map(|tap| linear(scene, neighbour(tap))).collect();
     // The pixel's own instants and a grid: those of all neighbours together would be tens of thousands.
     let mut instants: Vec<i64> = linear(scene, n).0;
-    let (first, last) = lights.iter().fold((i64::MAX, i64::MIN), |(first, last), (t, _)| (first.min(t[0]), last.max(t[t.len() - 1])));
+    let (first, last) = lights
+        .iter()
+        .fold((i64::MAX, i64::MIN), |(first, last), (t, _)| (first.min(t[0]), last.max(t[t.len() - 1])));
     instants.extend((0..=(last - first) / MIXED_NS).map(|k| first + k * MIXED_NS));
     instants.push(last);
     instants.sort_unstable();
@@ -187,7 +215,11 @@ fn mix(case: &Case, sample: &Sample, scene: &Curves, kernel: &Kernel, n: usize) 
                 }
                 let at = *cursor;
                 let value = match times.get(at + 1) {
-                    Some(&next) if t > times[at] => values[at] + (values[at + 1] - values[at]) * (t - times[at]) as f64 / (next - times[at]) as f64,
+                    Some(&next) if t > times[at] => {
+                        values[at]
+                            + (values[at + 1] - values[at]) * (t - times[at]) as f64
+                                / (next - times[at]) as f64
+                    }
                     _ => values[at],
                 };
                 tap_light.push(value);
@@ -209,8 +241,18 @@ mod tests {
         let case = testing::case();
         let sample = Sample::all(&case, 4);
         let run_away = |n: usize| [f64::NEG_INFINITY, 1e6, f64::NAN, 800.0][n % 4];
-        let scene = Curves::from_pixels((0..sample.len()).map(|n| (vec![0, 30_000_000], vec![4.0, run_away(n)], true)));
-        let recorded = record(&case, &case.nominal().unwrap(), &sample, &scene, &Described::new(), &Conditions::default()).unwrap();
+        let scene = Curves::from_pixels(
+            (0..sample.len()).map(|n| (vec![0, 30_000_000], vec![4.0, run_away(n)], true)),
+        );
+        let recorded = record(
+            &case,
+            &case.nominal().unwrap(),
+            &sample,
+            &scene,
+            &Described::new(),
+            &Conditions::default(),
+        )
+        .unwrap();
         assert_eq!(recorded.events.pixels(), case.events.pixels());
     }
 }

@@ -1,7 +1,8 @@
 //! The report of a diagnosis: `diagnosis.json` (`photocurrent-diagnosis/1`, docs/formats.md), field by field.
 //!
-//! The text is the same bytes for the same report: fields stand in the order of these structs, numbers are rounded to six significant digits, and nothing in it
-//! depends on the clock, the machine or the number of threads.
+//! The text is the same bytes for the same report: fields stand in the order of these structs, numbers are
+//! rounded to six significant digits, and nothing in it depends on the clock, the machine or the number of
+//! threads.
 
 use crate::candidates::Candidate;
 use photocurrent_scene::nominal::Nominal;
@@ -306,7 +307,11 @@ pub fn six_digits(value: f64) -> f64 {
 /// For people: four significant digits, plain where that is short.
 pub fn short(value: f64) -> String {
     let rounded: f64 = format!("{value:.3e}").parse().unwrap_or(value);
-    if rounded != 0.0 && (rounded.abs() < 1e-3 || rounded.abs() >= 1e6) { format!("{rounded:e}") } else { format!("{rounded}") }
+    if rounded != 0.0 && (rounded.abs() < 1e-3 || rounded.abs() >= 1e6) {
+        format!("{rounded:e}")
+    } else {
+        format!("{rounded}")
+    }
 }
 
 fn round(value: &mut Value) {
@@ -347,14 +352,21 @@ mod tests {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let leak = CANDIDATES.iter().find(|candidate| candidate.id == "leak_events").unwrap();
-        let mut effect = EffectReport::of(&leak.decl(), location(), Evidence { statistic: 183.000_000_4, ..Evidence::default() });
+        let mut effect = EffectReport::of(
+            &leak.decl(),
+            location(),
+            Evidence { statistic: 183.000_000_4, ..Evidence::default() },
+        );
         effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &nominal);
         let report = Report {
             schema: SCHEMA.to_owned(),
             verdict: Verdict::Named,
             summary: String::new(),
             effects: vec![effect],
-            fit: Fit { heldout_frame_psnr_db: Some(BeforeAfter { before: 27.1, after: 31.0 }), ..Fit::default() },
+            fit: Fit {
+                heldout_frame_psnr_db: Some(BeforeAfter { before: 27.1, after: 31.0 }),
+                ..Fit::default()
+            },
             detectability: Vec::new(),
             scene: Vec::new(),
             not_testable: Vec::new(),
@@ -375,7 +387,11 @@ mod tests {
         assert_eq!(effect["parameters"]["rate_hz"]["unit"], "Hz");
         assert_eq!(effect["evidence"]["statistic"], 183.0);
         assert_eq!(value["fit"]["heldout_frame_psnr_db"]["after"], 31.0);
-        assert!(value["fit"].get("calibration_ks").is_none(), "what was not measured is absent, not null: {text}");
+        assert!(
+            value["fit"].get("calibration_ks").is_none(),
+            "what was not measured is absent, not null: \
+                                                            {text}"
+        );
         assert_eq!(value["provenance"]["seed"], 7);
         // What was written is read again as it was.
         let again: Report = serde_json::from_str(&text).unwrap();

@@ -7,7 +7,8 @@ use photocurrent_scene::case::Case;
 pub struct Sample {
     /// Pixels (`y * width + x`), rising.
     pub pixels: Vec<u32>,
-    /// Which of them are in the inner part of their block, so that their neighbours are there too; of the same length.
+    /// Which of them are in the inner part of their block, so that their neighbours are there too; of the
+    /// same length.
     pub is_inner: Vec<bool>,
     /// Number of the block of each.
     pub block: Vec<u32>,
@@ -21,8 +22,9 @@ pub struct Sample {
 const NOWHERE: u32 = u32::MAX;
 
 impl Sample {
-    /// In each of `zones.0` x `zones.1` zones, the block of `side` x `side` pixels with the most events, of blocks whose mean number of events a pixel lies
-    /// within `events`; a zone without one gives nothing. Inner pixels are those with `margin` pixels of the block around them.
+    /// In each of `zones.0` x `zones.1` zones, the block of `side` x `side` pixels with the most events, of
+    /// blocks whose mean number of events a pixel lies within `events`; a zone without one gives nothing.
+    /// Inner pixels are those with `margin` pixels of the block around them.
     pub fn blocks(case: &Case, zones: (u32, u32), side: u32, margin: u32, events: (f64, f64)) -> Sample {
         let (width, height) = (case.extent.width, case.extent.height);
         let mut chosen: Vec<(u32, u32, u32)> = Vec::new();
@@ -33,7 +35,9 @@ impl Sample {
             let mut best: Option<(usize, u32, u32)> = None;
             for y in rows.clone().filter(|y| y + side <= rows.end) {
                 for x in columns.clone().filter(|x| x + side <= columns.end) {
-                    let count: usize = (y..y + side).map(|y| case.events.count((y * width + x) as usize..(y * width + x + side) as usize)).sum();
+                    let count: usize = (y..y + side)
+                        .map(|y| case.events.count((y * width + x) as usize..(y * width + x + side) as usize))
+                        .sum();
                     let mean = count as f64 / f64::from(side * side);
                     if mean >= events.0 && mean <= events.1 && best.is_none_or(|best| count > best.0) {
                         best = Some((count, x, y));
@@ -53,8 +57,9 @@ impl Sample {
         Sample::new(case, zones.0, pixels)
     }
 
-    /// Blocks of 6 x 6 pixels that together touch many rows and columns: in every band of six rows, those with the most events in each of `across` parts of the
-    /// band's length, and the blocks around the few pixels that fire most against their surround. The inner 4 x 4 of each are marked.
+    /// Blocks of 6 x 6 pixels that together touch many rows and columns: in every band of six rows, those
+    /// with the most events in each of `across` parts of the band's length, and the blocks around the few
+    /// pixels that fire most against their surround. The inner 4 x 4 of each are marked.
     pub fn spread(case: &Case, across: u32) -> Sample {
         const SIDE: u32 = 6;
         let (columns, rows) = ((case.extent.width / SIDE).max(1), (case.extent.height / SIDE).max(1));
@@ -63,7 +68,9 @@ impl Sample {
         let width = case.extent.width;
         let count = |column: u32, row: u32| -> usize {
             let first = |y: u32| (y * width + column * SIDE) as usize;
-            (row * SIDE..row * SIDE + high).map(|y| case.events.count(first(y)..first(y) + wide as usize)).sum()
+            (row * SIDE..row * SIDE + high)
+                .map(|y| case.events.count(first(y)..first(y) + wide as usize))
+                .sum()
         };
         let mut is_chosen = vec![false; (columns * rows) as usize];
         for row in 0..rows {
@@ -78,8 +85,15 @@ impl Sample {
         let mut outliers: Vec<(i64, u32, u32)> = Vec::new();
         for y in 1..case.extent.height.saturating_sub(1) {
             for x in 1..width.saturating_sub(1) {
-                let events = |dx: u32, dy: u32| case.events.of(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64;
-                let around = (0..3).flat_map(|dy| (0..3).map(move |dx| (dx, dy))).filter(|at| *at != (1, 1)).map(|(dx, dy)| events(dx, dy)).max().unwrap_or(0);
+                let events = |dx: u32, dy: u32| {
+                    case.events.of(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64
+                };
+                let around = (0..3)
+                    .flat_map(|dy| (0..3).map(move |dx| (dx, dy)))
+                    .filter(|at| *at != (1, 1))
+                    .map(|(dx, dy)| events(dx, dy))
+                    .max()
+                    .unwrap_or(0);
                 let excess = events(1, 1) - 2 * around;
                 if excess > 20 {
                     outliers.push((excess, x / SIDE, y / SIDE));
@@ -87,7 +101,9 @@ impl Sample {
             }
         }
         outliers.sort_by_key(|outlier| (std::cmp::Reverse(outlier.0), outlier.1, outlier.2));
-        for (_, column, row) in outliers.iter().take(4).filter(|outlier| outlier.1 < columns && outlier.2 < rows) {
+        for (_, column, row) in
+            outliers.iter().take(4).filter(|outlier| outlier.1 < columns && outlier.2 < rows)
+        {
             is_chosen[(row * columns + column) as usize] = true;
         }
         let mut pixels: Vec<(u32, bool, u32)> = Vec::new();
@@ -123,14 +139,22 @@ impl Sample {
     pub fn all(case: &Case, side: u32) -> Sample {
         let (width, height) = (case.extent.width, case.extent.height);
         let across = width.div_ceil(side);
-        Sample::new(case, across, (0..width * height).map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect())
+        Sample::new(
+            case,
+            across,
+            (0..width * height)
+                .map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side))
+                .collect(),
+        )
     }
 
     /// These pixels, in blocks of `side` x `side`.
     pub fn of_pixels(case: &Case, pixels: impl IntoIterator<Item = u32>, side: u32) -> Sample {
         let (width, across) = (case.extent.width, case.extent.width.div_ceil(side));
-        let mut pixels: Vec<(u32, bool, u32)> =
-            pixels.into_iter().map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect();
+        let mut pixels: Vec<(u32, bool, u32)> = pixels
+            .into_iter()
+            .map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side))
+            .collect();
         pixels.sort_unstable();
         pixels.dedup();
         Sample::new(case, across, pixels)

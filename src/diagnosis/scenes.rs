@@ -1,8 +1,12 @@
-//! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over a slow texture, a photograph that shakes, zooms and turns, a layer that moves
-//! before another one, a fan, a walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time constants, reset rules, exposures and stamps over the ranges of cameras that such recordings are made with.
+//! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over
+//! a slow texture, a photograph that shakes, zooms and turns, a layer that moves before another one, a fan, a
+//! walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time
+//! constants, reset rules, exposures and stamps over the ranges of cameras that such recordings are made
+//! with.
 //!
-//! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of pixels can be anything.
-//! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark.
+//! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of
+//! pixels can be anything. Limits: grey, no flicker, no noise of the light; objects are opaque and bright or
+//! dark.
 
 use crate::candidates::Trial;
 use crate::curves::Curves;
@@ -24,15 +28,18 @@ enum Motion {
     Star { spokes: f64, rate: f64, centre: (f64, f64) },
     /// Discs of a radius and shade (0 to 1) at a velocity, over a texture that drifts.
     Discs { radius: f64, shade: f64, velocity: (f64, f64), pitch: f64, drift: (f64, f64) },
-    /// A texture with edges, shaken, turned and zoomed around the middle: amplitudes in px, rad and as a share, each with its frequency, Hz, and a drift, px/s.
+    /// A texture with edges, shaken, turned and zoomed around the middle: amplitudes in px, rad and as a
+    /// share, each with its frequency, Hz, and a drift, px/s.
     Photograph { shake: (f64, f64), turn: (f64, f64), zoom: (f64, f64), drift: (f64, f64) },
     /// Shapes of a size, px, with a texture of their own at a velocity, px/s, before a texture at another.
     Layers { size: f64, front: (f64, f64), back: (f64, f64) },
-    /// Blades that turn, rad/s, within a radius around a centre before a still texture; half the angle of a blade.
+    /// Blades that turn, rad/s, within a radius around a centre before a still texture; half the angle of a
+    /// blade.
     Fan { blades: f64, rate: f64, centre: (f64, f64), radius: f64, half: f64, shade: f64 },
     /// A figure of a height, px, that walks, px/s, so many steps a second, from a place on.
     Figure { height: f64, speed: f64, steps_hz: f64, begin: (f64, f64), shade: f64 },
-    /// A ball of a radius with a texture, from a place with a velocity, px/s, falling, px/s^2, and turning, rad/s.
+    /// A ball of a radius with a texture, from a place with a velocity, px/s, falling, px/s^2, and turning,
+    /// rad/s.
     Ball { radius: f64, begin: (f64, f64), velocity: (f64, f64), fall: f64, rate: f64 },
 }
 
@@ -81,8 +88,10 @@ fn surface(seed: u64, x: f64, y: f64, size: f64) -> f64 {
     let (a, b) = (u.floor(), v.floor());
     let smooth = |s: f64| s * s * s * (s * (6.0 * s - 15.0) + 10.0);
     let (s, t) = (smooth(u - a), smooth(v - b));
-    let corner = |da: i64, db: i64| Random::new(seed, &[(a as i64 + da) as u64, (b as i64 + db) as u64]).uniform();
-    let (top, bottom) = (corner(0, 0) * (1.0 - s) + corner(1, 0) * s, corner(0, 1) * (1.0 - s) + corner(1, 1) * s);
+    let corner =
+        |da: i64, db: i64| Random::new(seed, &[(a as i64 + da) as u64, (b as i64 + db) as u64]).uniform();
+    let (top, bottom) =
+        (corner(0, 0) * (1.0 - s) + corner(1, 0) * s, corner(0, 1) * (1.0 - s) + corner(1, 1) * s);
     top * (1.0 - t) + bottom * t
 }
 
@@ -90,7 +99,12 @@ fn surface(seed: u64, x: f64, y: f64, size: f64) -> f64 {
 fn texture(seed: u64, x: f64, y: f64) -> f64 {
     const SIZES: [f64; 4] = [26.0, 11.0, 5.0, 2.4];
     const SHARES: [f64; 4] = [0.40, 0.30, 0.20, 0.10];
-    (0..4).map(|n| SHARES[n] * surface(seed.wrapping_add(n as u64), x + 31.7 * n as f64, y - 17.3 * n as f64, SIZES[n])).sum()
+    (0..4)
+        .map(|n| {
+            SHARES[n]
+                * surface(seed.wrapping_add(n as u64), x + 31.7 * n as f64, y - 17.3 * n as f64, SIZES[n])
+        })
+        .sum()
 }
 
 /// Distance of a place from a line between two others.
@@ -104,7 +118,8 @@ fn from_line(at: (f64, f64), a: (f64, f64), b: (f64, f64)) -> f64 {
 const SHARPEST: f64 = 0.35;
 
 impl MadeUp {
-    /// Scene number `index` of a seed, on an array of an extent, for some seconds: a texture, a star or discs.
+    /// Scene number `index` of a seed, on an array of an extent, for some seconds: a texture, a star or
+    /// discs.
     pub fn new(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
         MadeUp::of(seed, index, extent, duration_s, [0.5, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85])
     }
@@ -120,7 +135,8 @@ impl MadeUp {
         MadeUp::of(seed, index, extent, duration_s, [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     }
 
-    /// `ends`: up to which draw from 0 to 1 a scene is a texture, a star, a photograph, layers, a fan, a figure, a ball; discs from there on.
+    /// `ends`: up to which draw from 0 to 1 a scene is a texture, a star, a photograph, layers, a fan, a
+    /// figure, a ball; discs from there on.
     fn of(seed: u64, index: u64, extent: Extent, duration_s: f64, ends: [f64; 7]) -> MadeUp {
         let mut random = Random::new(seed, &[index, 77]);
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
@@ -130,7 +146,11 @@ impl MadeUp {
         let (width, height) = (f64::from(extent.width), f64::from(extent.height));
         let motion = if kind < ends[0] {
             let speed = between(400.0, 1200.0);
-            Motion::Texture { velocity: (speed * libm::cos(angle), speed * libm::sin(angle)), shake_px: between(0.5, 3.0), shake_hz: between(5.0, 15.0) }
+            Motion::Texture {
+                velocity: (speed * libm::cos(angle), speed * libm::sin(angle)),
+                shake_px: between(0.5, 3.0),
+                shake_hz: between(5.0, 15.0),
+            }
         } else if kind < ends[1] {
             let rate = sign * between(1.5, 5.5) * std::f64::consts::TAU;
             let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
@@ -147,10 +167,18 @@ impl MadeUp {
         } else if kind < ends[3] {
             let (front, back, turn) = (between(300.0, 1200.0), between(50.0, 500.0), between(0.5, 5.0));
             let along = |speed: f64, angle: f64| (speed * libm::cos(angle), speed * libm::sin(angle));
-            Motion::Layers { size: between(12.0, 24.0), front: along(front, angle), back: along(back, angle + turn) }
+            Motion::Layers {
+                size: between(12.0, 24.0),
+                front: along(front, angle),
+                back: along(back, angle + turn),
+            }
         } else if kind < ends[4] {
             let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
-            let (blades, rate, radius) = (between(2.0, 6.0).floor(), sign * between(1.0, 9.0) * std::f64::consts::TAU, height * between(0.35, 0.6));
+            let (blades, rate, radius) = (
+                between(2.0, 6.0).floor(),
+                sign * between(1.0, 9.0) * std::f64::consts::TAU,
+                height * between(0.35, 0.6),
+            );
             Motion::Fan {
                 blades,
                 rate,
@@ -162,11 +190,23 @@ impl MadeUp {
         } else if kind < ends[5] {
             let tall = height * between(0.5, 0.9);
             let begin = (width * between(0.2, 0.8), 0.5 * height + between(-3.0, 3.0));
-            Motion::Figure { height: tall, speed: sign * between(60.0, 400.0), steps_hz: between(1.5, 5.0), begin, shade: if angle < 4.0 { 0.0 } else { 0.95 } }
+            Motion::Figure {
+                height: tall,
+                speed: sign * between(60.0, 400.0),
+                steps_hz: between(1.5, 5.0),
+                begin,
+                shade: if angle < 4.0 { 0.0 } else { 0.95 },
+            }
         } else if kind < ends[6] {
             let (radius, speed) = (height * between(0.12, 0.25), between(200.0, 900.0));
             let begin = (0.5 * width - 0.3 * sign * width, height * between(0.35, 0.7));
-            Motion::Ball { radius, begin, velocity: (sign * speed, -between(0.0, 300.0)), fall: between(500.0, 4000.0), rate: sign * between(0.0, 25.0) }
+            Motion::Ball {
+                radius,
+                begin,
+                velocity: (sign * speed, -between(0.0, 300.0)),
+                fall: between(500.0, 4000.0),
+                rate: sign * between(0.0, 25.0),
+            }
         } else {
             let (speed, drift) = (between(700.0, 2300.0), between(80.0, 180.0));
             let shade = if sign > 0.0 { 1.1 } else { -0.05 };
@@ -212,7 +252,8 @@ impl MadeUp {
             20_000
         };
         let contrast = between(0.8, 1.6);
-        // Pixels are not points and lenses are not perfect: no edge is sharper than about a third of a pixel on either side.
+        // Pixels are not points and lenses are not perfect: no edge is sharper than about a third of a pixel
+        // on either side.
         let edge = f64::max(between(0.1, 0.9), SHARPEST);
         MadeUp {
             motion,
@@ -232,14 +273,18 @@ impl MadeUp {
         }
     }
 
-    /// Target number `index` of a seed: a star or discs before a plain wall, thresholds with noise, frames with stated noise or none.
+    /// Target number `index` of a seed: a star or discs before a plain wall, thresholds with noise, frames
+    /// with stated noise or none.
     pub fn target(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
         let mut random = Random::new(seed, &[index, 78]);
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
         let mut made = MadeUp::new(seed, index, extent, duration_s);
         if let Motion::Texture { velocity, .. } = made.motion {
             let rate = between(3.0, 12.0) * std::f64::consts::TAU * if velocity.0 > 0.0 { 1.0 } else { -1.0 };
-            let centre = (0.5 * f64::from(extent.width) + between(-2.0, 2.0), 0.5 * f64::from(extent.height) + between(-2.0, 2.0));
+            let centre = (
+                0.5 * f64::from(extent.width) + between(-2.0, 2.0),
+                0.5 * f64::from(extent.height) + between(-2.0, 2.0),
+            );
             made.motion = Motion::Star { spokes: between(2.0, 6.0).floor(), rate, centre };
         }
         // No ground behind discs: a wall.
@@ -268,17 +313,27 @@ impl MadeUp {
     pub fn px_per_s(&self, x: f64, y: f64) -> f64 {
         let length = |(x, y): (f64, f64)| libm::hypot(x, y);
         match &self.motion {
-            Motion::Texture { velocity, shake_px, shake_hz } => length(*velocity) + 2.0 * std::f64::consts::TAU * shake_hz * shake_px,
-            Motion::Star { rate, centre, .. } => rate.abs() * f64::max(libm::hypot(x - centre.0, y - centre.1), 1.0),
+            Motion::Texture { velocity, shake_px, shake_hz } => {
+                length(*velocity) + 2.0 * std::f64::consts::TAU * shake_hz * shake_px
+            }
+            Motion::Star { rate, centre, .. } => {
+                rate.abs() * f64::max(libm::hypot(x - centre.0, y - centre.1), 1.0)
+            }
             Motion::Discs { velocity, drift, .. } => f64::max(length(*velocity), length(*drift)),
             Motion::Photograph { shake, turn, zoom, drift } => {
                 let edge = libm::hypot(f64::from(self.extent.width), f64::from(self.extent.height)) / 2.0;
-                length(*drift) + std::f64::consts::TAU * (shake.0 * shake.1 + edge * (turn.0.abs() * turn.1 + zoom.0 * zoom.1))
+                length(*drift)
+                    + std::f64::consts::TAU
+                        * (shake.0 * shake.1 + edge * (turn.0.abs() * turn.1 + zoom.0 * zoom.1))
             }
             Motion::Layers { front, back, .. } => f64::max(length(*front), length(*back)),
             Motion::Fan { rate, radius, .. } => rate.abs() * radius,
-            Motion::Figure { height, speed, steps_hz, .. } => speed.abs() + 0.25 * height * std::f64::consts::TAU * steps_hz,
-            Motion::Ball { radius, velocity, fall, rate, .. } => length(*velocity) + fall * self.span.1 as f64 * 1e-9 + rate.abs() * radius,
+            Motion::Figure { height, speed, steps_hz, .. } => {
+                speed.abs() + 0.25 * height * std::f64::consts::TAU * steps_hz
+            }
+            Motion::Ball { radius, velocity, fall, rate, .. } => {
+                length(*velocity) + fall * self.span.1 as f64 * 1e-9 + rate.abs() * radius
+            }
         }
     }
 
@@ -298,7 +353,8 @@ impl MadeUp {
         MadeUp { edge, ..self }
     }
 
-    /// With frames of whole digital numbers that have shot noise of so many electrons a digital number, and read noise, DN; none of it is stated.
+    /// With frames of whole digital numbers that have shot noise of so many electrons a digital number, and
+    /// read noise, DN; none of it is stated.
     #[must_use]
     pub fn with_frame_noise(self, noise: Option<(f64, f64)>) -> MadeUp {
         MadeUp { noise, ..self }
@@ -309,7 +365,8 @@ impl MadeUp {
         let shade = match &self.motion {
             Motion::Texture { velocity, shake_px, shake_hz } => {
                 let shake = shake_px * libm::sin(std::f64::consts::TAU * shake_hz * t);
-                0.5 + self.contrast * (texture(self.seed, x - velocity.0 * t - shake, y - velocity.1 * t + shake) - 0.5)
+                0.5 + self.contrast
+                    * (texture(self.seed, x - velocity.0 * t - shake, y - velocity.1 * t + shake) - 0.5)
             }
             Motion::Star { spokes, rate, centre } => {
                 let (dx, dy) = (x - centre.0, y - centre.1);
@@ -320,25 +377,41 @@ impl MadeUp {
             }
             Motion::Discs { radius, shade, velocity, pitch, drift } => {
                 // A plain wall has no texture to be worked out.
-                let ground = if self.contrast == 0.0 { 0.5 } else { 0.5 + self.contrast * (texture(self.seed, x - drift.0 * t, y - drift.1 * t) - 0.5) };
+                let ground = if self.contrast == 0.0 {
+                    0.5
+                } else {
+                    0.5 + self.contrast * (texture(self.seed, x - drift.0 * t, y - drift.1 * t) - 0.5)
+                };
                 let wrap = |at: f64| (at / pitch - (at / pitch).floor() - 0.5) * pitch;
                 let (dx, dy) = (wrap(x - velocity.0 * t), wrap(y - velocity.1 * t));
-                let inside = (0.5 + 0.5 * (radius - libm::sqrt(dx * dx + dy * dy)) / self.edge).clamp(0.0, 1.0);
+                let inside =
+                    (0.5 + 0.5 * (radius - libm::sqrt(dx * dx + dy * dy)) / self.edge).clamp(0.0, 1.0);
                 ground + (shade - ground) * inside
             }
             Motion::Photograph { shake, turn, zoom, drift } => {
-                let swing = |of: &(f64, f64), phase: f64| of.0 * libm::sin(std::f64::consts::TAU * of.1 * t + phase);
+                let swing =
+                    |of: &(f64, f64), phase: f64| of.0 * libm::sin(std::f64::consts::TAU * of.1 * t + phase);
                 let (angle, scale) = (swing(turn, 0.3), libm::exp(swing(zoom, 1.1)));
                 let (c, s) = (scale * libm::cos(angle), scale * libm::sin(angle));
-                let (dx, dy) = (x - 0.5 * f64::from(self.extent.width), y - 0.5 * f64::from(self.extent.height));
-                let (u, v) = (c * dx - s * dy - drift.0 * t - swing(shake, 0.0), s * dx + c * dy - drift.1 * t - swing(shake, 1.9));
-                let shape = 0.5 + 0.5 * ((surface(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0 / self.edge).clamp(-1.0, 1.0);
+                let (dx, dy) =
+                    (x - 0.5 * f64::from(self.extent.width), y - 0.5 * f64::from(self.extent.height));
+                let (u, v) = (
+                    c * dx - s * dy - drift.0 * t - swing(shake, 0.0),
+                    s * dx + c * dy - drift.1 * t - swing(shake, 1.9),
+                );
+                let shape = 0.5
+                    + 0.5
+                        * ((surface(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0 / self.edge).clamp(-1.0, 1.0);
                 0.5 + self.contrast * (0.6 * texture(self.seed, u, v) + 0.4 * shape - 0.5)
             }
             Motion::Layers { size, front, back } => {
                 let (u, v) = (x - front.0 * t, y - front.1 * t);
-                let inside = 0.5 + 0.5 * ((surface(self.seed ^ 0x52, u, v, *size) - 0.55) * 0.5 * size / self.edge).clamp(-1.0, 1.0);
-                let (near, far) = (texture(self.seed ^ 0x53, u, v), texture(self.seed, x - back.0 * t, y - back.1 * t));
+                let inside = 0.5
+                    + 0.5
+                        * ((surface(self.seed ^ 0x52, u, v, *size) - 0.55) * 0.5 * size / self.edge)
+                            .clamp(-1.0, 1.0);
+                let (near, far) =
+                    (texture(self.seed ^ 0x53, u, v), texture(self.seed, x - back.0 * t, y - back.1 * t));
                 0.5 + self.contrast * (far + (near - far) * inside - 0.5)
             }
             Motion::Fan { blades, rate, centre, radius, half, shade } => {
@@ -352,9 +425,13 @@ impl MadeUp {
             Motion::Figure { height, speed, steps_hz, begin, shade } => {
                 let hip = (begin.0 + speed * t, begin.1);
                 let (leg, swing) = (0.5 * height, 0.5 * libm::sin(std::f64::consts::TAU * steps_hz * t));
-                let foot = |angle: f64, length: f64, from: (f64, f64)| (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle));
+                let foot = |angle: f64, length: f64, from: (f64, f64)| {
+                    (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle))
+                };
                 let neck = (hip.0, hip.1 - 0.3 * height);
-                let limb = |from: (f64, f64), angle: f64, length: f64, thick: f64| thick * height - from_line((x, y), from, foot(angle, length, from));
+                let limb = |from: (f64, f64), angle: f64, length: f64, thick: f64| {
+                    thick * height - from_line((x, y), from, foot(angle, length, from))
+                };
                 let parts = [
                     limb(hip, swing, leg, 0.05),
                     limb(hip, -swing, leg, 0.05),
@@ -366,9 +443,11 @@ impl MadeUp {
                 self.before_ground(x, y, parts.into_iter().fold(f64::NEG_INFINITY, f64::max), *shade)
             }
             Motion::Ball { radius, begin, velocity, fall, rate } => {
-                let (dx, dy) = (x - begin.0 - velocity.0 * t, y - begin.1 - velocity.1 * t - 0.5 * fall * t * t);
+                let (dx, dy) =
+                    (x - begin.0 - velocity.0 * t, y - begin.1 - velocity.1 * t - 0.5 * fall * t * t);
                 let (c, s) = (libm::cos(rate * t), libm::sin(rate * t));
-                let own = 0.5 + self.contrast * (texture(self.seed ^ 0x54, c * dx + s * dy, c * dy - s * dx) - 0.5);
+                let own =
+                    0.5 + self.contrast * (texture(self.seed ^ 0x54, c * dx + s * dy, c * dy - s * dx) - 0.5);
                 self.before_ground(x, y, radius - libm::hypot(dx, dy), own)
             }
         };
@@ -400,7 +479,10 @@ impl MadeUp {
 
     /// The light of every pixel: instants, ns, and photocurrent.
     pub fn light(&self) -> Vec<(Vec<i64>, Vec<f64>)> {
-        self.log_tracks().into_iter().map(|(t, log)| (t, log.iter().map(|u| libm::exp(*u)).collect())).collect()
+        self.log_tracks()
+            .into_iter()
+            .map(|(t, log)| (t, log.iter().map(|u| libm::exp(*u)).collect()))
+            .collect()
     }
 
     /// The recording of this scene by this sensor, with nothing beyond the description.
@@ -416,7 +498,9 @@ impl MadeUp {
     /// # Errors
     /// When the effects of `trial` cannot be combined.
     pub fn recording_through(&self, trial: Option<&Trial>) -> Result<Case, String> {
-        let frames = FrameTimes::new(self.exposures.clone(), self.sensor.frames.row_time.map_or(0, Duration::ns)).map_err(|why| why.to_string())?;
+        let frames =
+            FrameTimes::new(self.exposures.clone(), self.sensor.frames.row_time.map_or(0, Duration::ns))
+                .map_err(|why| why.to_string())?;
         let dn = vec![f32::NAN; frames.len() * self.extent.pixels()];
         let blank = Case {
             extent: self.extent,
@@ -444,7 +528,8 @@ impl MadeUp {
             let mut random = Random::new(self.seed, &[0x7e]);
             *frames = frames.map(|_, dn| {
                 let signal = f64::max(f64::from(dn) - nominal.number.black_level, 0.0);
-                let noisy = f64::from(dn) + libm::sqrt(signal / electrons + read_dn * read_dn) * random.normal();
+                let noisy =
+                    f64::from(dn) + libm::sqrt(signal / electrons + read_dn * read_dn) * random.normal();
                 noisy.round().clamp(0.0, nominal.saturation_dn) as f32
             });
         }

@@ -1,7 +1,9 @@
-//! What passes between stages as documents: findings of the direct tests, evidence and proposals, written and read again.
+//! What passes between stages as documents: findings of the direct tests, evidence and proposals, written and
+//! read again.
 //!
-//! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names for ids and parameters, and that an index into
-//! [`CANDIDATES`] still means what it meant: [`Proposals`] carries the list's labels, and refuses to be read with another list.
+//! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names
+//! for ids and parameters, and that an index into [`CANDIDATES`] still means what it meant: [`Proposals`]
+//! carries the list's labels, and refuses to be read with another list.
 
 use crate::candidates::CANDIDATES;
 use crate::diagnose::Proposed;
@@ -81,7 +83,10 @@ fn of_this_list(candidates: &[String], what: &str, node: &str) -> Result<(), Dat
         return Ok(());
     }
     let (count, own) = (candidates.len(), CANDIDATES.len());
-    Err(DataError::new(format!("the {what} were made with another list of {count} candidates (this program has {own}); run {node} again")))
+    Err(DataError::new(format!(
+        "the {what} were made with another list of {count} candidates (this program \
+                                has {own}); run {node} again"
+    )))
 }
 
 /// Proposals as a document.
@@ -121,10 +126,19 @@ impl<'de> Deserialize<'de> for Finding {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Finding, D::Error> {
         let text = FindingText::deserialize(deserializer)?;
         let unknown = |what: &str| D::Error::custom(format!("`{what}` is not in the catalogue of effects"));
-        let decl = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == text.id).ok_or_else(|| unknown(&text.id))?;
+        let decl = catalogue()
+            .into_iter()
+            .map(|kind| kind.decl)
+            .find(|decl| decl.id == text.id)
+            .ok_or_else(|| unknown(&text.id))?;
         let name = |name: &str| decl.parameters.iter().map(|of| of.name).find(|of| *of == name);
-        let parameters = text.parameters.iter().map(|(of, value)| Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *value)));
-        let ci95 = text.ci95.iter().map(|(of, interval)| Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *interval)));
+        let parameters = text
+            .parameters
+            .iter()
+            .map(|(of, value)| Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *value)));
+        let ci95 = text.ci95.iter().map(|(of, interval)| {
+            Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *interval))
+        });
         let polarity = ["on", "off", "both"].into_iter().find(|polarity| *polarity == text.polarity);
         Ok(Finding {
             id: decl.id,
@@ -132,7 +146,8 @@ impl<'de> Deserialize<'de> for Finding {
             statistic: text.statistic,
             threshold: text.threshold,
             share: text.share,
-            polarity: polarity.ok_or_else(|| D::Error::custom(format!("`{}` is no polarity", text.polarity)))?,
+            polarity: polarity
+                .ok_or_else(|| D::Error::custom(format!("`{}` is no polarity", text.polarity)))?,
             pixels: text.pixels,
             seen: text.seen,
             heldout: text.heldout,
@@ -154,7 +169,8 @@ mod tests {
     #[test]
     fn what_direct_tests_saw_comes_back() {
         let step = serde_json::json!({"step": "130 us"});
-        let effects = [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
+        let effects =
+            [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
         let mut found = check(&testing::case_with(&effects)).unwrap();
         assert_eq!(found.findings.len(), 1);
         found.scene.push(SceneProperty { property: "flicker".into(), frequency_hz: 100.0, depth: 0.1 + 0.2 });
@@ -164,9 +180,18 @@ mod tests {
 
     #[test]
     fn an_id_that_is_in_no_catalogue_is_refused() {
-        let effects = [("timestamp_quantization".to_owned(), serde_json::json!({"step": "130 us"}).as_object().unwrap().clone())].into_iter().collect();
+        let effects = [(
+            "timestamp_quantization".to_owned(),
+            serde_json::json!({"step": "130 us"}).as_object().unwrap().clone(),
+        )]
+        .into_iter()
+        .collect();
         let document = write_integrity(&check(&testing::case_with(&effects)).unwrap()).unwrap();
-        for (was, is) in [("timestamp_quantization", "timestamp_quantisation"), ("\"step\"", "\"steps\""), ("\"both\"", "\"either\"")] {
+        for (was, is) in [
+            ("timestamp_quantization", "timestamp_quantisation"),
+            ("\"step\"", "\"steps\""),
+            ("\"both\"", "\"either\""),
+        ] {
             let other = Diagnosis::from_text(document.kind(), document.text().replacen(was, is, 1)).unwrap();
             assert!(read_integrity(&other).is_err(), "{is}");
         }
@@ -178,7 +203,11 @@ mod tests {
         for seen in [Seen::Evidence(Box::new(some)), Seen::Nothing("no frames".into()), Seen::NotAsked] {
             let document = write_evidence(&seen).unwrap();
             assert_eq!(read_evidence(&document).unwrap(), seen);
-            let other = Diagnosis::from_text(document.kind(), document.text().replacen(&CANDIDATES[0].label(), "something_else", 1)).unwrap();
+            let other = Diagnosis::from_text(
+                document.kind(),
+                document.text().replacen(&CANDIDATES[0].label(), "something_else", 1),
+            )
+            .unwrap();
             assert!(read_evidence(&other).unwrap_err().message.contains("another list"));
         }
     }
@@ -194,7 +223,14 @@ mod tests {
 
     #[test]
     fn proposals_come_back_and_only_with_the_list_they_were_made_with() {
-        let proposal = Proposal { candidate: 3, score: 1.0 / 3.0, ci95: Some([-1e-300, 2.0]), passed: true, heldout_nats: Some(0.1), ..Proposal::default() };
+        let proposal = Proposal {
+            candidate: 3,
+            score: 1.0 / 3.0,
+            ci95: Some([-1e-300, 2.0]),
+            passed: true,
+            heldout_nats: Some(0.1),
+            ..Proposal::default()
+        };
         let decided = Decided {
             share: 0.83,
             span_ns: Some((0, 40_000_000)),
@@ -214,12 +250,21 @@ mod tests {
             nats_per_event: Some(-2.0),
             ks: Some(0.1 + 0.2),
             residual_left: Some(0.25),
-            located: Locations { first: vec![(3, Located { polarity: "on".into(), ..Located::default() })], ..Locations::default() },
+            located: Locations {
+                first: vec![(3, Located { polarity: "on".into(), ..Located::default() })],
+                ..Locations::default()
+            },
         };
-        for proposed in [Proposed::Decided(Box::new(decided)), Proposed::Nothing("no light".into()), Proposed::NotAsked] {
+        for proposed in
+            [Proposed::Decided(Box::new(decided)), Proposed::Nothing("no light".into()), Proposed::NotAsked]
+        {
             let document = write_proposals(&proposed).unwrap();
             assert_eq!(read_proposals(&document).unwrap(), proposed);
-            let other = Diagnosis::from_text(document.kind(), document.text().replacen(&CANDIDATES[0].label(), "something_else", 1)).unwrap();
+            let other = Diagnosis::from_text(
+                document.kind(),
+                document.text().replacen(&CANDIDATES[0].label(), "something_else", 1),
+            )
+            .unwrap();
             assert!(read_proposals(&other).unwrap_err().message.contains("another list"));
         }
     }

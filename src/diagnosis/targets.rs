@@ -1,12 +1,15 @@
-//! Known targets made up for training: a turning star or discs before a plain wall whose place, speed, phase and light are free within a range, as a user states them.
+//! Known targets made up for training: a turning star or discs before a plain wall whose place, speed, phase
+//! and light are free within a range, as a user states them.
 //!
-//! The scene, the sensor and its frames are those of [`crate::scenes`]; thresholds and frames have noise, which most descriptions state and some do not.
+//! The scene, the sensor and its frames are those of [`crate::scenes`]; thresholds and frames have noise,
+//! which most descriptions state and some do not.
 
 use crate::scenes::MadeUp;
 use photocurrent_core::random::Random;
 use photocurrent_scene::target::{Closed, Form};
 
-/// Free parameters: speed (a factor), dark and bright light (factors), time since the start (s), shifts (pixels).
+/// Free parameters: speed (a factor), dark and bright light (factors), time since the start (s), shifts
+/// (pixels).
 const FREE: usize = 6;
 
 /// Where each stands without a change.
@@ -56,7 +59,9 @@ impl Form for Shows {
     }
 
     fn at(&self, shares: &[f64]) -> Option<Box<dyn Closed>> {
-        let values: [f64; FREE] = std::array::from_fn(|k| self.ranges[k].0 + (self.ranges[k].1 - self.ranges[k].0) * shares.get(k).copied().unwrap_or(0.5));
+        let values: [f64; FREE] = std::array::from_fn(|k| {
+            self.ranges[k].0 + (self.ranges[k].1 - self.ranges[k].0) * shares.get(k).copied().unwrap_or(0.5)
+        });
         Some(Box::new(Shown { scene: self.scene.clone().lit(values[1], values[2]), values }))
     }
 }

@@ -47,16 +47,21 @@ pub fn case_with(effects: &Described) -> Case {
 /// The same with so many frames, 8 ms apart, and 4 ms after the end of the last period.
 pub fn case_of(frames: usize, effects: &Described) -> Case {
     let extent = Extent { width: 12, height: 10 };
-    let exposures: Vec<Exposure> = (0..frames as i64).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
+    let exposures: Vec<Exposure> =
+        (0..frames as i64).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
     let blank = Case {
         extent,
         span: (0, 8_000_000 * frames as i64 + 4_000_000),
         events: PixelEvents::new(vec![Vec::new(); extent.pixels()]),
         has_t_in: true,
         t_resolution_ns: 1,
-        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 20_000).unwrap(), vec![f32::NAN; frames * extent.pixels()])),
+        frames: Some(CaseFrames::new(
+            FrameTimes::new(exposures, 20_000).unwrap(),
+            vec![f32::NAN; frames * extent.pixels()],
+        )),
         sensor: sensor(),
     };
     let sample = Sample::all(&blank, 4);
-    record(&blank, &blank.nominal().unwrap(), &sample, &scene(&blank), effects, &Conditions::default()).unwrap()
+    record(&blank, &blank.nominal().unwrap(), &sample, &scene(&blank), effects, &Conditions::default())
+        .unwrap()
 }

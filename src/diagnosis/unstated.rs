@@ -1,8 +1,10 @@
 //! What a description does not state, what a diagnosis leaves out for it, and how a user gets it.
 //!
-//! Only thresholds and the frames' gain are needed by every test ([`photocurrent_scene::nominal`]). A refractory period or a latency that is absent counts as 0. Without the
-//! front end ([`front_end`]) direct tests take the ideal one, and nothing is compared on a scene: the residual of an event is the front end's voltage there less reference
-//! and threshold, so that a lag, a bandwidth or its dependence on light would be given the name of another effect. What is left out stands in the report, with the reason.
+//! Only thresholds and the frames' gain are needed by every test ([`photocurrent_scene::nominal`]). A
+//! refractory period or a latency that is absent counts as 0. Without the front end ([`front_end`]) direct
+//! tests take the ideal one, and nothing is compared on a scene: the residual of an event is the front end's
+//! voltage there less reference and threshold, so that a lag, a bandwidth or its dependence on light would be
+//! given the name of another effect. What is left out stands in the report, with the reason.
 
 use crate::candidates::Candidate;
 use crate::integrity::Finding;
@@ -13,16 +15,26 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_sensor::effects::sought::Field;
 use photocurrent_sensor::effects::{Stage, catalogue};
 
-/// Fields of the front end that a description does not state, by their TOML paths; empty where both are there.
+/// Fields of the front end that a description does not state, by their TOML paths; empty where both are
+/// there.
 pub fn front_end(sensor: &Sensor) -> Vec<&'static str> {
-    let fields = [("front_end.tau_0", sensor.front_end.tau_0.is_some()), ("front_end.alpha", sensor.front_end.alpha.is_some())];
+    let fields = [
+        ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
+        ("front_end.alpha", sensor.front_end.alpha.is_some()),
+    ];
     fields.into_iter().filter(|(_, is_stated)| !is_stated).map(|(path, _)| path).collect()
 }
 
 /// Why events are not compared with a scene; none where the front end is stated.
 pub fn without_scene(sensor: &Sensor) -> Option<String> {
     let fields = front_end(sensor);
-    (!fields.is_empty()).then(|| format!("{}: events are not compared with a scene, which needs the front end's answer to the light", not_stated(&fields)))
+    (!fields.is_empty()).then(|| {
+        format!(
+            "{}: events are not compared with a scene, which needs the front \
+                                          end's answer to the light",
+            not_stated(&fields)
+        )
+    })
 }
 
 /// What to state, what it adds, and where the values are from: sentences for a report.
@@ -32,7 +44,8 @@ pub fn advice(sensor: &Sensor) -> Vec<String> {
         return Vec::new();
     }
     vec![format!(
-        "state {} in the sensor description: adds the tests on a scene and their detection limits, and separates a clock offset from a slow front end; {HOW}",
+        "state {} in the sensor description: adds the tests on a scene and their detection limits, and \
+         separates a clock offset from a slow front end; {HOW}",
         fields.join(" and ")
     )]
 }
@@ -42,15 +55,16 @@ const HOW: &str = "values are in the maker's sheet (tau = 1 / (2 pi f) of a -3 d
                    recording of a known target (docs/calibrate-sensor.md)";
 
 /// What a constant lateness of events is.
-pub const LATENESS: &str =
-    "events that are late by one time have a clock that is off, or a front end and a readout that are slow; this recording does not separate the two";
+pub const LATENESS: &str = "events that are late by one time have a clock that is off, or a front end and a readout that are slow; \
+     this recording does not separate the two";
 
 fn not_stated(fields: &[&str]) -> String {
     format!("{} {} not stated", fields.join(" and "), if fields.len() == 1 { "is" } else { "are" })
 }
 
-/// The effects that are left out because the description lacks something, each with the reason, what would be added, and how to get it; `is_tested` names those that
-/// were tested all the same. Empty for a complete description.
+/// The effects that are left out because the description lacks something, each with the reason, what would be
+/// added, and how to get it; `is_tested` names those that were tested all the same. Empty for a complete
+/// description.
 pub fn not_testable(sensor: &Sensor, is_tested: impl Fn(&str) -> bool) -> Vec<NotTestable> {
     let fields = front_end(sensor);
     if fields.is_empty() {
@@ -58,27 +72,34 @@ pub fn not_testable(sensor: &Sensor, is_tested: impl Fn(&str) -> bool) -> Vec<No
     }
     let lacking = not_stated(&fields);
     let of_front_end = format!(
-        "{lacking}: there is no lag or bandwidth to compare with, and the ideal front end was taken; stated values would add this test, on a scene; {HOW}"
+        "{lacking}: there is no lag or bandwidth to compare with, and the ideal front end was taken; stated \
+         values would add this test, on a scene; {HOW}"
     );
     let on_a_scene = format!(
-        "{lacking}: by how much an event misses its threshold on a scene follows from the front end's voltage; stated values would add this test; {HOW}"
+        "{lacking}: by how much an event misses its threshold on a scene follows from the front end's \
+         voltage; stated values would add this test; {HOW}"
     );
     let mut all = offset(sensor, &lacking);
     let decls = catalogue().into_iter().map(|kind| kind.decl).filter(|decl| !is_tested(decl.id));
-    all.extend(
-        decls.map(|decl| NotTestable { id: decl.id.to_owned(), why: if decl.stage == Stage::FrontEnd { of_front_end.clone() } else { on_a_scene.clone() } }),
-    );
+    all.extend(decls.map(|decl| NotTestable {
+        id: decl.id.to_owned(),
+        why: if decl.stage == Stage::FrontEnd { of_front_end.clone() } else { on_a_scene.clone() },
+    }));
     all
 }
 
-/// A reason of [`not_testable`] without where values are from, which [`advice`] says once for all; none of a reason that is not the description's.
+/// A reason of [`not_testable`] without where values are from, which [`advice`] says once for all; none of a
+/// reason that is not the description's.
 pub fn short(why: &str) -> Option<&str> {
     why.contains(" not stated: ").then(|| why.strip_suffix(HOW).map_or(why, |why| why.trim_end_matches("; ")))
 }
 
 /// A clock offset that the description states may be the lag of the front end that it does not state.
 fn offset(sensor: &Sensor, lacking: &str) -> Vec<NotTestable> {
-    let stated = sensor.effects.get("clock_offset").and_then(|of| of.get("offset")?.as_str()?.parse::<Duration>().ok());
+    let stated = sensor
+        .effects
+        .get("clock_offset")
+        .and_then(|of| of.get("offset")?.as_str()?.parse::<Duration>().ok());
     let late = stated.filter(|offset| offset.ns() > 0).map(|offset| {
         let offset = readable(offset.seconds(), "s");
         let why = format!("the description states an offset of {offset}, and {lacking}: {LATENESS}; {HOW}");
@@ -87,10 +108,12 @@ fn offset(sensor: &Sensor, lacking: &str) -> Vec<NotTestable> {
     late.into_iter().collect()
 }
 
-/// Another id that explains a finding as well, because the description does not exclude it, and why, as the end of a sentence.
+/// Another id that explains a finding as well, because the description does not exclude it, and why, as the
+/// end of a sentence.
 ///
-/// A low-pass of unknown bandwidth makes events late, and weakens changes that are fast, or dark: thresholds look larger, those of OFF events more, dark places have the
-/// fewer events, and fast ones lose light. It makes nothing early, and no threshold smaller.
+/// A low-pass of unknown bandwidth makes events late, and weakens changes that are fast, or dark: thresholds
+/// look larger, those of OFF events more, dark places have the fewer events, and fast ones lose light. It
+/// makes nothing early, and no threshold smaller.
 pub fn alike(sensor: &Sensor, finding: &Finding) -> Option<(&'static str, &'static str)> {
     if front_end(sensor).is_empty() {
         return None;
@@ -99,10 +122,19 @@ pub fn alike(sensor: &Sensor, finding: &Finding) -> Option<(&'static str, &'stat
     let because = match finding.id {
         "clock_offset" if value("offset") > 0.0 => LATENESS,
         "dark_current" => "a front end that is slow in dim light weakens changes there, which looks alike",
-        "threshold_scale" if value("fraction") > 0.0 => "a front end that is slow weakens fast changes, which looks alike",
-        "threshold_asymmetry" if value("fraction") < 0.0 => "a front end is slower in the dark, where OFF changes end, which looks alike",
+        "threshold_scale" if value("fraction") > 0.0 => {
+            "a front end that is slow weakens fast changes, \
+                                                         which looks alike"
+        }
+        "threshold_asymmetry" if value("fraction") < 0.0 => {
+            "a front end is slower in the dark, where OFF \
+                                                            changes end, which looks alike"
+        }
         // Lost light, not the shortest intervals.
-        "refractory" if finding.heldout.is_some() => "a front end that is slow weakens fast changes, which looks alike",
+        "refractory" if finding.heldout.is_some() => {
+            "a front end that is slow weakens fast changes, which \
+                                                      looks alike"
+        }
         _ => return None,
     };
     Some(("time_constant", because))
@@ -159,22 +191,55 @@ mod tests {
                 one.why
             );
         }
-        let with_alpha = Sensor { front_end: photocurrent_core::sensor::FrontEnd { tau_0: None, ..testing::sensor().front_end }, ..proposed() };
-        assert!(without_scene(&with_alpha).is_some_and(|why| why.starts_with("front_end.tau_0 is not stated")));
-        let unstated = |sensor: &Sensor| CANDIDATES.iter().filter(|candidate| !is_stated(sensor, candidate)).map(Candidate::label).collect::<Vec<_>>();
+        let with_alpha = Sensor {
+            front_end: photocurrent_core::sensor::FrontEnd { tau_0: None, ..testing::sensor().front_end },
+            ..proposed()
+        };
+        assert!(
+            without_scene(&with_alpha).is_some_and(|why| why.starts_with("front_end.tau_0 is not stated"))
+        );
+        let unstated = |sensor: &Sensor| {
+            CANDIDATES
+                .iter()
+                .filter(|candidate| !is_stated(sensor, candidate))
+                .map(Candidate::label)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(
             (unstated(&proposed()), unstated(&with_alpha)),
-            (vec!["time_constant.tau_0".into(), "time_constant.alpha".into()], vec!["time_constant.tau_0".into()])
+            (
+                vec!["time_constant.tau_0".into(), "time_constant.alpha".into()],
+                vec!["time_constant.tau_0".into()]
+            )
         );
     }
 
     #[test]
     fn a_low_pass_makes_thresholds_larger_and_never_smaller() {
-        let of = |id, parameter, value| alike(&proposed(), &Finding::of_halves(id, (parameter, value), 100.0, 1000, String::new())).map(|(id, _)| id);
-        assert_eq!(of("threshold_scale", "fraction", 0.2).zip(of("dark_current", "current", 3.0)), Some(("time_constant", "time_constant")));
-        assert_eq!((of("threshold_scale", "fraction", -0.2), of("threshold_asymmetry", "fraction", 0.2), of("leak_events", "rate", 1.0)), (None, None, None));
-        let of_intervals = Finding { heldout: None, ..Finding::of_halves("refractory", ("refractory", 1e-3), 100.0, 1000, String::new()) };
-        assert_eq!((of("refractory", "refractory", 1e-3), alike(&proposed(), &of_intervals)), (Some("time_constant"), None));
+        let of = |id, parameter, value| {
+            alike(&proposed(), &Finding::of_halves(id, (parameter, value), 100.0, 1000, String::new()))
+                .map(|(id, _)| id)
+        };
+        assert_eq!(
+            of("threshold_scale", "fraction", 0.2).zip(of("dark_current", "current", 3.0)),
+            Some(("time_constant", "time_constant"))
+        );
+        assert_eq!(
+            (
+                of("threshold_scale", "fraction", -0.2),
+                of("threshold_asymmetry", "fraction", 0.2),
+                of("leak_events", "rate", 1.0)
+            ),
+            (None, None, None)
+        );
+        let of_intervals = Finding {
+            heldout: None,
+            ..Finding::of_halves("refractory", ("refractory", 1e-3), 100.0, 1000, String::new())
+        };
+        assert_eq!(
+            (of("refractory", "refractory", 1e-3), alike(&proposed(), &of_intervals)),
+            (Some("time_constant"), None)
+        );
     }
 
     #[test]
@@ -182,7 +247,9 @@ mod tests {
         assert_eq!(alike(&proposed(), &late(3e-3)), Some(("time_constant", LATENESS)));
         assert_eq!(alike(&proposed(), &late(-3e-3)), None);
         let mut sensor = proposed();
-        sensor.effects.insert("clock_offset".into(), json!({"offset": "3.3 ms"}).as_object().unwrap().clone());
+        sensor
+            .effects
+            .insert("clock_offset".into(), json!({"offset": "3.3 ms"}).as_object().unwrap().clone());
         let stated = not_testable(&sensor, |_| true);
         assert_eq!(stated.len(), 1);
         assert!(

@@ -1,9 +1,11 @@
 //! One answer from the direct tests and from what was decided on a scene.
 //!
-//! A direct test that finds something counts: it needs no scene. It does not end the search: the scene is looked at with what it found in the description, and reports the rest.
-//! Where no scene is evidence, direct tests answer alone.
+//! A direct test that finds something counts: it needs no scene. It does not end the search: the scene is
+//! looked at with what it found in the description, and reports the rest. Where no scene is evidence, direct
+//! tests answer alone.
 //!
-//! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million events a microsecond is a hundred standard deviations.
+//! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million
+//! events a microsecond is a hundred standard deviations.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Signs};
 use crate::dependence::Dependence;
@@ -39,7 +41,8 @@ pub struct Proposal {
     pub heldout_nats_ci95: Option<[f64; 2]>,
     /// The same per event.
     pub heldout_nats_per_event: Option<f64>,
-    /// Distance of what it leaves from the noise that the described sensor has on this scene (Kolmogorov and Smirnov).
+    /// Distance of what it leaves from the noise that the described sensor has on this scene (Kolmogorov and
+    /// Smirnov).
     pub ks: Option<f64>,
 }
 
@@ -130,7 +133,8 @@ pub struct Claim {
     pub heldout_nats_ci95: Option<[f64; 2]>,
     /// The same per event.
     pub heldout_nats_per_event: Option<f64>,
-    /// Distance of what it leaves (of a second effect: what both leave) from the noise of the scene; none for direct tests.
+    /// Distance of what it leaves (of a second effect: what both leave) from the noise of the scene; none for
+    /// direct tests.
     pub ks: Option<f64>,
     /// What a direct test saw.
     pub finding: Option<Finding>,
@@ -172,11 +176,15 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     if !integrity.broken.is_empty() {
         return Answer { verdict: Verdict::BrokenData, claims: Vec::new(), unexplained: None };
     }
-    let mut claims: Vec<Claim> = integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
+    let mut claims: Vec<Claim> =
+        integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let decided = decided.map(|decided| without(case, nominal, decided, &known));
     // What shows without a scene comes first.
-    let shown = integrity.dependences.first().map(|dependence| Unexplained::by(dependence, regular::score(dependence)));
+    let shown = integrity
+        .dependences
+        .first()
+        .map(|dependence| Unexplained::by(dependence, regular::score(dependence)));
     let unexplained = shown.or_else(|| decided.as_ref().and_then(|decided| decided.unexplained.clone()));
     // No name is forced on what explains more than any effect does.
     if let Some(decided) = decided.filter(|_| !claims.is_empty() || unexplained.is_none()) {
@@ -214,7 +222,8 @@ fn of_scene(decided: &Decided) -> Vec<Claim> {
 /// The most probable of the proposals that passed, with those that are not distinguished from it.
 fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
     let passed = proposals.iter().filter(|one| one.passed);
-    let one = passed.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))?;
+    let one =
+        passed.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))?;
     Some(Claim {
         id: CANDIDATES[one.candidate].id,
         also_possible: alternatives(one, proposals),
@@ -232,7 +241,8 @@ fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
 
 /// Effects that are nearly as probable as one, most first, whether they passed or not.
 fn alternatives(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
-    let mut near: Vec<&Proposal> = proposals.iter().filter(|other| other.probability > IN_SET_SHARE * one.probability).collect();
+    let mut near: Vec<&Proposal> =
+        proposals.iter().filter(|other| other.probability > IN_SET_SHARE * one.probability).collect();
     near.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.candidate.cmp(&b.candidate)));
     let mut ids = vec![CANDIDATES[one.candidate].id];
     near.iter().map(|other| CANDIDATES[other.candidate].id).for_each(|id| {
@@ -249,11 +259,18 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         .parameters
         .iter()
         .filter_map(|(parameter, value)| {
-            Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, finding.interval(parameter)))
+            Some((
+                CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?,
+                *value,
+                finding.interval(parameter),
+            ))
         })
         .collect();
     // Events that are counted are certain however few they are; the limits are for what is fitted.
-    let is_material = |(candidate, value, _): &Valued| CANDIDATES[*candidate].sought.is_counted || is_material(case, nominal, &CANDIDATES[*candidate], *value);
+    let is_material = |(candidate, value, _): &Valued| {
+        CANDIDATES[*candidate].sought.is_counted
+            || is_material(case, nominal, &CANDIDATES[*candidate], *value)
+    };
     let matters = values.is_empty() || values.iter().any(is_material);
     matters.then(|| Claim {
         id: finding.id,
@@ -273,19 +290,35 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
 /// What was decided, less what is known already or looks like it, and what does not matter.
 fn without(case: &Case, nominal: &Nominal, decided: &Decided, known: &[&str]) -> Decided {
     let left = |proposals: &[Proposal]| -> Vec<Proposal> {
-        let matters = |proposal: &&Proposal| is_material(case, nominal, &CANDIDATES[proposal.candidate], proposal.value);
-        proposals.iter().filter(|proposal| !known.iter().any(|known| looks_like(known, &CANDIDATES[proposal.candidate]))).filter(matters).cloned().collect()
+        let matters = |proposal: &&Proposal| {
+            is_material(case, nominal, &CANDIDATES[proposal.candidate], proposal.value)
+        };
+        proposals
+            .iter()
+            .filter(|proposal| !known.iter().any(|known| looks_like(known, &CANDIDATES[proposal.candidate])))
+            .filter(matters)
+            .cloned()
+            .collect()
     };
     Decided { proposals: left(&decided.proposals), second: left(&decided.second), ..decided.clone() }
 }
 
-/// Is a candidate an effect, or taken for it (or it for the candidate) by the catalogue's own word? What a direct estimate leaves of its effect looks like that.
+/// Is a candidate an effect, or taken for it (or it for the candidate) by the catalogue's own word? What a
+/// direct estimate leaves of its effect looks like that.
 fn looks_like(known: &str, candidate: &Candidate) -> bool {
-    let confused = |id: &str| catalogue().into_iter().find(|kind| kind.decl.id == id).map_or(&[][..], |kind| kind.decl.confused_with);
-    known == candidate.id || confused(known).contains(&candidate.id) || confused(candidate.id).contains(&known)
+    let confused = |id: &str| {
+        catalogue()
+            .into_iter()
+            .find(|kind| kind.decl.id == id)
+            .map_or(&[][..], |kind| kind.decl.confused_with)
+    };
+    known == candidate.id
+        || confused(known).contains(&candidate.id)
+        || confused(candidate.id).contains(&known)
 }
 
-/// Does a value of a candidate differ from nothing by more than anybody would care about? From which size on, the effect's file says; a switch and a limit always do.
+/// Does a value of a candidate differ from nothing by more than anybody would care about? From which size on,
+/// the effect's file says; a switch and a limit always do.
 pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
     if candidate.signs == Signs::Switch || candidate.is_limit() {
         return true;
@@ -304,12 +337,17 @@ pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value:
 
 fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {
     let Some(frames) = &case.frames else { return 0.0 };
-    let mut signals: Vec<f64> = frames.every(101).filter(|dn| dn.is_finite()).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
+    let mut signals: Vec<f64> = frames
+        .every(101)
+        .filter(|dn| dn.is_finite())
+        .map(|dn| f64::from(dn) - nominal.number.black_level)
+        .collect();
     photocurrent_scene::statistics::median(&mut signals).max(0.0)
 }
 
 fn typical_light(case: &Case, nominal: &Nominal) -> f64 {
-    let exposure_s = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(0) as f64 * 1e-9;
+    let exposure_s =
+        case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(0) as f64 * 1e-9;
     if exposure_s > 0.0 { typical_dn(case, nominal) / (nominal.number.gain * exposure_s) } else { 0.0 }
 }
 

@@ -4,12 +4,20 @@ use super::*;
 use crate::testing;
 
 fn proposal(id: &str, parameter: &str, score: f64, probability: f64, value: f64) -> Proposal {
-    let candidate = CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.parameter == parameter).unwrap();
+    let candidate = CANDIDATES
+        .iter()
+        .position(|candidate| candidate.id == id && candidate.parameter == parameter)
+        .unwrap();
     Proposal { candidate, score, probability, value, passed: score >= 1.0, ..Proposal::default() }
 }
 
 fn decided(proposals: Vec<Proposal>) -> Decided {
-    Decided { name: "picture".into(), detected: proposals.iter().any(|proposal| proposal.passed), proposals, ..Decided::default() }
+    Decided {
+        name: "picture".into(),
+        detected: proposals.iter().any(|proposal| proposal.passed),
+        proposals,
+        ..Decided::default()
+    }
 }
 
 fn answer(decided: &Decided) -> Answer {
@@ -37,7 +45,10 @@ fn asymmetry(score: f64, probability: f64) -> Proposal {
 #[test]
 fn the_most_probable_is_named_with_what_is_nearly_as_probable() {
     let sure = answer(&decided(vec![leak(1.1, 0.9), asymmetry(1.1, 0.02)]));
-    assert_eq!((sure.verdict, ids(&sure), sure.claims[0].posterior), (Verdict::Named, vec!["leak_events"], Some(0.9)));
+    assert_eq!(
+        (sure.verdict, ids(&sure), sure.claims[0].posterior),
+        (Verdict::Named, vec!["leak_events"], Some(0.9))
+    );
     assert_eq!(sure.claims[0].found_by, ["picture"]);
     let unsure = answer(&decided(vec![leak(1.1, 0.55), asymmetry(1.1, 0.45)]));
     assert_eq!((unsure.verdict, ids(&unsure)), (Verdict::Ambiguous, vec!["leak_events"]));
@@ -46,7 +57,8 @@ fn the_most_probable_is_named_with_what_is_nearly_as_probable() {
 
 #[test]
 fn what_is_certain_but_immaterial_is_not_claimed() {
-    let tiny = |value: f64| answer(&decided(vec![proposal("time_constant", "tau_0", 1.1, 1.0, value)])).verdict;
+    let tiny =
+        |value: f64| answer(&decided(vec![proposal("time_constant", "tau_0", 1.1, 1.0, value)])).verdict;
     // The description states 30 us; a microsecond more is nothing.
     assert_eq!(tiny(31e-6), Verdict::Consistent);
     assert_eq!(tiny(60e-6), Verdict::Named);
@@ -110,7 +122,14 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
     let alone = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));
     assert_eq!((alone.verdict, alone.claims.len()), (Verdict::Unnamed, 0));
     let said = alone.unexplained.unwrap();
-    assert_eq!((said.covariate.as_str(), said.equation.as_str()), ("row_parity", "rate of events * (1 + c), c(row_parity) = +10.0 % at 0, -10.0 % at 1"));
+    assert_eq!(
+        (said.covariate.as_str(), said.equation.as_str()),
+        (
+            "row_parity",
+            "rate of events * (1 + c), \
+                                                            c(row_parity) = +10.0 % at 0, -10.0 % at 1"
+        )
+    );
     assert!(said.score >= 1.0);
     let hot = Finding {
         id: "hot_pixels",
@@ -146,5 +165,8 @@ fn what_looks_like_a_direct_finding_is_its_remainder() {
     let scale = proposal("threshold_scale", "fraction", 60.0, 0.9, 0.2);
     assert_eq!(ids(&answer_with(&integrity, Some(&decided(vec![scale])))), ["event_loss"]);
     // Something of another kind is named as well.
-    assert_eq!(ids(&answer_with(&integrity, Some(&decided(vec![leak(1.1, 0.9)])))), ["event_loss", "leak_events"]);
+    assert_eq!(
+        ids(&answer_with(&integrity, Some(&decided(vec![leak(1.1, 0.9)])))),
+        ["event_loss", "leak_events"]
+    );
 }

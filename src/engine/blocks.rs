@@ -1,11 +1,14 @@
-//! Blocks of time: a long recording cut into windows that overlap, each worked on by itself, and what they give joined.
+//! Blocks of time: a long recording cut into windows that overlap, each worked on by itself, and what they
+//! give joined.
 //!
-//! `pipeline.blocks` says how long a block is. Its first node that is local in time ([`photocurrent_core::Node::LOCAL_IN_TIME`]) and takes a recording decides where blocks
-//! begin; from there on each such node becomes one task for every block, which takes windows of what is not cut and the same block of what is. A node that is not
-//! local takes the blocks joined: each instant from the block whose share of time it lies in. Events, frames and tracks can be joined.
+//! `pipeline.blocks` says how long a block is. Its first node that is local in time
+//! ([`photocurrent_core::Node::LOCAL_IN_TIME`]) and takes a recording decides where blocks begin; from there
+//! on each such node becomes one task for every block, which takes windows of what is not cut and the same
+//! block of what is. A node that is not local takes the blocks joined: each instant from the block whose
+//! share of time it lies in. Events, frames and tracks can be joined.
 //!
-//! Blocks are part of the manifest and of keys, unlike row bands: what a solver finds near a border depends on where the border is, so the budget of a machine must
-//! not decide it.
+//! Blocks are part of the manifest and of keys, unlike row bands: what a solver finds near a border depends
+//! on where the border is, so the budget of a machine must not decide it.
 
 use photocurrent_core::document::{Origin, Tree};
 use photocurrent_core::error::NodeError;
@@ -35,11 +38,13 @@ impl Blocks {
 
     /// The form of `pipeline.blocks`.
     pub(crate) fn schema() -> Json {
-        let overlap = format!("How much of its neighbours a block sees on either side. Default: {}.", Blocks::OVERLAP);
+        let overlap =
+            format!("How much of its neighbours a block sees on either side. Default: {}.", Blocks::OVERLAP);
         json!({
             "type": "object", "additionalProperties": false,
             "x-example": "`blocks = { length = \"2 s\", overlap = \"50 ms\" }`",
-            "description": "Cut a recording into blocks of time, run nodes that are local in time for each, and join what they give.",
+            "description": "Cut a recording into blocks of time, run nodes that are local in time for each, \
+                            and join what they give.",
             "properties": {
                 "length": { "type": "string", "x-quantity": "time", "examples": ["2 s"], "x-min": "1 ms", "description": "Length of a block, without its overlap." },
                 "overlap": { "type": "string", "x-quantity": "time", "examples": ["50 ms"], "x-min": "0 ns", "description": overlap },
@@ -54,7 +59,8 @@ impl Blocks {
             Some((tree.as_str()?.parse::<Duration>().ok()?.ns(), tree.origin.clone()))
         };
         let origin = tree.origin.clone();
-        let (overlap_ns, overlap_origin) = of("overlap").unwrap_or_else(|| (Blocks::OVERLAP.ns(), origin.clone()));
+        let (overlap_ns, overlap_origin) =
+            of("overlap").unwrap_or_else(|| (Blocks::OVERLAP.ns(), origin.clone()));
         Some(Blocks { length_ns: of("length")?.0, overlap_ns, origin, overlap_origin })
     }
 
@@ -65,8 +71,12 @@ impl Blocks {
     pub(crate) fn cut(&self, span: TimeSpan) -> Result<Cuts, String> {
         let count = (span.length_ns().saturating_add(self.length_ns / 2) / self.length_ns).max(1);
         if count > MOST {
-            let (length, start, end) = (Duration::new(self.length_ns), Duration::new(span.start.0), Duration::new(span.end.0));
-            return Err(format!("blocks of {length} would cut the recording, from {start} to {end}, into {count}, and {MOST} are the most"));
+            let (length, start, end) =
+                (Duration::new(self.length_ns), Duration::new(span.start.0), Duration::new(span.end.0));
+            return Err(format!(
+                "blocks of {length} would cut the recording, from {start} to {end}, into \
+                                {count}, and {MOST} are the most"
+            ));
         }
         let borders = (1..count).map(|k| span.start.0 + k * self.length_ns).collect();
         Ok(Cuts { borders, overlap_ns: self.overlap_ns })
@@ -86,7 +96,8 @@ impl Cuts {
         self.borders.len() + 1
     }
 
-    /// The time of which a block's results are taken: from the border before it to the one after; the first and the last one have no end.
+    /// The time of which a block's results are taken: from the border before it to the one after; the first
+    /// and the last one have no end.
     pub(crate) fn share(&self, block: usize) -> TimeSpan {
         let start = block.checked_sub(1).map_or(i64::MIN, |before| self.borders[before]);
         TimeSpan::new(start, self.borders.get(block).copied().unwrap_or(i64::MAX))
@@ -95,7 +106,10 @@ impl Cuts {
     /// What a block sees: its share and the overlap on either side.
     pub(crate) fn window(&self, block: usize) -> TimeSpan {
         let share = self.share(block);
-        TimeSpan::new(share.start.0.saturating_sub(self.overlap_ns), share.end.0.saturating_add(self.overlap_ns))
+        TimeSpan::new(
+            share.start.0.saturating_sub(self.overlap_ns),
+            share.end.0.saturating_add(self.overlap_ns),
+        )
     }
 
     /// A block in words: `block 2 of 5, from 2 s to 4 s`.
@@ -107,7 +121,12 @@ impl Cuts {
             (_, true) => format!("from {start} on"),
             _ => format!("from {start} to {end}"),
         };
-        format!("in block {} of {} ({place}, with {} on either side)", block + 1, self.len(), Duration::new(self.overlap_ns))
+        format!(
+            "in block {} of {} ({place}, with {} on either side)",
+            block + 1,
+            self.len(),
+            Duration::new(self.overlap_ns)
+        )
     }
 }
 
@@ -160,7 +179,10 @@ impl Joinable for Value {
 }
 
 /// The values of a port, from whole ones by task and output.
-pub(crate) fn extracted<T: Joinable, E: From<NodeError>>(sources: &[Source], mut whole: impl FnMut(usize, &'static str) -> Result<T, E>) -> Result<Vec<T>, E> {
+pub(crate) fn extracted<T: Joinable, E: From<NodeError>>(
+    sources: &[Source],
+    mut whole: impl FnMut(usize, &'static str) -> Result<T, E>,
+) -> Result<Vec<T>, E> {
     let mut values = Vec::new();
     for parts in sources.chunk_by(|a, b| a.value == b.value) {
         let mut shares = Vec::new();

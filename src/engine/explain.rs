@@ -25,7 +25,8 @@ pub struct Explanation {
 pub fn explain(plan: &Plan, cache: &Cache, out_dir: &Path, node: &str) -> Result<Vec<Explanation>, Problem> {
     let tasks = plan.tasks_of(node);
     if tasks.is_empty() {
-        return Err(Problem::new(format!("there is no node `{node}` in this plan")).did_you_mean(node, plan.node_names()));
+        return Err(Problem::new(format!("there is no node `{node}` in this plan"))
+            .did_you_mean(node, plan.node_names()));
     }
     let mut explanations = Vec::new();
     for status in status(plan, cache, out_dir).into_iter().filter(|status| tasks.contains(&status.task)) {
@@ -36,7 +37,11 @@ pub fn explain(plan: &Plan, cache: &Cache, out_dir: &Path, node: &str) -> Result
             State::Waits { on, reasons } => (format!("waits for {}", on.join(", ")), reasons.as_slice()),
         };
         let lines = std::iter::once(verdict).chain(reasons.iter().cloned()).collect();
-        explanations.push(Explanation { variants: uses.map(|(variant, _)| variant.clone()).collect(), status, lines });
+        explanations.push(Explanation {
+            variants: uses.map(|(variant, _)| variant.clone()).collect(),
+            status,
+            lines,
+        });
     }
     Ok(explanations)
 }

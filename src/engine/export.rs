@@ -1,8 +1,10 @@
 //! Files for the user: written next to their place, stamped, and swapped in at once.
 //!
-//! A node that exports gets an empty folder next to its destination. When it is done the engine adds a stamp (the key, each file's size and
-//! digest), makes everything reach the disk, and exchanges the two folders in one step: a reader sees the old files or the new ones,
-//! never a mixture. What a killed run left half-made is removed by the next one. A folder that holds anything the stamp does not name is somebody's own and is never replaced.
+//! A node that exports gets an empty folder next to its destination. When it is done the engine adds a stamp
+//! (the key, each file's size and digest), makes everything reach the disk, and exchanges the two folders in
+//! one step: a reader sees the old files or the new ones, never a mixture. What a killed run left half-made
+//! is removed by the next one. A folder that holds anything the stamp does not name is somebody's own and is
+//! never replaced.
 
 use photocurrent_core::{Digest, NodeError};
 use serde::{Deserialize, Serialize};
@@ -53,7 +55,9 @@ pub(crate) fn check_current(folder: &Path, key: &Digest) -> Result<(), String> {
     for file in &stamp.files {
         match fs::metadata(folder.join(&file.name)) {
             Err(_) => return Err(format!("exported file {} is gone", file.name)),
-            Ok(found) if found.len() != file.bytes => return Err(format!("exported file {} changed its size", file.name)),
+            Ok(found) if found.len() != file.bytes => {
+                return Err(format!("exported file {} changed its size", file.name));
+            }
             Ok(_) => {}
         }
     }
@@ -67,12 +71,18 @@ pub(crate) fn check_free(folder: &Path) -> Result<(), NodeError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(files_error(folder, "list the folder", &error)),
     };
-    let ours: Vec<String> = read_stamp(folder).map(|stamp| stamp.files.into_iter().map(|file| file.name).collect()).unwrap_or_default();
+    let ours: Vec<String> = read_stamp(folder)
+        .map(|stamp| stamp.files.into_iter().map(|file| file.name).collect())
+        .unwrap_or_default();
     let foreign: Vec<&String> = found.iter().filter(|name| *name != STAMP && !ours.contains(name)).collect();
     let Some(first) = foreign.first() else { return Ok(()) };
     let rest = if foreign.len() > 1 { format!(" and {} more", foreign.len() - 1) } else { String::new() };
-    let error = NodeError::files(format!("{} holds files that this tool did not write there", folder.display()));
-    Err(error.note(format!("found {first}{rest}")).hint("move them away, or choose another output folder with `--out`"))
+    let error =
+        NodeError::files(format!("{} holds files that this tool did not write there", folder.display()));
+    Err(error.note(format!("found {first}{rest}")).hint(
+        "move them away, or choose another output folder \
+                                                         with `--out`",
+    ))
 }
 
 /// All files below a folder, as sorted relative names.
@@ -81,7 +91,11 @@ fn list(folder: &Path) -> io::Result<Vec<String>> {
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
             let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
-            if entry.file_type()?.is_dir() { walk(&entry.path(), &format!("{name}/"), names)? } else { names.push(name) }
+            if entry.file_type()?.is_dir() {
+                walk(&entry.path(), &format!("{name}/"), names)?
+            } else {
+                names.push(name)
+            }
         }
         Ok(())
     }
@@ -94,12 +108,16 @@ fn list(folder: &Path) -> io::Result<Vec<String>> {
 /// How the name of a folder in the making ends.
 const PARTIAL: &str = ".partial";
 
-/// Removes half-made folders next to a destination whose makers are gone. What cannot be removed does no harm where it is.
+/// Removes half-made folders next to a destination whose makers are gone. What cannot be removed does no harm
+/// where it is.
 fn remove_what_the_dead_left(parent: &Path, name: &str) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let found = entry.file_name();
-        let is_partial = found.to_str().is_some_and(|found| found.starts_with(&format!(".{name}.")) && found.ends_with(PARTIAL));
-        // The lock is held until the folder is gone: its maker, when it has not locked it yet, waits, and then makes another.
+        let is_partial = found
+            .to_str()
+            .is_some_and(|found| found.starts_with(&format!(".{name}.")) && found.ends_with(PARTIAL));
+        // The lock is held until the folder is gone: its maker, when it has not locked it yet, waits, and
+        // then makes another.
         if is_partial
             && let Ok(folder) = fs::File::open(entry.path())
             && folder.try_lock().is_ok()
@@ -153,15 +171,27 @@ impl Staging {
     /// Stamps the files and puts the folder in its place.
     pub(crate) fn publish(self, key: Digest) -> Result<Vec<StampedFile>, NodeError> {
         let stamp = Stamp { key, files: self.stamped()? };
-        let text = toml::to_string(&stamp).map_err(|error| NodeError::failed(format!("cannot write the stamp: {error}")))?;
+        let text = toml::to_string(&stamp).map_err(|error| {
+            NodeError::failed(format!(
+                "cannot write the \
+                                                            stamp: {error}"
+            ))
+        })?;
         let path = self.folder.join(STAMP);
-        fs::write(&path, format!("# Written by photocurrent. Files named here are replaced by the next run.\n{text}"))
-            .and_then(|()| fs::File::open(&path)?.sync_all())
-            .and_then(|()| fs::File::open(&self.folder)?.sync_all())
-            .map_err(|error| files_error(&path, "write the stamp", &error))?;
+        fs::write(
+            &path,
+            format!(
+                "# Written by photocurrent. Files named here are replaced by the next \
+                                  run.\n{text}"
+            ),
+        )
+        .and_then(|()| fs::File::open(&path)?.sync_all())
+        .and_then(|()| fs::File::open(&self.folder)?.sync_all())
+        .map_err(|error| files_error(&path, "write the stamp", &error))?;
         // Checked again: the run may have taken hours.
         check_free(&self.destination)?;
-        swap(&self.folder, &self.destination).map_err(|error| files_error(&self.destination, "put the files in their place", &error))?;
+        swap(&self.folder, &self.destination)
+            .map_err(|error| files_error(&self.destination, "put the files in their place", &error))?;
         if let Some(parent) = self.destination.parent() {
             // Not every file system can sync a folder, and the files themselves are safe already.
             let _ = fs::File::open(parent).and_then(|folder| folder.sync_all());
@@ -170,16 +200,25 @@ impl Staging {
     }
 
     fn stamped(&self) -> Result<Vec<StampedFile>, NodeError> {
-        let names = list(&self.folder).map_err(|error| files_error(&self.folder, "list the folder", &error))?;
+        let names =
+            list(&self.folder).map_err(|error| files_error(&self.folder, "list the folder", &error))?;
         let stamp = |name: String| {
             let path = self.folder.join(&name);
             let file = fs::File::open(&path)?;
             let mut hash = blake3::Hasher::new();
             hash.update_reader(&file)?;
             file.sync_all()?;
-            Ok(StampedFile { name, bytes: file.metadata()?.len(), digest: Digest::from_bytes(*hash.finalize().as_bytes()) })
+            Ok(StampedFile {
+                name,
+                bytes: file.metadata()?.len(),
+                digest: Digest::from_bytes(*hash.finalize().as_bytes()),
+            })
         };
-        names.into_iter().map(stamp).collect::<io::Result<_>>().map_err(|error| files_error(&self.folder, "read back the files", &error))
+        names
+            .into_iter()
+            .map(stamp)
+            .collect::<io::Result<_>>()
+            .map_err(|error| files_error(&self.folder, "read back the files", &error))
     }
 }
 
@@ -196,13 +235,18 @@ fn swap(new: &Path, place: &Path) -> io::Result<()> {
     if !place.exists() {
         match fs::rename(new, place) {
             // Another run has put its files there in the meantime: change places with them.
-            Err(error) if matches!(error.kind(), io::ErrorKind::DirectoryNotEmpty | io::ErrorKind::AlreadyExists) => {}
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    io::ErrorKind::DirectoryNotEmpty | io::ErrorKind::AlreadyExists
+                ) => {}
             done => return done,
         }
     }
     match renameat_with(CWD, new, CWD, place, RenameFlags::EXCHANGE) {
         Ok(()) => Ok(()),
-        // A file system without the exchange: two renames, with a moment between them when the place is empty.
+        // A file system without the exchange: two renames, with a moment between them when the place is
+        // empty.
         Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS | rustix::io::Errno::NOTSUP) => {
             let aside = new.with_extension("old");
             fs::rename(place, &aside)?;

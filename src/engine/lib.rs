@@ -1,10 +1,13 @@
-//! The engine: from a manifest's text to results in the cache. It knows graphs, not sensors: node kinds come in as a catalogue.
+//! The engine: from a manifest's text to results in the cache. It knows graphs, not sensors: node kinds come
+//! in as a catalogue.
 //!
 //! Stages as types, in reading order:
 //!
 //! - `manifest`: the text as written, every key with its line.
-//! - `resolve`, `ablation`, `pipeline`: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
-//! - `typed`, `planner`, `plan`: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
+//! - `resolve`, `ablation`, `pipeline`: overlays laid over each other; [`Project`] holds one [`Pipeline`] per
+//!   variant.
+//! - `typed`, `planner`, `plan`: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever
+//!   number of variants share it.
 //! - `blocks`: a long recording cut in time, and what its blocks give joined.
 //! - `lacking`: what sensor descriptions do not state, reported in one piece.
 //! - `key`, `mod@status`, `mod@explain`: what a result depends on, whether the cache has it, and why not.

@@ -1,8 +1,9 @@
 //! A manifest as written: a TOML file whose outline is checked and whose every key still knows its line.
 //!
-//! What is checked here needs no knowledge of nodes: which tables there are, which keys they may have, what a node may be called.
-//! Whether a kind exists, takes these parameters and fits its neighbours is for `typed`. A mistake never stops the reading:
-//! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
+//! What is checked here needs no knowledge of nodes: which tables there are, which keys they may have, what a
+//! node may be called. Whether a kind exists, takes these parameters and fits its neighbours is for `typed`.
+//! A mistake never stops the reading: it is noted, the node it stands in is left out of later checks, and the
+//! rest goes on, so that one run shows every mistake.
 
 use crate::blocks::Blocks;
 use crate::overlay::{node_names, overlay};
@@ -41,13 +42,18 @@ pub(crate) fn read<'a>(path: &Path, catalogue: &'a Catalogue) -> Manifest<'a> {
 }
 
 fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, manifest: &mut Manifest) {
-    let problem = |message: String| asked_by.map_or_else(|| Problem::new(message.clone()), |origin| Problem::at(origin, message.clone()));
+    let problem = |message: String| {
+        asked_by.map_or_else(|| Problem::new(message.clone()), |origin| Problem::at(origin, message.clone()))
+    };
     let shown = shorten(path);
     let bytes = match std::fs::read(path) {
         Ok(bytes) => bytes,
         Err(error) => {
-            let from =
-                if asked_by.is_some() { "paths are relative to the manifest that names them" } else { "check the path: it is relative to the current folder" };
+            let from = if asked_by.is_some() {
+                "paths are relative to the manifest that names them"
+            } else {
+                "check the path: it is relative to the current folder"
+            };
             return manifest.problems.push(problem(error::cannot_read(&shown, &error)).help(from));
         }
     };
@@ -57,7 +63,10 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
     };
     let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     if chain.contains(&canonical) {
-        return manifest.problems.push(problem(format!("{} extends itself", shown.display())).label("leads back to a manifest that is being read"));
+        return manifest.problems.push(
+            problem(format!("{} extends itself", shown.display()))
+                .label("leads back to a manifest that is being read"),
+        );
     }
     chain.push(canonical);
     let folder = shown.parent().map(Path::to_path_buf).unwrap_or_default();
@@ -85,7 +94,14 @@ fn not_utf8(shown: &Path, error: &std::string::FromUtf8Error) -> Problem {
     // The text before the bad byte stays as it is, so its place holds.
     let source = Source::new(shown.display().to_string(), "", String::from_utf8_lossy(error.as_bytes()));
     let end = start + char::REPLACEMENT_CHARACTER.len_utf8();
-    let problem = Problem::at(&Origin { source, span: start..end }, format!("cannot read {}: it is not text in UTF-8", shown.display()));
+    let problem = Problem::at(
+        &Origin { source, span: start..end },
+        format!(
+            "cannot read {}: it is not text \
+                                                            in UTF-8",
+            shown.display()
+        ),
+    );
     problem.label(format!("the byte 0x{:02x}", error.as_bytes()[start])).help("save it as UTF-8")
 }
 
@@ -93,7 +109,8 @@ fn not_utf8(shown: &Path, error: &std::string::FromUtf8Error) -> Problem {
 fn shorten(path: &Path) -> PathBuf {
     let mut short = PathBuf::new();
     for part in path.components() {
-        let last_is_name = short.components().next_back().is_some_and(|last| matches!(last, Component::Normal(_)));
+        let last_is_name =
+            short.components().next_back().is_some_and(|last| matches!(last, Component::Normal(_)));
         match part {
             Component::ParentDir if last_is_name => drop(short.pop()),
             Component::CurDir => {}
@@ -106,11 +123,18 @@ fn shorten(path: &Path) -> PathBuf {
 fn check_format(table: &Table, source: &Arc<Source>, problems: &mut Vec<Problem>) {
     match table.get("format") {
         None => problems.push(
-            Problem::at(&Origin { source: source.clone(), span: 0..0 }, "`format` is missing").help(format!("write `format = {FORMAT}` as the first line")),
+            Problem::at(&Origin { source: source.clone(), span: 0..0 }, "`format` is missing")
+                .help(format!("write `format = {FORMAT}` as the first line")),
         ),
         Some(Tree { item: Item::Integer(FORMAT), .. }) => {}
         Some(Tree { item: Item::Integer(other), origin }) => {
-            let problem = Problem::at(origin, format!("this manifest has format {other}, and this version reads format {FORMAT}"));
+            let problem = Problem::at(
+                origin,
+                format!(
+                    "this manifest has format {other}, and this version \
+                                                       reads format {FORMAT}"
+                ),
+            );
             let newer = if *other > FORMAT { "use a newer photocurrent, or " } else { "" };
             problems.push(problem.help(format!("{newer}write `format = {FORMAT}`")));
         }
@@ -141,7 +165,8 @@ fn such_as(mut form: Json, example: &str) -> Json {
     form
 }
 
-/// Checks one level of the outline; takes out what has the wrong form, so that later stages see only what they can read.
+/// Checks one level of the outline; takes out what has the wrong form, so that later stages see only what
+/// they can read.
 fn check(tree: &Tree, form: &Json, what: &str, problems: &mut Vec<Problem>) -> bool {
     let before = problems.len();
     schema::validate(tree, form, what, problems);
@@ -157,7 +182,8 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
         "nodes": such_as(any_table(), "`[nodes.sensor]` with `kind = \"read/sensor\"` below it"),
         "ablation": such_as(any_table(), "`[ablation.axes.front_end]` with its levels below it"),
     }));
-    let root = Tree { item: Item::Table(table.clone()), origin: Origin { source: source.clone(), span: 0..0 } };
+    let root =
+        Tree { item: Item::Table(table.clone()), origin: Origin { source: source.clone(), span: 0..0 } };
     check(&root, &top, "key of a manifest", &mut manifest.problems);
     table.entries.retain(|(key, tree)| match key.name.as_str() {
         "pipeline" | "nodes" | "ablation" => tree.as_table().is_some(),
@@ -168,33 +194,44 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
     let ablation = object(json!({
         "about": text(), "metrics": such_as(list_of(text()), "`metrics = [\"psnr.psnr_db\"]`"), "baseline": such_as(any_table(), point),
         "skip": such_as(list_of(such_as(any_table(), point)), "`skip = [{ front_end = \"off\" }]`"), "axes": table_of(table_of(level())),
-        "sweep": such_as(any_table(), "`[ablation.sweep]` with `\"nodes.solve.params.cis_weight\" = [0.5, 1.0]` below it"),
+        "sweep": such_as(any_table(), "`[ablation.sweep]` with `\"nodes.solve.params.cis_weight\" = [0.5, \
+                                       1.0]` below it"),
     }));
-    if table.get("ablation").is_some_and(|tree| !check(tree, &ablation, "key of an ablation", &mut manifest.problems)) {
+    if table
+        .get("ablation")
+        .is_some_and(|tree| !check(tree, &ablation, "key of an ablation", &mut manifest.problems))
+    {
         table.remove("ablation");
     }
     check_overlay(table, manifest);
 }
 
-/// Checks that an overlay names nodes that exist, and nothing but nodes and the pipeline; notes what does not.
+/// Checks that an overlay names nodes that exist, and nothing but nodes and the pipeline; notes what does
+/// not.
 pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
     let known: Vec<String> = node_names(&manifest.table);
     for (key, tree) in &over.entries {
         let allowed = ["nodes", "pipeline"];
         if !allowed.contains(&key.name.as_str()) {
-            let problem = Problem::at(&key.origin, format!("`{}` cannot be laid over a manifest", key.name)).label("unknown key");
+            let problem = Problem::at(&key.origin, format!("`{}` cannot be laid over a manifest", key.name))
+                .label("unknown key");
             manifest.problems.push(match known.contains(&key.name) {
                 true => problem.help(format!("write `nodes.{}`: it is a node", key.name)),
                 false => problem.did_you_mean(&key.name, allowed),
             });
         } else if tree.as_table().is_none() {
-            manifest.problems.push(Problem::at(&tree.origin, format!("`{}` is a table, found {}", key.name, tree.describe())));
+            manifest.problems.push(Problem::at(
+                &tree.origin,
+                format!("`{}` is a table, found {}", key.name, tree.describe()),
+            ));
         }
     }
-    over.entries.retain(|(key, tree)| matches!(key.name.as_str(), "nodes" | "pipeline") && tree.as_table().is_some());
+    over.entries
+        .retain(|(key, tree)| matches!(key.name.as_str(), "nodes" | "pipeline") && tree.as_table().is_some());
     if let Some(Tree { item: Item::Table(nodes), .. }) = over.get_mut("nodes") {
         for (key, _) in nodes.entries.iter().filter(|(key, _)| !known.contains(&key.name)) {
-            let problem = Problem::at(&key.origin, format!("there is no node `{}` to change", key.name)).label("unknown node");
+            let problem = Problem::at(&key.origin, format!("there is no node `{}` to change", key.name))
+                .label("unknown node");
             manifest.problems.push(problem.did_you_mean(&key.name, known.iter().map(String::as_str)));
         }
         nodes.entries.retain(|(key, _)| known.contains(&key.name));
@@ -207,7 +244,10 @@ pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
     let seed = such_as(json!({ "type": "integer", "minimum": 0 }), "`seed = 7`");
     let keep = such_as(list_of(text()), "`keep = [\"solve.tracks\"]`");
     let pipeline = object(json!({ "about": text(), "seed": seed, "keep": keep, "blocks": Blocks::schema() }));
-    if table.get("pipeline").is_some_and(|tree| !check(tree, &pipeline, "key of a pipeline", &mut manifest.problems)) {
+    if table
+        .get("pipeline")
+        .is_some_and(|tree| !check(tree, &pipeline, "key of a pipeline", &mut manifest.problems))
+    {
         table.remove("pipeline");
     }
     if let Some(nodes) = table.get("nodes").and_then(Tree::as_table) {
@@ -242,12 +282,20 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
     check(node, &form, "key of a node", problems);
     for (stray, value) in node.as_table().iter().flat_map(|node| &node.entries) {
         if kind.is_some_and(|kind| kind.schema["properties"].get(&stray.name).is_some())
-            && let Some(problem) = problems[before..].iter_mut().find(|problem| problem.at.as_ref() == Some(&stray.origin))
+            && let Some(problem) =
+                problems[before..].iter_mut().find(|problem| problem.at.as_ref() == Some(&stray.origin))
         {
             problem.notes.clear();
             let text = &value.origin.source.text;
-            let value = text.get(value.origin.span.clone()).filter(|value| value.len() <= 40 && !value.contains('\n')).unwrap_or("...");
-            problem.help = Some(format!("it is a parameter: write it inside `params`, as in `params = {{ {} = {value} }}`", stray.name));
+            let value = text
+                .get(value.origin.span.clone())
+                .filter(|value| value.len() <= 40 && !value.contains('\n'))
+                .unwrap_or("...");
+            problem.help = Some(format!(
+                "it is a parameter: write it inside `params`, as in `params = \
+                                         {{ {} = {value} }}`",
+                stray.name
+            ));
         }
     }
     let ports = node.as_table().and_then(|node| node.get("in")).and_then(Tree::as_table);
@@ -257,8 +305,15 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
             _ => std::slice::from_ref(wire),
         };
         for item in items.iter().filter(|item| item.as_str().is_none()) {
-            let problem = Problem::at(&item.origin, format!("`in.{}` takes \"node.port\", found {}", port.name, item.describe()));
-            problems.push(problem.label("expected a text in quotes").help(format!("such as `{} = \"scene.events\"`", port.name)));
+            let problem = Problem::at(
+                &item.origin,
+                format!("`in.{}` takes \"node.port\", found {}", port.name, item.describe()),
+            );
+            problems.push(
+                problem
+                    .label("expected a text in quotes")
+                    .help(format!("such as `{} = \"scene.events\"`", port.name)),
+            );
         }
     }
     problems.len() == before
@@ -266,5 +321,6 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
 
 /// Small letters, digits and `_`, a letter first: safe in paths, references and overlays.
 pub(crate) fn is_node_id(name: &str) -> bool {
-    name.starts_with(|c: char| c.is_ascii_lowercase()) && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+    name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }

@@ -49,7 +49,8 @@ pub trait Observer: Sync {
     fn progress_begin(&self, _task: TaskId, _total: u64, _unit: &str) {}
     /// So many more are done.
     fn progress_advance(&self, _task: TaskId, _items: u64) {}
-    /// A task ended; `seconds` of a reused one is what it took when it ran. A result found damaged later is made again, and then ends twice.
+    /// A task ended; `seconds` of a reused one is what it took when it ran. A result found damaged later is
+    /// made again, and then ends twice.
     fn task_finished(&self, _task: TaskId, _end: End, _seconds: f64, _bytes: u64) {}
     /// Something the user should know.
     fn warning(&self, _text: &str) {}

@@ -42,7 +42,11 @@ impl TaskOutcome {
     pub fn trouble(&self) -> String {
         match self.end {
             End::Executed | End::Reused => String::new(),
-            End::Failed => format!("{} failed: {}", self.label, self.error.as_ref().map(|error| error.message.clone()).unwrap_or_default()),
+            End::Failed => format!(
+                "{} failed: {}",
+                self.label,
+                self.error.as_ref().map(|error| error.message.clone()).unwrap_or_default()
+            ),
             End::Skipped => format!("{} needs {}, which failed", self.label, self.because.join(", ")),
             End::Interrupted => format!("{} was interrupted", self.label),
         }
@@ -88,18 +92,28 @@ impl Outcome {
     ///
     /// # Errors
     /// When the cache cannot read it.
-    pub fn value(&self, cache: &Cache, variant: &str, node: &str, port: &str) -> Result<Option<Value>, StoreError> {
+    pub fn value(
+        &self,
+        cache: &Cache,
+        variant: &str,
+        node: &str,
+        port: &str,
+    ) -> Result<Option<Value>, StoreError> {
         match self.node(variant, node).and_then(|task| task.outputs.get(port)) {
             Some(stored) => cache.load(&stored.digest).map(Some),
             None => Ok(None),
         }
     }
 
-    /// All scores as JSON objects, one per (variant, node, metric, frame): those of single frames, and those pooled over all frames.
+    /// All scores as JSON objects, one per (variant, node, metric, frame): those of single frames, and those
+    /// pooled over all frames.
     ///
     /// # Errors
     /// When the cache cannot read a table.
-    pub fn metrics(&self, cache: &Cache) -> Result<(Vec<serde_json::Value>, Vec<serde_json::Value>), StoreError> {
+    pub fn metrics(
+        &self,
+        cache: &Cache,
+    ) -> Result<(Vec<serde_json::Value>, Vec<serde_json::Value>), StoreError> {
         let (mut single, mut pooled) = (Vec::new(), Vec::new());
         // Variants share tables: each is read once.
         let mut tables: BTreeMap<Digest, Value> = BTreeMap::new();
@@ -115,7 +129,8 @@ impl Outcome {
                         }
                     };
                     let Value::Table(table) = value else { continue };
-                    let card = table.notes.iter().find(|(name, _)| name == "card").map(|(_, text)| text.as_str());
+                    let card =
+                        table.notes.iter().find(|(name, _)| name == "card").map(|(_, text)| text.as_str());
                     let scores = table.as_scores().unwrap_or_default();
                     for score in &scores {
                         let mut line = json!({
@@ -128,7 +143,12 @@ impl Outcome {
                             continue;
                         }
                         if let Some(tails) = Tails::of(&scores, &score.metric) {
-                            for (name, value) in [("min", tails.min), ("p05", tails.p05), ("p95", tails.p95), ("max", tails.max)] {
+                            for (name, value) in [
+                                ("min", tails.min),
+                                ("p05", tails.p05),
+                                ("p95", tails.p95),
+                                ("max", tails.max),
+                            ] {
                                 line[name] = json!(value.is_finite().then_some(value));
                             }
                         }
@@ -137,8 +157,11 @@ impl Outcome {
                 }
             }
             // Which numbers these would have been is not known: a scorer says so with its numbers.
-            let failed =
-                variant.nodes.iter().map(|(node, task)| (node, &self.tasks[*task])).filter(|(_, task)| !matches!(task.end, End::Executed | End::Reused));
+            let failed = variant
+                .nodes
+                .iter()
+                .map(|(node, task)| (node, &self.tasks[*task]))
+                .filter(|(_, task)| !matches!(task.end, End::Executed | End::Reused));
             pooled.extend(failed.map(|(node, task)| json!({ "variant": variant.name, "node": node, "missing": "result", "why": task.trouble() })));
             pooled.extend(variant.left_out.iter().map(|left| json!({ "variant": variant.name, "node": left.node, "missing": left.missing, "why": left.why })));
         }
@@ -167,13 +190,18 @@ impl Outcome {
 
     /// Did a node leave out damaged input?
     fn lost_data(&self) -> bool {
-        self.tasks.iter().any(|task| task.notes.iter().any(|note| note.starts_with(photocurrent_core::context::LOSS)))
+        self.tasks
+            .iter()
+            .any(|task| task.notes.iter().any(|note| note.starts_with(photocurrent_core::context::LOSS)))
     }
 
-    /// What the command gives back to the shell: 0 done, 1 a node failed, 3 input data failed a check or were damaged in part, 4 an ablation finished with failed
-    /// variants, 130 interrupted.
+    /// What the command gives back to the shell: 0 done, 1 a node failed, 3 input data failed a check or were
+    /// damaged in part, 4 an ablation finished with failed variants, 130 interrupted.
     pub fn exit_code(&self) -> u8 {
-        let only_input = || self.failures().all(|(_, task)| task.error.as_ref().is_some_and(|error| error.trouble == Trouble::Input));
+        let only_input = || {
+            self.failures()
+                .all(|(_, task)| task.error.as_ref().is_some_and(|error| error.trouble == Trouble::Input))
+        };
         match () {
             () if self.count(End::Interrupted) > 0 => 130,
             () if self.count(End::Failed) == 0 && self.lost_data() => 3,

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 /// Lays one document over another, with the rule for a changed `kind`.
 pub(crate) fn overlay(base: &mut Table, over: &Table) {
-    let kind = |node: &Tree| node.as_table().and_then(|node| node.get("kind")).and_then(Tree::as_str).map(str::to_string);
+    let kind = |node: &Tree| {
+        node.as_table().and_then(|node| node.get("kind")).and_then(Tree::as_str).map(str::to_string)
+    };
     for (key, node) in over.get("nodes").and_then(Tree::as_table).iter().flat_map(|nodes| &nodes.entries) {
         let Some(Tree { item: Item::Table(nodes), .. }) = base.get_mut("nodes") else { continue };
         let Some(old) = nodes.get_mut(&key.name) else { continue };

@@ -23,7 +23,8 @@ pub struct Pipeline {
     pub blocks: Option<Blocks>,
     /// In written order.
     pub nodes: Vec<NodeSpec>,
-    /// Nodes that have a mistake already reported, with their places: what hangs on them is not complained about.
+    /// Nodes that have a mistake already reported, with their places: what hangs on them is not complained
+    /// about.
     pub(crate) broken: BTreeSet<String>,
 }
 
@@ -79,7 +80,8 @@ pub struct NodeSpec {
 }
 
 impl Pipeline {
-    /// The pipeline that `table` describes: `manifest` with a variant's overlays, which collects what is wrong.
+    /// The pipeline that `table` describes: `manifest` with a variant's overlays, which collects what is
+    /// wrong.
     pub(crate) fn from_table(table: &Table, variant: Variant, manifest: &mut Manifest) -> Pipeline {
         let pipeline = table.get("pipeline").and_then(Tree::as_table).cloned().unwrap_or_default();
         let seed = match pipeline.get("seed").map(|tree| &tree.item) {
@@ -100,7 +102,10 @@ impl Pipeline {
             result.blocks = Blocks::from_tree(tree);
             if result.blocks.is_none() {
                 let problem = Problem::at(&tree.origin, "`pipeline.blocks` does not say how long a block is");
-                manifest.problems.push(problem.help("such as `blocks = { length = \"2 s\", overlap = \"50 ms\" }`"));
+                manifest.problems.push(problem.help(
+                    "such as `blocks = \
+                                                     { length = \"2 s\", overlap = \"50 ms\" }`",
+                ));
             }
         }
         let nodes = table.get("nodes").and_then(Tree::as_table).cloned().unwrap_or_default();
@@ -132,11 +137,19 @@ impl Pipeline {
 /// A node without a kind: in a manifest that extends another one it was meant to change a node there.
 fn without_kind(key: &Key, nodes: &Table, extends: bool) -> Problem {
     if !extends {
-        return Problem::at(&key.origin, format!("nodes.{}: `kind` is missing", key.name)).help("`photocurrent nodes` lists the kinds");
+        return Problem::at(&key.origin, format!("nodes.{}: `kind` is missing", key.name))
+            .help("`photocurrent nodes` lists the kinds");
     }
     let has_kind = |node: &Tree| node.as_table().is_some_and(|node| node.get("kind").is_some());
     let below = nodes.entries.iter().filter(|(_, node)| has_kind(node)).map(|(key, _)| key.name.as_str());
-    let problem = Problem::at(&key.origin, format!("there is no node `{}` below to change, and without `kind` it is no new one", key.name));
+    let problem = Problem::at(
+        &key.origin,
+        format!(
+            "there is no node `{}` below to change, and without \
+                                                    `kind` it is no new one",
+            key.name
+        ),
+    );
     problem.label("unknown node").did_you_mean(&key.name, below)
 }
 
@@ -145,7 +158,10 @@ fn references(tree: &Tree) -> Vec<Reference> {
         Item::Array(items) => items.as_slice(),
         _ => std::slice::from_ref(tree),
     };
-    items.iter().filter_map(|item| Some(Reference { text: item.as_str()?.to_string(), origin: item.origin.clone() })).collect()
+    items
+        .iter()
+        .filter_map(|item| Some(Reference { text: item.as_str()?.to_string(), origin: item.origin.clone() }))
+        .collect()
 }
 
 impl NodeSpec {
@@ -160,14 +176,23 @@ impl NodeSpec {
             kind: kind.as_str()?.to_string(),
             kind_origin: kind.origin.clone(),
             params: table.get("params").cloned().unwrap_or(empty),
-            wires: wires.map(|(port, tree)| Wire { port: port.clone(), from: references(tree), is_list: matches!(tree.item, Item::Array(_)) }).collect(),
-            bypass: table.get("bypass").filter(|tree| tree.item == Item::Boolean(true)).map(|tree| tree.origin.clone()),
+            wires: wires
+                .map(|(port, tree)| Wire {
+                    port: port.clone(),
+                    from: references(tree),
+                    is_list: matches!(tree.item, Item::Array(_)),
+                })
+                .collect(),
+            bypass: table
+                .get("bypass")
+                .filter(|tree| tree.item == Item::Boolean(true))
+                .map(|tree| tree.origin.clone()),
             optional: table.get("optional").is_some_and(|tree| tree.item == Item::Boolean(true)),
         })
     }
 
-    /// Where a parameter stands, `window.start` being `start` inside `window` and `labels.1` the second of a list; the kind's place when it is not
-    /// written.
+    /// Where a parameter stands, `window.start` being `start` inside `window` and `labels.1` the second of a
+    /// list; the kind's place when it is not written.
     pub fn param_origin(&self, param: &str) -> &Origin {
         let mut tree = &self.params;
         for name in param.split('.') {
@@ -178,7 +203,9 @@ impl NodeSpec {
             };
             match inner {
                 Some(inner) => tree = inner,
-                None => return if std::ptr::eq(tree, &self.params) { &self.kind_origin } else { &tree.origin },
+                None => {
+                    return if std::ptr::eq(tree, &self.params) { &self.kind_origin } else { &tree.origin };
+                }
             }
         }
         &tree.origin

@@ -1,8 +1,9 @@
 //! From manifests to pipelines: what `extends`, levels and `--set` lay over each other.
 //!
-//! Tables merge key by key; scalars and lists replace. Later wins: what is extended, the file, the level, `--set`. A changed `kind` drops
-//! the old `params`, which belonged to another method, and keeps `in`, because within a role the sockets are the same.
-//! There are no conditions, loops or interpolation: what a manifest means can be seen by reading it.
+//! Tables merge key by key; scalars and lists replace. Later wins: what is extended, the file, the level,
+//! `--set`. A changed `kind` drops the old `params`, which belonged to another method, and keeps `in`,
+//! because within a role the sockets are the same. There are no conditions, loops or interpolation: what a
+//! manifest means can be seen by reading it.
 
 use crate::ablation::{self, Ablation};
 use crate::manifest::{self, Manifest, check_targets};
@@ -27,13 +28,15 @@ pub struct Project {
 }
 
 impl Project {
-    /// Reads a manifest, lays `--set` texts such as `nodes.solve.params.cis_weight=2` over it, and checks all of it against the catalogue.
+    /// Reads a manifest, lays `--set` texts such as `nodes.solve.params.cis_weight=2` over it, and checks all
+    /// of it against the catalogue.
     ///
     /// # Errors
     /// Every independent mistake, each at its place.
     pub fn load(path: &Path, sets: &[String], catalogue: &Catalogue) -> Result<Project, Vec<Problem>> {
         let (project, problems) = Project::resolve(path, sets, catalogue);
-        // What could be read is checked further even when something else is wrong, so that one run shows every mistake.
+        // What could be read is checked further even when something else is wrong, so that one run shows
+        // every mistake.
         let mut variants = Vec::new();
         for pipeline in &project.pipelines {
             let mut problems = Vec::new();
@@ -67,12 +70,16 @@ impl Project {
     }
 }
 
-/// The mistakes of all variants, each once: they share most of their text. One that only some variants make says in which.
+/// The mistakes of all variants, each once: they share most of their text. One that only some variants make
+/// says in which.
 pub(crate) fn distinct(common: Vec<Problem>, variants: Vec<(&str, Vec<Problem>)>) -> Vec<Problem> {
     let mut seen: Vec<(Problem, Vec<&str>)> = Vec::new();
     let mut place: HashMap<Mark, usize> = HashMap::new();
     let count = variants.len();
-    for (variant, problem) in variants.into_iter().flat_map(|(variant, problems)| problems.into_iter().map(move |problem| (variant, problem))) {
+    for (variant, problem) in variants
+        .into_iter()
+        .flat_map(|(variant, problems)| problems.into_iter().map(move |problem| (variant, problem)))
+    {
         let at = *place.entry(mark(&problem)).or_insert(seen.len());
         match seen.get_mut(at) {
             Some((_, of)) if of.last() != Some(&variant) => of.push(variant),
@@ -96,7 +103,8 @@ type Mark = (String, Option<(String, usize, usize, String)>);
 
 fn mark(problem: &Problem) -> Mark {
     let at = problem.at.as_ref().map(|at| {
-        let words: String = at.source.text.get(at.span.clone()).unwrap_or_default().chars().take(200).collect();
+        let words: String =
+            at.source.text.get(at.span.clone()).unwrap_or_default().chars().take(200).collect();
         (at.source.name.clone(), at.span.start, at.span.end, words)
     });
     (problem.message.clone(), at)
@@ -116,22 +124,32 @@ fn read_sets(sets: &[String], manifest: &mut Manifest) -> Vec<Table> {
     tables
 }
 
-/// Reads one `path=value`. A value that is no TOML value, such as `10 kHz`, is taken as text: a shell has eaten its quotes.
+/// Reads one `path=value`. A value that is no TOML value, such as `10 kHz`, is taken as text: a shell has
+/// eaten its quotes.
 fn read_set(text: &str) -> Result<Table, Vec<Problem>> {
     let source = Source::new("--set", "", text);
     let whole = Origin { source: source.clone(), span: 0..text.len() };
     let Some(equals) = text.find('=') else {
-        let problem = Problem::at(&whole, "`--set` takes path=value").help("such as --set nodes.solve.params.cis_weight=2");
+        let problem = Problem::at(&whole, "`--set` takes path=value")
+            .help("such as --set nodes.solve.params.cis_weight=2");
         return Err(vec![problem]);
     };
     if let Ok(table) = document::parse(&source) {
         return Ok(table);
     }
-    let path = read_path(&Source::new("--set", "", &text[..equals]))
-        .map_err(|_| vec![Problem::at(&Origin { source: source.clone(), span: 0..equals }, format!("`{}` is not a path of keys", text[..equals].trim()))])?;
+    let path = read_path(&Source::new("--set", "", &text[..equals])).map_err(|_| {
+        vec![Problem::at(
+            &Origin { source: source.clone(), span: 0..equals },
+            format!("`{}` is not a path of keys", text[..equals].trim()),
+        )]
+    })?;
     let value = Origin { source: source.clone(), span: equals + 1..text.len() };
     let item = Item::String(text[equals + 1..].trim().to_string());
-    // The keys were read from the part before the `=`: the same bytes, so their places hold in the whole text.
-    let keys = path.into_iter().map(|key| Key { origin: Origin { source: source.clone(), span: key.origin.span }, ..key }).collect();
+    // The keys were read from the part before the `=`: the same bytes, so their places hold in the whole
+    // text.
+    let keys = path
+        .into_iter()
+        .map(|key| Key { origin: Origin { source: source.clone(), span: key.origin.span }, ..key })
+        .collect();
     Ok(nested(keys, Tree { item, origin: value }))
 }

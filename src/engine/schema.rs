@@ -1,7 +1,8 @@
 //! The manifest's JSON Schema, for completion and checks in an editor.
 //!
-//! Every kind of the catalogue becomes one alternative of a node, its parameters' schema inside. Those schemas come with definitions of their
-//! own; two kinds may define different things under one name, so references are replaced by what they refer to.
+//! Every kind of the catalogue becomes one alternative of a node, its parameters' schema inside. Those
+//! schemas come with definitions of their own; two kinds may define different things under one name, so
+//! references are replaced by what they refer to.
 
 use photocurrent_core::ports::{Arity, PortSpec};
 use photocurrent_core::{Catalogue, Kind};
@@ -18,8 +19,7 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
         "type": "object", "additionalProperties": false,
         "properties": { "in": { "type": "object" }, "params": { "type": "object" }, "bypass": { "type": "boolean" }, "optional": { "type": "boolean" } },
     });
-    let layer =
-        json!({ "type": "object", "additionalProperties": false, "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } } });
+    let layer = json!({ "type": "object", "additionalProperties": false, "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } } });
     let ends = json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 });
     json!({
         "$schema": "http://json-schema.org/draft-07/schema#",
@@ -42,10 +42,12 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                 "properties": {
                     "about": { "type": "string", "description": "What the ablation is for." },
                     "metrics": { "type": "array", "items": { "type": "string" }, "description": "Numbers to compare: node.metric." },
-                    "baseline": { "type": "object", "description": "The variant to compare with: a level for every axis." },
+                    "baseline": { "type": "object", "description": "The variant to compare with: a level \
+                                                            for every axis." },
                     "skip": { "type": "array", "items": { "type": "object" }, "description": "Combinations to leave out." },
                     "axes": {
-                        "type": "object", "description": "Named axes, each with named levels: tables that are laid over the manifest.",
+                        "type": "object", "description": "Named axes, each with named levels: tables that \
+                                                          are laid over the manifest.",
                         "additionalProperties": { "type": "object", "additionalProperties": layer },
                     },
                     "sweep": {
@@ -65,7 +67,8 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                 "additionalProperties": false,
                 "properties": {
                     "about": { "type": "string", "description": "What the pipeline is for." },
-                    "seed": { "type": "integer", "minimum": 0, "description": "For nodes that draw random numbers." },
+                    "seed": { "type": "integer", "minimum": 0, "description": "For nodes that draw random \
+                                                            numbers." },
                     "keep": { "type": "array", "items": { "type": "string" }, "description": "Outputs to store though nothing takes them: node.port." },
                     "blocks": crate::blocks::Blocks::schema(),
                 },
@@ -77,7 +80,11 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
 fn node(kind: &Kind) -> Json {
     let port = |port: &PortSpec| {
         let name = json!({ "type": "string", "pattern": "^[a-z][a-z0-9_]*(\\.[a-z][a-z0-9_]*)?$" });
-        let form = if port.arity == Arity::Many { json!({ "oneOf": [name, { "type": "array", "items": name }] }) } else { name };
+        let form = if port.arity == Arity::Many {
+            json!({ "oneOf": [name, { "type": "array", "items": name }] })
+        } else {
+            name
+        };
         let mut form = form;
         form["description"] = json!(format!("{} ({})", port.about, port.data_type));
         (port.name.to_string(), form)
@@ -87,7 +94,8 @@ fn node(kind: &Kind) -> Json {
     if let Some(params) = params.as_object_mut() {
         params.remove("$schema");
         params.remove("$defs");
-        // Parameters may come from the manifest below: what is required is checked when all layers are in place.
+        // Parameters may come from the manifest below: what is required is checked when all layers are in
+        // place.
         params.remove("required");
     }
     json!({
@@ -101,7 +109,8 @@ fn node(kind: &Kind) -> Json {
             "in": { "type": "object", "additionalProperties": false, "properties": ports },
             "params": params,
             "bypass": { "type": "boolean", "description": "Leave the node out and pass its input on." },
-            "optional": { "type": "boolean", "description": "Leave the node out, with all that take something from it, while its files are missing." },
+            "optional": { "type": "boolean", "description": "Leave the node out, with all that take \
+                                                            something from it, while its files are missing." },
         },
     })
 }
@@ -110,9 +119,14 @@ fn node(kind: &Kind) -> Json {
 fn inline(schema: &Json, root: &Json, depth: usize) -> Json {
     match schema {
         Json::Object(map) => {
-            let target = map.get("$ref").and_then(Json::as_str).and_then(|reference| root.pointer(reference.strip_prefix('#')?));
+            let target = map
+                .get("$ref")
+                .and_then(Json::as_str)
+                .and_then(|reference| root.pointer(reference.strip_prefix('#')?));
             let mut result = match target {
-                Some(target) if depth < DEEPEST => inline(target, root, depth + 1).as_object().cloned().unwrap_or_default(),
+                Some(target) if depth < DEEPEST => {
+                    inline(target, root, depth + 1).as_object().cloned().unwrap_or_default()
+                }
                 _ => Map::new(),
             };
             // What stands next to a reference (a description, a bound) is about this use of it, and wins.

@@ -1,9 +1,9 @@
-//! What a run would do, and why: for `plan` and `explain`. Writes no result and no history; at most the cache remembers the digest of an
-//! outside file that it had to read.
+//! What a run would do, and why: for `plan` and `explain`. Writes no result and no history; at most the cache
+//! remembers the digest of an outside file that it had to read.
 //!
-//! A task is compared with the record of its node's last run in this manifest and variant; when there is none, with the most similar
-//! record of its kind. Behind a task that will run, keys are not known yet: what follows *waits*, and may still turn out to be there when
-//! the new result equals the old one.
+//! A task is compared with the record of its node's last run in this manifest and variant; when there is
+//! none, with the most similar record of its kind. Behind a task that will run, keys are not known yet: what
+//! follows *waits*, and may still turn out to be there when the new result equals the old one.
 
 use crate::key::{self, Reuse};
 use crate::plan::Plan;
@@ -65,7 +65,10 @@ pub fn status(plan: &Plan, cache: &Cache, out_dir: &Path) -> Vec<TaskStatus> {
                 let last = history.last(task);
                 let reasons = last.as_ref().map(|record| own_changes(task, record)).unwrap_or_default();
                 seconds = last.map(|record| record.seconds);
-                state = State::Waits { on: waiting.map(|need| plan.tasks[need].label.clone()).collect(), reasons };
+                state = State::Waits {
+                    on: waiting.map(|need| plan.tasks[need].label.clone()).collect(),
+                    reasons,
+                };
             }
             Ok(Some(ingredients)) => {
                 let key = ingredients.key();
@@ -97,8 +100,17 @@ pub fn status(plan: &Plan, cache: &Cache, out_dir: &Path) -> Vec<TaskStatus> {
 /// What changed in a task itself, while its inputs are not known.
 fn own_changes(task: &Task, last: &Record) -> Vec<String> {
     let old = &last.ingredients;
-    let now = Ingredients { revision: task.decl.revision, params: key::params(task), seed: task.seed, ..old.clone() };
-    if now.kind == task.decl.kind { old.differences(&now) } else { vec![format!("kind {} -> {}", old.kind, task.decl.kind)] }
+    let now = Ingredients {
+        revision: task.decl.revision,
+        params: key::params(task),
+        seed: task.seed,
+        ..old.clone()
+    };
+    if now.kind == task.decl.kind {
+        old.differences(&now)
+    } else {
+        vec![format!("kind {} -> {}", old.kind, task.decl.kind)]
+    }
 }
 
 /// Records to compare with.
@@ -112,7 +124,9 @@ pub(crate) struct History<'a> {
 impl History<'_> {
     /// The record of the last run of one of the nodes that the task stands for.
     fn last(&self, task: &Task) -> Option<Record> {
-        let keys = task.uses.iter().filter_map(|(variant, node)| self.cache.recall(&self.plan.manifest_id.to_string(), variant, node));
+        let keys = task.uses.iter().filter_map(|(variant, node)| {
+            self.cache.recall(&self.plan.manifest_id.to_string(), variant, node)
+        });
         keys.into_iter().find_map(|key| match self.cache.record(&key) {
             Lookup::Found(record) => Some(*record),
             _ => None,
@@ -129,7 +143,12 @@ impl History<'_> {
     }
 
     /// Why there is no record of these ingredients, and what a comparable run took.
-    pub(crate) fn reasons(&mut self, task: &Task, wanted: &Ingredients, damage: Option<String>) -> (Vec<String>, Option<f64>) {
+    pub(crate) fn reasons(
+        &mut self,
+        task: &Task,
+        wanted: &Ingredients,
+        damage: Option<String>,
+    ) -> (Vec<String>, Option<f64>) {
         if let Some(why) = damage {
             return (vec![format!("record damaged: {why}")], None);
         }

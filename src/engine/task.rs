@@ -40,7 +40,8 @@ pub struct Task {
     pub decl: Decl,
     /// How far an output element reaches, with its inputs.
     pub grain: Grain,
-    /// Its name where it stands in one variant, and for people: `solve`, or `solve[2]` for the second block of time.
+    /// Its name where it stands in one variant, and for people: `solve`, or `solve[2]` for the second block
+    /// of time.
     pub label: String,
     /// The (variant, node)s that it stands for; of a node in blocks of time with the block, as in the label.
     pub uses: Vec<(String, String)>,
@@ -106,9 +107,11 @@ pub struct PlannedVariant {
     pub name: String,
     /// Axis and level.
     pub levels: Vec<(String, String)>,
-    /// Node and task, in running order; `solve[1]`, `solve[2]` where a node runs in blocks of time. Bypassed nodes have none, and neither have those that are left out.
+    /// Node and task, in running order; `solve[1]`, `solve[2]` where a node runs in blocks of time. Bypassed
+    /// nodes have none, and neither have those that are left out.
     pub nodes: Vec<(String, TaskId)>,
-    /// Nodes marked `optional` whose files are missing, and those that take something from them, in running order.
+    /// Nodes marked `optional` whose files are missing, and those that take something from them, in running
+    /// order.
     pub left_out: Vec<LeftOut>,
 }
 

@@ -1,7 +1,9 @@
-//! A pipeline against the catalogue: kinds, parameters, sockets, bypasses, cycles. Every independent mistake is reported at its place.
+//! A pipeline against the catalogue: kinds, parameters, sockets, bypasses, cycles. Every independent mistake
+//! is reported at its place.
 //!
-//! Nothing is planned here yet: no node is asked what its outputs look like, so the check is cheap and touches no file. A node with a
-//! mistake is left out of what follows, and so is, without a word, what hangs on it.
+//! Nothing is planned here yet: no node is asked what its outputs look like, so the check is cheap and
+//! touches no file. A node with a mistake is left out of what follows, and so is, without a word, what hangs
+//! on it.
 
 use crate::pipeline::{NodeSpec, Pipeline, Reference, Wire};
 use photocurrent_core::document::{Origin, Problem, nearest};
@@ -52,24 +54,35 @@ struct Checker<'a, 'p> {
 }
 
 /// Checks a pipeline and gives what of it is sound.
-pub(crate) fn check<'a>(pipeline: &'a Pipeline, catalogue: &'a Catalogue, problems: &mut Vec<Problem>) -> Typed<'a> {
+pub(crate) fn check<'a>(
+    pipeline: &'a Pipeline,
+    catalogue: &'a Catalogue,
+    problems: &mut Vec<Problem>,
+) -> Typed<'a> {
     let count = pipeline.nodes.len();
     let kinds = pipeline.nodes.iter().map(|node| catalogue.get(&node.kind)).collect();
-    let mut checker = Checker { pipeline, kinds, bypasses: vec![None; count], broken: vec![false; count], problems };
-    let mut built: Vec<Option<Built>> = pipeline.nodes.iter().enumerate().map(|(at, node)| checker.build(at, node, catalogue)).collect();
+    let mut checker =
+        Checker { pipeline, kinds, bypasses: vec![None; count], broken: vec![false; count], problems };
+    let mut built: Vec<Option<Built>> =
+        pipeline.nodes.iter().enumerate().map(|(at, node)| checker.build(at, node, catalogue)).collect();
     for at in 0..count {
         checker.find_bypass(at);
     }
     let mut inputs: Vec<Vec<(&PortSpec, Vec<Link>)>> = (0..count).map(|at| checker.inputs(at)).collect();
     let order = checker.order(&inputs);
-    let keep = pipeline.keep.iter().filter_map(|name| checker.output(name, None)).map(|link| link.from).collect();
+    let keep =
+        pipeline.keep.iter().filter_map(|name| checker.output(name, None)).map(|link| link.from).collect();
     let mut nodes: Vec<Option<TypedNode<'_>>> = Vec::new();
     for (at, spec) in pipeline.nodes.iter().enumerate() {
         let sound = !checker.broken[at] && checker.bypasses[at].is_none();
         nodes.push(match (checker.kinds[at], built[at].take()) {
-            (Some(kind), Some(built)) if sound => {
-                Some(TypedNode { spec, kind, node: built.node.into(), params: built.params, inputs: std::mem::take(&mut inputs[at]) })
-            }
+            (Some(kind), Some(built)) if sound => Some(TypedNode {
+                spec,
+                kind,
+                node: built.node.into(),
+                params: built.params,
+                inputs: std::mem::take(&mut inputs[at]),
+            }),
             _ => None,
         });
     }
@@ -102,7 +115,8 @@ impl<'a> Checker<'a, '_> {
     fn build(&mut self, at: usize, node: &'a NodeSpec, catalogue: &'a Catalogue) -> Option<Built> {
         let before = self.problems.len();
         let Some(kind) = self.kinds[at] else {
-            let problem = Problem::at(&node.kind_origin, format!("there is no node kind `{}`", node.kind)).label("unknown kind");
+            let problem = Problem::at(&node.kind_origin, format!("there is no node kind `{}`", node.kind))
+                .label("unknown kind");
             self.problems.push(match catalogue.in_place_of(&node.kind) {
                 Some(instead) => problem.help(instead),
                 None => problem.did_you_mean(&node.kind, catalogue.kinds().iter().map(|kind| kind.decl.kind)),
@@ -110,7 +124,12 @@ impl<'a> Checker<'a, '_> {
             self.broken[at] = true;
             return None;
         };
-        schema::validate(&node.params, &kind.schema, &format!("parameter of {}", kind.decl.kind), self.problems);
+        schema::validate(
+            &node.params,
+            &kind.schema,
+            &format!("parameter of {}", kind.decl.kind),
+            self.problems,
+        );
         name_readers(&mut self.problems[before..], kind, catalogue);
         if self.problems.len() == before {
             match kind.build(schema::to_json(&node.params, &kind.schema)) {
@@ -118,7 +137,8 @@ impl<'a> Checker<'a, '_> {
                 Err(error) => self.problems.extend(node_problem(node, &error)),
             }
         }
-        // A mistake in a parameter does not affect the sockets: they are still checked, but nothing is planned from here on.
+        // A mistake in a parameter does not affect the sockets: they are still checked, but nothing is
+        // planned from here on.
         None
     }
 
@@ -130,17 +150,36 @@ impl<'a> Checker<'a, '_> {
         for wire in node.wires.iter().filter(|wire| wire.from.len() == 1) {
             let input = kind.input(&wire.port.name);
             let outputs = kind.main_output().map_or(kind.outputs.as_slice(), std::slice::from_ref);
-            pairs.extend(outputs.iter().filter(|output| input.is_some_and(|i| i.data_type == output.data_type)).map(|o| (o.name, &wire.from[0])));
+            pairs.extend(
+                outputs
+                    .iter()
+                    .filter(|output| input.is_some_and(|i| i.data_type == output.data_type))
+                    .map(|o| (o.name, &wire.from[0])),
+            );
         }
         if let [pair] = pairs[..] {
             self.bypasses[at] = Some(pair);
             return;
         }
-        let inputs = list(kind.inputs.iter().filter(|input| node.wires.iter().any(|wire| wire.port.name == input.name)));
+        let inputs = list(
+            kind.inputs.iter().filter(|input| node.wires.iter().any(|wire| wire.port.name == input.name)),
+        );
         let found = if pairs.is_empty() { "it has none" } else { "it has several" };
-        let problem = Problem::at(origin, format!("nodes.{}: a bypass needs one connected input and one output of the same type, and {found}", node.id));
-        let problem = problem.note(format!("connected inputs: {inputs}")).note(format!("outputs: {}", list(kind.outputs.iter())));
-        self.problems.push(problem.help("take `bypass` out, and connect what follows to what stands before this node"));
+        let problem = Problem::at(
+            origin,
+            format!(
+                "nodes.{}: a bypass needs one connected input and one \
+                                                   output of the same type, and {found}",
+                node.id
+            ),
+        );
+        let problem = problem
+            .note(format!("connected inputs: {inputs}"))
+            .note(format!("outputs: {}", list(kind.outputs.iter())));
+        self.problems.push(problem.help(
+            "take `bypass` out, and connect what follows to what stands before \
+                                         this node",
+        ));
         self.broken[at] = true;
     }
 
@@ -152,8 +191,14 @@ impl<'a> Checker<'a, '_> {
             let Some((port, upstream)) = self.bypasses[from.0] else { return Some(Link { from, ..link }) };
             if port != from.1 {
                 let id = self.id(from.0);
-                let problem = Problem::at(&name.origin, format!("`{id}` is bypassed, and its output `{}` is gone", from.1));
-                self.problems.push(problem.note(format!("a bypassed node passes on its input as `{id}.{port}` only")));
+                let problem = Problem::at(
+                    &name.origin,
+                    format!("`{id}` is bypassed, and its output `{}` is gone", from.1),
+                );
+                self.problems.push(problem.note(format!(
+                    "a bypassed node passes on its input as \
+                                                         `{id}.{port}` only"
+                )));
                 return None;
             }
             from = self.written_output(upstream, None)?.from;
@@ -166,8 +211,10 @@ impl<'a> Checker<'a, '_> {
         let (id, port) = name.parts();
         let Some(at) = self.find(id) else {
             if !self.pipeline.broken.contains(id) {
-                let problem = Problem::at(&name.origin, format!("there is no node `{id}`")).label("unknown node");
-                self.problems.push(problem.did_you_mean(id, self.pipeline.nodes.iter().map(|node| node.id.as_str())));
+                let problem =
+                    Problem::at(&name.origin, format!("there is no node `{id}`")).label("unknown node");
+                self.problems
+                    .push(problem.did_you_mean(id, self.pipeline.nodes.iter().map(|node| node.id.as_str())));
             }
             return None;
         };
@@ -177,9 +224,16 @@ impl<'a> Checker<'a, '_> {
             (Some(port), _) => outputs.iter().find(|output| output.name == port),
             (None, Some(main)) => Some(main),
             (None, None) => {
-                let right = outputs.iter().filter(|output| wanted.is_some_and(|(_, input)| input.data_type == output.data_type)).collect::<Vec<_>>();
-                let problem = Problem::at(&name.origin, format!("`{id}` has {}, so its port must be named", count(outputs.len(), "output")));
-                let problem = problem.note(format!("outputs of {}: {}", kind.decl.kind, list(outputs.iter())));
+                let right = outputs
+                    .iter()
+                    .filter(|output| wanted.is_some_and(|(_, input)| input.data_type == output.data_type))
+                    .collect::<Vec<_>>();
+                let problem = Problem::at(
+                    &name.origin,
+                    format!("`{id}` has {}, so its port must be named", count(outputs.len(), "output")),
+                );
+                let problem =
+                    problem.note(format!("outputs of {}: {}", kind.decl.kind, list(outputs.iter())));
                 self.problems.push(match right[..] {
                     [right] => problem.help(format!("write \"{id}.{}\"", right.name)),
                     _ => problem,
@@ -189,7 +243,9 @@ impl<'a> Checker<'a, '_> {
         };
         let Some(output) = output else {
             let port = port.unwrap_or_default();
-            let problem = Problem::at(&name.origin, format!("`{port}` is not an output of {}", kind.decl.kind)).label("unknown port");
+            let problem =
+                Problem::at(&name.origin, format!("`{port}` is not an output of {}", kind.decl.kind))
+                    .label("unknown port");
             self.problems.push(problem.did_you_mean(port, kind.outputs.iter().map(|output| output.name)));
             return None;
         };
@@ -203,7 +259,11 @@ impl<'a> Checker<'a, '_> {
         // What a slip of the hand stands for is not reported as missing a second time.
         let mut suggested: Vec<&str> = Vec::new();
         for wire in node.wires.iter().filter(|wire| kind.input(&wire.port.name).is_none()) {
-            let problem = Problem::at(&wire.port.origin, format!("`{}` is not an input of {}", wire.port.name, kind.decl.kind)).label("unknown port");
+            let problem = Problem::at(
+                &wire.port.origin,
+                format!("`{}` is not an input of {}", wire.port.name, kind.decl.kind),
+            )
+            .label("unknown port");
             let names = || kind.inputs.iter().map(|input| input.name);
             self.problems.push(problem.did_you_mean(&wire.port.name, names()));
             suggested.extend(nearest(&wire.port.name, names()));
@@ -213,7 +273,9 @@ impl<'a> Checker<'a, '_> {
             let wire = node.wires.iter().find(|wire| wire.port.name == input.name && !wire.from.is_empty());
             match wire {
                 Some(wire) => inputs.extend(self.links(at, input, wire).map(|links| (input, links))),
-                None if input.arity != Arity::Optional && !suggested.contains(&input.name) => self.problems.push(self.missing(at, input)),
+                None if input.arity != Arity::Optional && !suggested.contains(&input.name) => {
+                    self.problems.push(self.missing(at, input))
+                }
                 None => {}
             }
         }
@@ -223,9 +285,18 @@ impl<'a> Checker<'a, '_> {
 
     fn missing(&self, at: usize, input: &PortSpec) -> Problem {
         let node = &self.pipeline.nodes[at];
-        let problem = Problem::at(&node.origin, format!("nodes.{}: input `{}` ({}) is not connected", node.id, input.name, input.data_type));
+        let problem = Problem::at(
+            &node.origin,
+            format!("nodes.{}: input `{}` ({}) is not connected", node.id, input.name, input.data_type),
+        );
         let offers = self.offers(at, input.data_type);
-        let Some(first) = offers.first() else { return problem.note(format!("no node here has an output of type {}", input.data_type)) };
+        let Some(first) = offers.first() else {
+            return problem.note(format!(
+                "no node here has an output of \
+                                                            type {}",
+                input.data_type
+            ));
+        };
         let value = if input.arity == Arity::Many { format!("[{first}]") } else { first.clone() };
         let entry = format!("{} = {value}", input.name);
         // An empty list stands there already, and one key does not stand twice.
@@ -234,7 +305,8 @@ impl<'a> Checker<'a, '_> {
             false if node.wires.is_empty() => format!("add `in = {{ {entry} }}`"),
             false => format!("add `{entry}` to `in`"),
         };
-        let others = if offers.len() > 1 { format!(" (or one of {})", offers[1..].join(", ")) } else { String::new() };
+        let others =
+            if offers.len() > 1 { format!(" (or one of {})", offers[1..].join(", ")) } else { String::new() };
         problem.help(format!("{help}{others}"))
     }
 
@@ -242,9 +314,15 @@ impl<'a> Checker<'a, '_> {
     fn offers(&self, at: usize, data_type: DataType) -> Vec<String> {
         let mut offers = Vec::new();
         for (other, kind) in self.kinds.iter().enumerate().filter(|(other, _)| *other != at) {
-            for output in kind.iter().flat_map(|kind| &kind.outputs).filter(|output| output.data_type == data_type) {
+            for output in
+                kind.iter().flat_map(|kind| &kind.outputs).filter(|output| output.data_type == data_type)
+            {
                 let alone = kind.is_some_and(|kind| kind.outputs.len() == 1);
-                offers.push(if alone { format!("\"{}\"", self.id(other)) } else { format!("\"{}.{}\"", self.id(other), output.name) });
+                offers.push(if alone {
+                    format!("\"{}\"", self.id(other))
+                } else {
+                    format!("\"{}.{}\"", self.id(other), output.name)
+                });
             }
         }
         offers
@@ -252,10 +330,20 @@ impl<'a> Checker<'a, '_> {
 
     fn links(&mut self, at: usize, input: &'a PortSpec, wire: &Wire) -> Option<Vec<Link>> {
         if wire.is_list && input.arity != Arity::Many && wire.from.len() > 1 {
-            let problem =
-                Problem::at(&wire.port.origin, format!("input `{}` of {} takes one value, found a list of {}", input.name, self.id(at), wire.from.len()));
-            self.problems
-                .push(problem.label("expected \"node.port\"").help(format!("write one of them, such as `{} = \"{}\"`", input.name, wire.from[0].text)));
+            let problem = Problem::at(
+                &wire.port.origin,
+                format!(
+                    "input `{}` of {} takes one value, found a list of {}",
+                    input.name,
+                    self.id(at),
+                    wire.from.len()
+                ),
+            );
+            self.problems.push(problem.label("expected \"node.port\"").help(format!(
+                "write one of them, such as `{} \
+                                                            = \"{}\"`",
+                input.name, wire.from[0].text
+            )));
             return None;
         }
         let links: Vec<Option<Link>> = wire.from.iter().map(|name| self.link(at, input, name)).collect();
@@ -267,22 +355,35 @@ impl<'a> Checker<'a, '_> {
     }
 
     fn link(&mut self, at: usize, input: &PortSpec, name: &Reference) -> Option<Link> {
-        // Judged as written: a bypass does not change the type, and the reader sees the name that stands there.
+        // Judged as written: a bypass does not change the type, and the reader sees the name that stands
+        // there.
         let written = self.written_output(name, Some((at, input)))?;
         let kind = self.kinds[written.from.0]?;
         let output = kind.output(written.from.1)?;
         if output.data_type != input.data_type {
             let upstream = self.id(written.from.0);
-            let message =
-                format!("nodes.{}: input `{}` takes {}, and `{upstream}.{}` is {}", self.id(at), input.name, input.data_type, output.name, output.data_type);
+            let message = format!(
+                "nodes.{}: input `{}` takes {}, and `{upstream}.{}` is {}",
+                self.id(at),
+                input.name,
+                input.data_type,
+                output.name,
+                output.data_type
+            );
             let problem = Problem::at(&name.origin, message).label(format!("expected {}", input.data_type));
-            let right: Vec<String> = kind.outputs.iter().filter(|o| o.data_type == input.data_type).map(|o| format!("\"{upstream}.{}\"", o.name)).collect();
+            let right: Vec<String> = kind
+                .outputs
+                .iter()
+                .filter(|o| o.data_type == input.data_type)
+                .map(|o| format!("\"{upstream}.{}\"", o.name))
+                .collect();
             let elsewhere = self.offers(at, input.data_type);
             self.problems.push(match (right.is_empty(), elsewhere.is_empty()) {
                 (false, _) => problem.help(format!("write {}", right.join(" or "))),
                 (true, false) => problem.help(format!("write {}", elsewhere.join(" or "))),
                 (true, true) => {
-                    let problem = problem.note(format!("outputs of {}: {}", kind.decl.kind, list(kind.outputs.iter())));
+                    let problem =
+                        problem.note(format!("outputs of {}: {}", kind.decl.kind, list(kind.outputs.iter())));
                     problem.note(format!("no node here has an output of type {}", input.data_type))
                 }
             });
@@ -291,14 +392,17 @@ impl<'a> Checker<'a, '_> {
         self.output(name, None)
     }
 
-    /// An order in which every node comes after those it needs, otherwise as written; nodes on a cycle are reported and left out.
+    /// An order in which every node comes after those it needs, otherwise as written; nodes on a cycle are
+    /// reported and left out.
     fn order(&mut self, inputs: &[Vec<(&PortSpec, Vec<Link>)>]) -> Vec<usize> {
         let count = self.pipeline.nodes.len();
         let needs: Vec<Vec<usize>> = (0..count)
             .map(|at| match self.bypasses[at] {
                 // A bypassed node needs what it passes on, so that a ring of bypassed nodes is seen.
                 Some((_, upstream)) => self.find(upstream.parts().0).into_iter().collect(),
-                None => inputs[at].iter().flat_map(|(_, links)| links.iter().map(|link| link.from.0)).collect(),
+                None => {
+                    inputs[at].iter().flat_map(|(_, links)| links.iter().map(|link| link.from.0)).collect()
+                }
             })
             .collect();
         let mut placed = vec![false; count];
@@ -332,7 +436,8 @@ impl<'a> Checker<'a, '_> {
     fn report_ring(&mut self, ring: &[usize]) {
         // In the direction of the data, beginning with the node written first.
         let first = (0..ring.len()).min_by_key(|&i| ring[i]).unwrap_or(0);
-        let mut names: Vec<&str> = (0..ring.len()).map(|i| self.id(ring[(first + ring.len() - i) % ring.len()])).collect();
+        let mut names: Vec<&str> =
+            (0..ring.len()).map(|i| self.id(ring[(first + ring.len() - i) % ring.len()])).collect();
         names.push(names[0]);
         let message = match ring.len() {
             1 => format!("node `{}` waits for itself", names[0]),
@@ -350,15 +455,22 @@ fn count(number: usize, what: &str) -> String {
         _ => format!("{number} {what}s"),
     }
 }
-/// Of parameters that are not those of `kind`, names the kinds that read them and stand in for it: those of its family.
+/// Of parameters that are not those of `kind`, names the kinds that read them and stand in for it: those of
+/// its family.
 fn name_readers(problems: &mut [Problem], kind: &Kind, catalogue: &Catalogue) {
     let family = |name: &str| name.split('/').next().map(str::to_owned);
     for problem in problems.iter_mut().filter(|problem| problem.help.is_none()) {
         let end = format!("` is not a parameter of {}", kind.decl.kind);
-        let Some(name) = problem.message.strip_prefix('`').and_then(|rest| rest.strip_suffix(&end)) else { continue };
-        let reads = |other: &&Kind| other.schema.pointer("/properties").and_then(|properties| properties.get(name)).is_some();
-        let of_family = catalogue.kinds().iter().filter(|other| family(other.decl.kind) == family(kind.decl.kind));
-        let readers: Vec<String> = of_family.filter(reads).map(|other| format!("`kind = \"{}\"`", other.decl.kind)).collect();
+        let Some(name) = problem.message.strip_prefix('`').and_then(|rest| rest.strip_suffix(&end)) else {
+            continue;
+        };
+        let reads = |other: &&Kind| {
+            other.schema.pointer("/properties").and_then(|properties| properties.get(name)).is_some()
+        };
+        let of_family =
+            catalogue.kinds().iter().filter(|other| family(other.decl.kind) == family(kind.decl.kind));
+        let readers: Vec<String> =
+            of_family.filter(reads).map(|other| format!("`kind = \"{}\"`", other.decl.kind)).collect();
         if !readers.is_empty() && readers.len() <= MOST_READERS {
             problem.help = Some(format!("take it out, or set {}, which reads it", readers.join(" or ")));
         }

@@ -1,20 +1,24 @@
 //! AEDAT 2.0 and 1.0: recordings of jAER.
 //!
-//! A line `#!AER-DAT2.0`, comment lines, then records of eight bytes: a 32-bit address and a 32-bit stamp in microseconds, both big-endian. (1.0: addresses
-//! of 16 bits, six bytes a record.) What an address means depends on the camera, which a comment names (`# AEChip: ...DVS128`); where none does, it
-//! must be declared.
+//! A line `#!AER-DAT2.0`, comment lines, then records of eight bytes: a 32-bit address and a 32-bit stamp in
+//! microseconds, both big-endian. (1.0: addresses of 16 bits, six bytes a record.) What an address means
+//! depends on the camera, which a comment names (`# AEChip: ...DVS128`); where none does, it must be
+//! declared.
 //!
-//! - DVS128: polarity in bit 0 (0 is ON: so in jAER and in the driver of dv-processing), column in bits 1 to 7, row in 8 to 14, falling edge of the sync input in 15.
-//! - DAVIS: bit 31 clear for events (set: samples of the frames' converter or of the inertial sensor), row in bits 22 to 30, column in 12 to 21, polarity in 11
-//!   (1 is ON), bit 10 for a signal on the external input, whose edge stands in the lowest three bits (2 falling, 3 rising) in newer files.
+//! - DVS128: polarity in bit 0 (0 is ON: so in jAER and in the driver of dv-processing), column in bits 1 to
+//!   7, row in 8 to 14, falling edge of the sync input in 15.
+//! - DAVIS: bit 31 clear for events (set: samples of the frames' converter or of the inertial sensor), row in
+//!   bits 22 to 30, column in 12 to 21, polarity in 11 (1 is ON), bit 10 for a signal on the external input,
+//!   whose edge stands in the lowest three bits (2 falling, 3 rising) in newer files.
 //!
-//! Both count columns from the right and rows from below: jAER itself mirrors the column and draws upwards. Given are columns from the left and rows from above,
-//! as v2e, `tonic` and DV have them. Stamps of 32 bits run over after 71 minutes; they are continued.
+//! Both count columns from the right and rows from below: jAER itself mirrors the column and draws upwards.
+//! Given are columns from the left and rows from above, as v2e, `tonic` and DV have them. Stamps of 32 bits
+//! run over after 71 minutes; they are continued.
 //!
 //! Sources: jAER (`DVS128`, `DavisChip`, `DavisBaseCamera`), iniVation's page on AEDAT formats.
 //!
-//! Limits: frames of DAVIS cameras, which stand in the file as single samples of the converter, are not put together; they are counted. Random access goes back
-//! to the first event.
+//! Limits: frames of DAVIS cameras, which stand in the file as single samples of the converter, are not put
+//! together; they are counted. Random access goes back to the first event.
 
 use crate::chunk::{CHUNK_EVENTS, Edge, EventChunk, Trigger};
 use crate::declared::Declared;
@@ -113,7 +117,11 @@ impl Camera {
             return Word::Outside;
         }
         // Both are below 1024.
-        Word::Event { x: (self.extent.width - 1 - column) as u16, y: (self.extent.height - 1 - row) as u16, on }
+        Word::Event {
+            x: (self.extent.width - 1 - column) as u16,
+            y: (self.extent.height - 1 - row) as u16,
+            on,
+        }
     }
 }
 
@@ -139,7 +147,8 @@ impl Aedat2 {
         let size = file.metadata().map_err(io)?.len();
         let mut file = BufReader::new(file);
         let (mut first, mut lines) = (0, Vec::new());
-        // The records begin behind the line that says so, or where a line is no comment. A record may begin with `#` as well; but no text has such bytes.
+        // The records begin behind the line that says so, or where a line is no comment. A record may begin
+        // with `#` as well; but no text has such bytes.
         while first < MOST_HEADER && file.fill_buf().map_err(io)?.first() == Some(&b'#') {
             let mut line = Vec::new();
             let count = file.by_ref().take(1 << 16).read_until(b'\n', &mut line).map_err(io)?;
@@ -152,25 +161,35 @@ impl Aedat2 {
                 break;
             }
         }
-        let version = lines.first().and_then(|line| line.strip_prefix("#!AER-DAT")).unwrap_or_default().to_owned();
+        let version =
+            lines.first().and_then(|line| line.strip_prefix("#!AER-DAT")).unwrap_or_default().to_owned();
         let record = match version.split('.').next() {
             Some("1") => 6,
             Some("2") => 8,
             _ => {
                 let hint = "let the program find the format by itself";
-                return Err(FormatError::new(path, "the file does not begin as AEDAT files do", hint).at("line 1").expected("`#!AER-DAT2.0`"));
+                return Err(FormatError::new(path, "the file does not begin as AEDAT files do", hint)
+                    .at("line 1")
+                    .expected("`#!AER-DAT2.0`"));
             }
         };
-        let chip = lines.iter().find_map(|line| line.split_once("AEChip:")).map(|(_, name)| name.trim().to_owned());
+        let chip =
+            lines.iter().find_map(|line| line.split_once("AEChip:")).map(|(_, name)| name.trim().to_owned());
         let named = declared.camera.as_deref().or(chip.as_deref());
-        let by_extent = || declared.extent.and_then(|extent| CAMERAS.into_iter().find(|camera| camera.extent == extent));
+        let by_extent =
+            || declared.extent.and_then(|extent| CAMERAS.into_iter().find(|camera| camera.extent == extent));
         let Some(camera) = named.and_then(Camera::of_name).or_else(by_extent) else {
             let found = match named {
                 Some(name) => format!("the layout of addresses of the camera `{name}` is not known"),
                 None => "no comment says which camera the addresses are from".into(),
             };
             let names: Vec<&str> = CAMERAS.iter().map(|camera| camera.name).collect();
-            return Err(FormatError::new(path, found, format!("name the camera; one of {}", names.join(", "))).undeclared("camera"));
+            return Err(FormatError::new(
+                path,
+                found,
+                format!("name the camera; one of {}", names.join(", ")),
+            )
+            .undeclared("camera"));
         };
         let about = EventsAbout {
             extent: Some(camera.extent),
@@ -178,7 +197,11 @@ impl Aedat2 {
             count: None,
             has_t_in: false,
             stamps: "i32 microseconds, continued when they run over".into(),
-            notes: vec!["columns counted from the left and rows from above; the file has them from the right and from below".into()],
+            notes: vec![
+                "columns counted from the left and rows from above; the file has them from the \
+                         right and from below"
+                    .into(),
+            ],
         };
         Ok(Aedat2 { path: path.into(), first, size, record, camera, chip, version, about })
     }
@@ -186,8 +209,21 @@ impl Aedat2 {
     fn cursor(&self) -> Result<Cursor, FormatError> {
         let mut file = File::open(&self.path).map_err(|error| FormatError::io(&self.path, &error))?;
         file.seek(SeekFrom::Start(self.first)).map_err(|error| FormatError::io(&self.path, &error))?;
-        let (path, size, first, record, camera) = (self.path.clone(), self.size, self.first, self.record, self.camera);
-        Ok(Cursor { path, file, first, at: first, size, record, camera, time_us: None, bytes: Vec::new(), samples: 0, losses: Losses::default() })
+        let (path, size, first, record, camera) =
+            (self.path.clone(), self.size, self.first, self.record, self.camera);
+        Ok(Cursor {
+            path,
+            file,
+            first,
+            at: first,
+            size,
+            record,
+            camera,
+            time_us: None,
+            bytes: Vec::new(),
+            samples: 0,
+            losses: Losses::default(),
+        })
     }
 }
 
@@ -214,7 +250,12 @@ impl Cursor {
         let io = |error: std::io::Error| FormatError::io(&self.path, &error);
         self.bytes.clear();
         let wanted = (self.record * CHUNK_EVENTS) as u64;
-        let count = self.file.by_ref().take(wanted.min(self.size - self.at)).read_to_end(&mut self.bytes).map_err(io)?;
+        let count = self
+            .file
+            .by_ref()
+            .take(wanted.min(self.size - self.at))
+            .read_to_end(&mut self.bytes)
+            .map_err(io)?;
         let (start, record) = (self.at, self.record);
         self.at += count as u64;
         if count == 0 {
@@ -224,12 +265,18 @@ impl Cursor {
         let left = count % record;
         if left > 0 {
             let at = || format!("bytes {} to {}", self.at - left as u64, self.at);
-            self.losses.add_by(Cause::Cut, "records that are cut off", 1, at, || "the last record is cut off and left out".into());
+            self.losses.add_by(Cause::Cut, "records that are cut off", 1, at, || {
+                "the last record is cut \
+                                                            off and left out"
+                    .into()
+            });
         }
         let mut outside = 0_u64;
         for bytes in self.bytes.chunks_exact(record) {
             let (address, stamp) = match *bytes {
-                [a, b, c, d, e, f, g, h] => (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h])),
+                [a, b, c, d, e, f, g, h] => {
+                    (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h]))
+                }
                 [a, b, c, d, e, f] => (u32::from_be_bytes([0, 0, a, b]), u32::from_be_bytes([c, d, e, f])),
                 _ => continue,
             };
@@ -245,8 +292,20 @@ impl Cursor {
                 word => take(time_us, word),
             }
         }
-        let what = || format!("{outside} addresses name no pixel of the {} pixels of this camera; they are left out", self.camera.extent);
-        self.losses.add_by(Cause::Outside, "addresses outside the pixel array were left out", outside, || format!("bytes {start} to {}", self.at), what);
+        let what = || {
+            format!(
+                "{outside} addresses name no pixel of the {} pixels of this camera; they are \
+                               left out",
+                self.camera.extent
+            )
+        };
+        self.losses.add_by(
+            Cause::Outside,
+            "addresses outside the pixel array were left out",
+            outside,
+            || format!("bytes {start} to {}", self.at),
+            what,
+        );
         Ok(true)
     }
 }
@@ -304,7 +363,12 @@ impl Recording for Aedat2 {
             facts.push(("camera".into(), chip.clone()));
         }
         if self.camera.family == Family::Davis {
-            facts.push(("frames".into(), "samples of frames and of the inertial sensor, if there are any, are not read".into()));
+            facts.push((
+                "frames".into(),
+                "samples of frames and of the inertial sensor, if there are any, \
+                                          are not read"
+                    .into(),
+            ));
         }
         facts
     }

@@ -3,12 +3,15 @@
 use super::*;
 use proptest::prelude::*;
 
-const DVS128: &str = "#!AER-DAT2.0\r\n# This is a raw AE data file\r\n# AEChip: ch.unizh.ini.jaer.chip.retina.DVS128\r\n";
+const DVS128: &str = "#!AER-DAT2.0\r\n# This is a raw AE data file\r\n# AEChip: \
+                      ch.unizh.ini.jaer.chip.retina.DVS128\r\n";
 const DAVIS346: &str = "#!AER-DAT2.0\r\n# AEChip: eu.seebetter.ini.chips.davis.Davis346blue\r\n";
 
 fn file(head: &str, records: &[(u32, u32)]) -> Vec<u8> {
     let mut bytes = head.as_bytes().to_vec();
-    records.iter().for_each(|(address, stamp)| bytes.extend([address.to_be_bytes(), stamp.to_be_bytes()].concat()));
+    records
+        .iter()
+        .for_each(|(address, stamp)| bytes.extend([address.to_be_bytes(), stamp.to_be_bytes()].concat()));
     bytes
 }
 
@@ -24,7 +27,8 @@ fn with<T>(bytes: &[u8], declared: &Declared, work: impl FnOnce(Result<Aedat2, F
 type Event = (i64, u16, u16, u8);
 
 fn read(recording: &Aedat2) -> (Vec<Event>, Vec<Loss>) {
-    let (mut cursor, mut chunk, mut events) = (recording.events().unwrap(), EventChunk::default(), Vec::new());
+    let (mut cursor, mut chunk, mut events) =
+        (recording.events().unwrap(), EventChunk::default(), Vec::new());
     while cursor.next(&mut chunk).unwrap() {
         events.extend((0..chunk.len()).map(|k| (chunk.t[k], chunk.x[k], chunk.y[k], chunk.on[k])));
     }
@@ -38,7 +42,10 @@ fn events(bytes: &[u8]) -> Vec<(i64, u16, u16, u8)> {
 #[test]
 fn a_dvs128_counts_columns_from_the_right_and_rows_from_below() {
     // Polarity bit 0 is ON. Column 0, row 0 is the lower right corner.
-    assert_eq!(events(&file(DVS128, &[(0, 5), (127 << 1 | 127 << 8 | 1, 6)])), [(5000, 127, 127, 1), (6000, 0, 0, 0)]);
+    assert_eq!(
+        events(&file(DVS128, &[(0, 5), (127 << 1 | 127 << 8 | 1, 6)])),
+        [(5000, 127, 127, 1), (6000, 0, 0, 0)]
+    );
 }
 
 #[test]
@@ -57,7 +64,10 @@ fn a_davis_skips_samples_and_gives_edges_of_its_input() {
         let recording = recording.unwrap();
         let (events, losses) = read(&recording);
         assert_eq!(events, [(10_000, 345, 259, 1), (12_000, 0, 0, 0)]);
-        assert!(losses.len() == 1 && losses[0].what.starts_with("1 addresses name no pixel of the 346 x 260"), "{losses:?}");
+        assert!(
+            losses.len() == 1 && losses[0].what.starts_with("1 addresses name no pixel of the 346 x 260"),
+            "{losses:?}"
+        );
         let edge = |t, edge| Trigger { t, line: 0, edge };
         assert_eq!(recording.triggers().unwrap(), [edge(13_000, Edge::Rising), edge(14_000, Edge::Falling)]);
         assert_eq!(recording.events_about().unwrap().extent, Some(Extent { width: 346, height: 260 }));
@@ -66,14 +76,22 @@ fn a_davis_skips_samples_and_gives_edges_of_its_input() {
 
 #[test]
 fn stamps_go_on_when_their_counter_runs_over() {
-    let stamps: Vec<i64> = events(&file(DVS128, &[(0, 0x7fff_ffff), (0, 0x8000_0001), (0, 0xffff_fffe), (0, 3), (0, 1)])).iter().map(|event| event.0).collect();
+    let stamps: Vec<i64> =
+        events(&file(DVS128, &[(0, 0x7fff_ffff), (0, 0x8000_0001), (0, 0xffff_fffe), (0, 3), (0, 1)]))
+            .iter()
+            .map(|event| event.0)
+            .collect();
     let us = [0x7fff_ffff_i64, 0x8000_0001, 0xffff_fffe, (1 << 32) + 3, (1 << 32) + 1];
     assert_eq!(stamps, us.map(|us| 1000 * us));
 }
 
 #[test]
 fn version_1_has_addresses_of_16_bits() {
-    let bytes = [b"#!AER-DAT1.0\n# AEChip: ch.unizh.ini.jaer.chip.retina.Tmpdiff128\n".as_slice(), &[0, 1, 0, 0, 0, 9, 0x80, 0, 0, 0, 0, 10]].concat();
+    let bytes = [
+        b"#!AER-DAT1.0\n# AEChip: ch.unizh.ini.jaer.chip.retina.Tmpdiff128\n".as_slice(),
+        &[0, 1, 0, 0, 0, 9, 0x80, 0, 0, 0, 0, 10],
+    ]
+    .concat();
     with(&bytes, &Declared::default(), |recording| {
         let recording = recording.unwrap();
         assert_eq!(read(&recording).0, [(9000, 127, 127, 0)]);
@@ -84,7 +102,9 @@ fn version_1_has_addresses_of_16_bits() {
 #[test]
 fn a_camera_that_is_not_named_must_be_declared() {
     let bytes = file("#!AER-DAT2.0\r\n", &[(1, 5)]);
-    with(&bytes, &Declared::default(), |recording| assert_eq!(recording.err().unwrap().undeclared, Some("camera")));
+    with(&bytes, &Declared::default(), |recording| {
+        assert_eq!(recording.err().unwrap().undeclared, Some("camera"))
+    });
     let declared = Declared { camera: Some("DVS128".into()), ..Declared::default() };
     with(&bytes, &declared, |recording| assert_eq!(read(&recording.unwrap()).0, [(5000, 127, 127, 0)]));
     let declared = Declared { extent: Some(Extent { width: 240, height: 180 }), ..Declared::default() };
@@ -107,7 +127,8 @@ fn a_file_cut_anywhere_gives_its_whole_records_and_a_loss() {
     let bytes = file(DVS128, &[(0, 5), (2, 6), (4, 7)]);
     let all = events(&bytes);
     for length in DVS128.len()..=bytes.len() {
-        let (events, losses) = with(&bytes[..length], &Declared::default(), |recording| read(&recording.unwrap()));
+        let (events, losses) =
+            with(&bytes[..length], &Declared::default(), |recording| read(&recording.unwrap()));
         let whole = (length - DVS128.len()) / 8;
         assert_eq!(events, all[..whole]);
         assert_eq!(losses.len(), usize::from(!(length - DVS128.len()).is_multiple_of(8)));

@@ -1,8 +1,10 @@
 //! Settings of Prophesee sensors: `.bias` files and the JSON of camera settings.
 //!
-//! A `.bias` file has lines `value % name`, with lines of `% comment` between; new software writes JSON with the list `ll_biases_state.bias`.
-//! The values set the sensor's current sources and comparators, in units of its own that differ between generations: no threshold in log units
-//! follows from them without a calibration, so none is computed here. They are facts for people, and for those who have measured their sensor.
+//! A `.bias` file has lines `value % name`, with lines of `% comment` between; new software writes JSON with
+//! the list `ll_biases_state.bias`. The values set the sensor's current sources and comparators, in units of
+//! its own that differ between generations: no threshold in log units follows from them without a
+//! calibration, so none is computed here. They are facts for people, and for those who have measured their
+//! sensor.
 
 use crate::error::FormatError;
 use serde_json::Value;
@@ -25,7 +27,12 @@ pub fn read(path: &Path) -> Result<Biases, FormatError> {
     let file = std::fs::File::open(path).map_err(io)?;
     file.take(LARGEST + 1).read_to_string(&mut text).map_err(io)?;
     if text.len() as u64 > LARGEST {
-        return Err(FormatError::new(path, "more than a megabyte", "name a .bias file or a JSON of camera settings"));
+        return Err(FormatError::new(
+            path,
+            "more than a megabyte",
+            "name a .bias file or a JSON of camera \
+                                                            settings",
+        ));
     }
     parse(path, &text)
 }
@@ -35,23 +42,34 @@ pub fn read(path: &Path) -> Result<Biases, FormatError> {
 /// # Errors
 /// As [`read`].
 pub fn parse(path: &Path, text: &str) -> Result<Biases, FormatError> {
-    let biases = if text.trim_start().starts_with('{') { parse_json(path, text)? } else { parse_lines(path, text)? };
+    let biases =
+        if text.trim_start().starts_with('{') { parse_json(path, text)? } else { parse_lines(path, text)? };
     if biases.is_empty() {
-        return Err(FormatError::new(path, "no bias", "name a .bias file or a JSON of camera settings").expected("lines such as `300 % bias_diff`"));
+        return Err(FormatError::new(path, "no bias", "name a .bias file or a JSON of camera settings")
+            .expected("lines such as `300 % bias_diff`"));
     }
     Ok(biases)
 }
 
 fn parse_lines(path: &Path, text: &str) -> Result<Biases, FormatError> {
     let mut biases = Biases::new();
-    for (at, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with(['%', '#'])) {
+    for (at, line) in text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with(['%', '#']))
+    {
         let mut parts = line.split('%').map(str::trim);
         let value = parts.next().and_then(number);
         // What comes after a second `%` is a remark of the maker's.
         let name = parts.next().filter(|name| !name.is_empty() && !name.contains(char::is_whitespace));
         let (Some(value), Some(name)) = (value, name) else {
             let found: String = line.chars().take(80).collect();
-            let error = FormatError::new(path, format!("`{found}`"), "remove the line, or write it as the camera's software does");
+            let error = FormatError::new(
+                path,
+                format!("`{found}`"),
+                "remove the line, or write it as the \
+                                                            camera's software does",
+            );
             return Err(error.at(format!("line {}", at + 1)).expected("`value % name`"));
         };
         biases.push((name.into(), value));
@@ -68,20 +86,32 @@ fn number(text: &str) -> Option<i64> {
 }
 
 fn parse_json(path: &Path, text: &str) -> Result<Biases, FormatError> {
-    let wrong =
-        |found: String| FormatError::new(path, found, "save the camera's settings again").expected("`ll_biases_state.bias`, a list of `name` and `value`");
-    let settings: Value = serde_json::from_str(text).map_err(|error| wrong(format!("no JSON: {error}")).at(format!("line {}", error.line())))?;
-    let list = settings.pointer("/ll_biases_state/bias").and_then(Value::as_array).ok_or_else(|| wrong("JSON without such a list".into()))?;
+    let wrong = |found: String| {
+        FormatError::new(path, found, "save the camera's settings again")
+            .expected("`ll_biases_state.bias`, a list of `name` and `value`")
+    };
+    let settings: Value = serde_json::from_str(text)
+        .map_err(|error| wrong(format!("no JSON: {error}")).at(format!("line {}", error.line())))?;
+    let list = settings
+        .pointer("/ll_biases_state/bias")
+        .and_then(Value::as_array)
+        .ok_or_else(|| wrong("JSON without such a list".into()))?;
     let of = |bias: &Value| Some((bias.get("name")?.as_str()?.to_owned(), bias.get("value")?.as_i64()?));
-    list.iter().enumerate().map(|(n, bias)| of(bias).ok_or_else(|| wrong(format!("`{bias}`")).at(format!("bias {n}")))).collect()
+    list.iter()
+        .enumerate()
+        .map(|(n, bias)| of(bias).ok_or_else(|| wrong(format!("`{bias}`")).at(format!("bias {n}"))))
+        .collect()
 }
 
-/// The settings that stand next to a recording under its name, as the camera's software leaves them; as a fact for people. A file that is
-/// none is passed over: it is not part of the recording.
+/// The settings that stand next to a recording under its name, as the camera's software leaves them; as a
+/// fact for people. A file that is none is passed over: it is not part of the recording.
 pub(crate) fn next_to(recording: &Path) -> Option<(String, String)> {
     let biases = read(&recording.with_extension("bias")).ok()?;
     let list: Vec<String> = biases.iter().map(|(name, value)| format!("{name} {value}")).collect();
-    Some(("biases".into(), format!("{} (settings in the sensor's own units; thresholds need a calibration)", list.join(", "))))
+    Some((
+        "biases".into(),
+        format!("{} (settings in the sensor's own units; thresholds need a calibration)", list.join(", ")),
+    ))
 }
 
 #[cfg(test)]
@@ -94,11 +124,11 @@ mod tests {
 
     #[test]
     fn lines_and_json_give_the_same_names_and_values() {
-        let lines = "% gen 3.1 CD standard biases\n300   % bias_diff           %   v\n-5\t% bias_fo\n0x10 % bias_hpf\n\n";
+        let lines = "% gen 3.1 CD standard biases\n300   % bias_diff           %   v\n-5\t% bias_fo\n0x10 % \
+                     bias_hpf\n\n";
         let expected = vec![("bias_diff".to_owned(), 300), ("bias_fo".into(), -5), ("bias_hpf".into(), 16)];
         assert_eq!(of(lines), Ok(expected.clone()));
-        let json =
-            r#"{"ll_biases_state": {"bias": [{"name": "bias_diff", "value": 300}, {"name": "bias_fo", "value": -5}, {"name": "bias_hpf", "value": 16}]}}"#;
+        let json = r#"{"ll_biases_state": {"bias": [{"name": "bias_diff", "value": 300}, {"name": "bias_fo", "value": -5}, {"name": "bias_hpf", "value": 16}]}}"#;
         assert_eq!(of(json), Ok(expected));
     }
 

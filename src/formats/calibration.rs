@@ -1,8 +1,9 @@
 //! Facts about cameras from calibration files: kalibr's camchain and DSEC's `cam_to_cam.yaml`.
 //!
-//! Every field may be missing, and what is missing stays unknown. The lengths of lists are checked, their values only for being finite.
-//! Sources: kalibr's wiki, "Yaml formats"; the data format page of DSEC. Limits: the extrinsic matrices are given as they stand in the file.
-//! Kalibr states `line_delay` and `timeshift_cam_imu` in seconds.
+//! Every field may be missing, and what is missing stays unknown. The lengths of lists are checked, their
+//! values only for being finite. Sources: kalibr's wiki, "Yaml formats"; the data format page of DSEC.
+//! Limits: the extrinsic matrices are given as they stand in the file. Kalibr states `line_delay` and
+//! `timeshift_cam_imu` in seconds.
 
 use crate::error::FormatError;
 use photocurrent_core::Extent;
@@ -84,9 +85,13 @@ pub fn read(path: &Path) -> Result<Calibration, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let bytes = std::fs::metadata(path).map_err(io)?.len();
     if bytes > LARGEST {
-        return Err(
-            FormatError::new(path, format!("{bytes} bytes"), "name a kalibr camchain or DSEC's cam_to_cam.yaml").expected("a calibration of at most 1 MiB")
-        );
+        return Err(FormatError::new(
+            path,
+            format!("{bytes} bytes"),
+            "name a kalibr camchain or DSEC's \
+                                                            cam_to_cam.yaml",
+        )
+        .expected("a calibration of at most 1 MiB"));
     }
     parse(path, &std::fs::read_to_string(path).map_err(io)?)
 }
@@ -96,16 +101,25 @@ pub fn read(path: &Path) -> Result<Calibration, FormatError> {
 /// # Errors
 /// As [`read`].
 pub fn parse(path: &Path, text: &str) -> Result<Calibration, FormatError> {
-    let wrong = |what: String| FormatError::new(path, what, "name a kalibr camchain (cam0: ...) or DSEC's cam_to_cam.yaml (intrinsics: cam0: ...)");
+    let wrong = |what: String| {
+        FormatError::new(
+            path,
+            what,
+            "name a kalibr camchain (cam0: ...) or DSEC's \
+                                                            cam_to_cam.yaml (intrinsics: cam0: ...)",
+        )
+    };
     // OpenCV writes a line that newer YAML does not know.
     let text = text.strip_prefix("%YAML:1.0").unwrap_or(text);
     let is_dsec = text.lines().any(|line| line.trim_end() == "intrinsics:");
     let (cameras, transforms) = if is_dsec {
-        let dsec: Dsec = serde_saphyr::from_str(text).map_err(|error| wrong(format!("it is no DSEC calibration: {}", first_line(&error.to_string()))))?;
+        let dsec: Dsec = serde_saphyr::from_str(text).map_err(|error| {
+            wrong(format!("it is no DSEC calibration: {}", first_line(&error.to_string())))
+        })?;
         (dsec.intrinsics, dsec.extrinsics.unwrap_or_default())
     } else {
-        let cameras: BTreeMap<String, Camera> =
-            serde_saphyr::from_str(text).map_err(|error| wrong(format!("it is no camchain: {}", first_line(&error.to_string()))))?;
+        let cameras: BTreeMap<String, Camera> = serde_saphyr::from_str(text)
+            .map_err(|error| wrong(format!("it is no camchain: {}", first_line(&error.to_string()))))?;
         (cameras, BTreeMap::new())
     };
     if !cameras.keys().any(|name| name.starts_with("cam")) {
@@ -126,17 +140,27 @@ fn first_line(text: &str) -> String {
 fn facts(name: String, camera: Camera) -> Result<CameraFacts, String> {
     let extent = match camera.resolution.as_deref() {
         None => None,
-        Some(&[width, height]) if [width, height].iter().all(|side| side.fract() == 0.0 && (1.0..=65_536.0).contains(side)) => {
+        Some(&[width, height])
+            if [width, height].iter().all(|side| side.fract() == 0.0 && (1.0..=65_536.0).contains(side)) =>
+        {
             Some(Extent { width: width as u32, height: height as u32 })
         }
-        Some(other) => return Err(format!("the resolution of {name} is {other:?}, and must be width and height")),
+        Some(other) => {
+            return Err(format!(
+                "the resolution of {name} is {other:?}, and must be width and \
+                                           height"
+            ));
+        }
     };
-    for (what, value) in [("timeshift_cam_imu", camera.timeshift_cam_imu), ("line_delay", camera.line_delay)] {
+    for (what, value) in [("timeshift_cam_imu", camera.timeshift_cam_imu), ("line_delay", camera.line_delay)]
+    {
         if value.is_some_and(|value| !value.is_finite()) {
             return Err(format!("{what} of {name} is not finite"));
         }
     }
-    if let Some(bad) = camera.intrinsics.iter().chain(&camera.distortion_coeffs).flatten().find(|value| !value.is_finite()) {
+    if let Some(bad) =
+        camera.intrinsics.iter().chain(&camera.distortion_coeffs).flatten().find(|value| !value.is_finite())
+    {
         return Err(format!("an intrinsic or distortion value of {name} is {bad}"));
     }
     for matrix in [&camera.t_cam_imu, &camera.t_cn_cnm1].into_iter().flatten() {
@@ -222,12 +246,24 @@ disparity_to_depth:
         let calibration = parse(Path::new("cam_to_cam.yaml"), DSEC).unwrap();
         assert_eq!(calibration.cameras[0].intrinsics, Some(vec![553.46, 553.39, 346.65, 216.52]));
         assert_eq!(calibration.cameras[1].extent, Some(Extent { width: 1440, height: 1080 }));
-        assert_eq!(calibration.transforms.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["R_rect0", "T_10"]);
+        assert_eq!(
+            calibration.transforms.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(),
+            ["R_rect0", "T_10"]
+        );
     }
 
     #[test]
     fn what_is_no_calibration_is_refused_with_the_reason() {
-        for text in ["", "a: 1", "cam0: [1, 2]", "cam0:\n  resolution: [1.5, 2]", "cam0:\n  T_cam_imu: [[1]]", "- 1", "\u{0}", "cam0:\n  line_delay: .nan"] {
+        for text in [
+            "",
+            "a: 1",
+            "cam0: [1, 2]",
+            "cam0:\n  resolution: [1.5, 2]",
+            "cam0:\n  T_cam_imu: [[1]]",
+            "- 1",
+            "\u{0}",
+            "cam0:\n  line_delay: .nan",
+        ] {
             let error = parse(Path::new("x.yaml"), text).unwrap_err();
             assert!(error.hint.contains("camchain"), "{text}: {error}");
         }

@@ -1,6 +1,7 @@
 //! The one explicit list of all formats, and which one a file has.
 //!
-//! A file is held against them from the top: those that are recognised by a signature stand before those that are recognised by what they look like.
+//! A file is held against them from the top: those that are recognised by a signature stand before those that
+//! are recognised by what they look like.
 
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
@@ -42,7 +43,8 @@ pub static FORMATS: &[&Format] = &[
 /// Which format a file or folder has; `None` when it is none of ours.
 ///
 /// # Errors
-/// When it is not there or may not be read, and when it is an HDF5 file that cannot be opened: no layout can be recognised in that.
+/// When it is not there or may not be read, and when it is an HDF5 file that cannot be opened: no layout can
+/// be recognised in that.
 pub fn recognise(path: &Path) -> Result<Option<&'static Format>, FormatError> {
     let probe = Probe::new(path)?;
     let found = FORMATS.iter().copied().find(|format| (format.recognises)(&probe));

@@ -1,6 +1,7 @@
 //! Events as columns, a piece at a time; and edges of trigger lines.
 
-/// How many events a cursor gives at a time, about: 13 bytes each, so one piece stays in a second-level cache.
+/// How many events a cursor gives at a time, about: 13 bytes each, so one piece stays in a second-level
+/// cache.
 pub(crate) const CHUNK_EVENTS: usize = 1 << 16;
 
 /// A piece of an event stream, in file order: columns of one length.

@@ -1,8 +1,9 @@
-//! Unusual ways of storing events that are no damage: polarity as counts or as 1 and 2, coordinates that begin at 1, stamps of a counter that begins again,
-//! negative numbers in columns without a sign.
+//! Unusual ways of storing events that are no damage: polarity as counts or as 1 and 2, coordinates that
+//! begin at 1, stamps of a counter that begins again, negative numbers in columns without a sign.
 //!
-//! A reader counts what its columns hold over the whole file ([`Tally`]); [`Tally::settle`] decides once how stored numbers are read ([`Rules`]). What was
-//! recognised is stated in a note and as a fact ([`Convention`]). What is stated goes before: `polarity`, `origin`, `counter` of [`Declared`].
+//! A reader counts what its columns hold over the whole file ([`Tally`]); [`Tally::settle`] decides once how
+//! stored numbers are read ([`Rules`]). What was recognised is stated in a note and as a fact
+//! ([`Convention`]). What is stated goes before: `polarity`, `origin`, `counter` of [`Declared`].
 //!
 //! | stored | read as | recognised where |
 //! | --- | --- | --- |
@@ -14,11 +15,12 @@
 //! | coordinates from 61,440 on | negative, outside | the size is not known, few events have them, and none lies between |
 //! | stamps that begin again | the counter's range is added | time goes back by a range of [`Counter`], and all stamps lie within that range |
 //!
-//! Sources: better-flow/evimo#20 (counts), gorchard's Matlab_AER_vision_functions (1 and 2, from 1 on), uzh-rpg/timelens-pp#4 (65,534),
-//! neuromorphicsystems/neuromorphic-drivers#1 (a counter of 24 bits).
+//! Sources: better-flow/evimo#20 (counts), gorchard's Matlab_AER_vision_functions (1 and 2, from 1 on),
+//! uzh-rpg/timelens-pp#4 (65,534), neuromorphicsystems/neuromorphic-drivers#1 (a counter of 24 bits).
 //!
-//! Limits: where fewer than one event in a hundred (or than ten) have another polarity than 0, 1 and -1, that is no convention but damage; these are left out. Counting costs one more pass over the events
-//! of text, numpy arrays and HDF5 columns, when they are first asked for.
+//! Limits: where fewer than one event in a hundred (or than ten) have another polarity than 0, 1 and -1, that
+//! is no convention but damage; these are left out. Counting costs one more pass over the events of text,
+//! numpy arrays and HDF5 columns, when they are first asked for.
 
 use crate::chunk::EventChunk;
 use crate::declared::{Counter, Declared, Polarity};
@@ -43,7 +45,8 @@ const FEWEST_ODD: u64 = 10;
 const MOST_COUNT: i64 = 64;
 /// Distinct polarities that are counted one by one.
 const MOST_DISTINCT: usize = 64;
-/// Part of a counter's range by which time goes back at least when it begins again: the rest is the time between two events.
+/// Part of a counter's range by which time goes back at least when it begins again: the rest is the time
+/// between two events.
 const WHOLE_RANGE: f64 = 0.98;
 /// Coordinates from here on may be negative ones of 16 bits; from [`BETWEEN`] on none may lie then.
 const NEGATIVE: i64 = 61_440;
@@ -51,7 +54,8 @@ const NEGATIVE: i64 = 61_440;
 const BETWEEN: i64 = 16_384;
 
 /// Formats whose events are read by these rules, and which take `polarity`, `origin` and `counter`.
-pub(crate) const FORMATS: [&str; 10] = ["csv", "npz", "memmap", "hs_ergb", "ecd", "dsec", "m3ed", "mvsec", "event_utils_hdf5", "v2e_hdf5"];
+pub(crate) const FORMATS: [&str; 10] =
+    ["csv", "npz", "memmap", "hs_ergb", "ecd", "dsec", "m3ed", "mvsec", "event_utils_hdf5", "v2e_hdf5"];
 
 /// What is stated, and what stored numbers are held against.
 #[derive(Clone, Debug, Default)]
@@ -65,7 +69,11 @@ pub(crate) struct Stated {
 
 impl Stated {
     pub(crate) fn of(declared: &Declared) -> Stated {
-        let frames = declared.frames.as_deref().filter(|_| declared.extent.is_none()).and_then(crate::pictures::size_of);
+        let frames = declared
+            .frames
+            .as_deref()
+            .filter(|_| declared.extent.is_none())
+            .and_then(crate::pictures::size_of);
         Stated { polarity: declared.polarity, origin: declared.origin, counter: declared.counter, frames }
     }
 }
@@ -152,7 +160,8 @@ impl Side {
         }
     }
 
-    /// Does it run from 1 to the size of the array, with as many events there as a column of the array may have?
+    /// Does it run from 1 to the size of the array, with as many events there as a column of the array may
+    /// have?
     fn fills(&self, size: u32, events: u64) -> bool {
         let usual = events as f64 / f64::from(size.max(1));
         self.least == 1 && self.most == i64::from(size) && self.at_most as f64 >= 0.05 * usual
@@ -203,7 +212,10 @@ impl Clock {
     /// The smallest counter that holds all stamps, and whose range time goes back by.
     fn counter(&self) -> Option<(Counter, i64)> {
         let span = self.most.checked_sub(self.least)?;
-        Counter::ALL.into_iter().zip(self.turns).find(|(counter, turns)| span < counter.range_ns() && *turns > 0)
+        Counter::ALL
+            .into_iter()
+            .zip(self.turns)
+            .find(|(counter, turns)| span < counter.range_ns() && *turns > 0)
     }
 }
 
@@ -223,10 +235,19 @@ pub(crate) struct Tally {
 
 impl Tally {
     pub(crate) fn new() -> Tally {
-        Tally { events: 0, small: vec![0; 257], others: BTreeMap::new(), odd: 0, x: Side::default(), y: Side::default(), clock: Clock::default() }
+        Tally {
+            events: 0,
+            small: vec![0; 257],
+            others: BTreeMap::new(),
+            odd: 0,
+            x: Side::default(),
+            y: Side::default(),
+            clock: Clock::default(),
+        }
     }
 
-    /// Takes an event: its stamp in ns, and coordinates (as pixels) and polarity as they are stored. [`NONE`] is no number.
+    /// Takes an event: its stamp in ns, and coordinates (as pixels) and polarity as they are stored. [`NONE`]
+    /// is no number.
     #[inline]
     pub(crate) fn add(&mut self, t: i64, x: i64, y: i64, p: i64) {
         self.events += 1;
@@ -250,8 +271,14 @@ impl Tally {
 
     /// Polarities that occur, and how often.
     fn polarities(&self) -> Vec<(i64, u64)> {
-        let small = self.small.iter().zip(-1..).filter(|(count, _)| **count > 0).map(|(count, value)| (value, *count));
-        let mut all: Vec<(i64, u64)> = small.chain(self.others.iter().map(|(value, count)| (*value, *count))).collect();
+        let small = self
+            .small
+            .iter()
+            .zip(-1..)
+            .filter(|(count, _)| **count > 0)
+            .map(|(count, value)| (value, *count));
+        let mut all: Vec<(i64, u64)> =
+            small.chain(self.others.iter().map(|(value, count)| (*value, *count))).collect();
         all.sort_unstable();
         all
     }
@@ -260,7 +287,8 @@ impl Tally {
     fn code(&self) -> Result<Code, String> {
         let all = self.polarities();
         let values: Vec<i64> = all.iter().map(|(value, _)| *value).collect();
-        let odd = self.odd + all.iter().filter(|(value, _)| !(-1..=1).contains(value)).map(|(_, count)| count).sum::<u64>();
+        let odd = self.odd
+            + all.iter().filter(|(value, _)| !(-1..=1).contains(value)).map(|(_, count)| count).sum::<u64>();
         if odd < FEWEST_ODD || (odd as f64) < ODD_SHARE * self.events as f64 {
             // None, or a few: damage, and left out one by one.
             return Ok(Code::Signs);
@@ -268,7 +296,9 @@ impl Tally {
         if self.odd == 0 {
             match values.as_slice() {
                 [2] | [1, 2] => return Ok(Code::OneTwo),
-                [1, minus] if [0xff, 0xffff, 0xffff_ffff, i64::MAX].contains(minus) => return Ok(Code::Unsigned(*minus)),
+                [1, minus] if [0xff, 0xffff, 0xffff_ffff, i64::MAX].contains(minus) => {
+                    return Ok(Code::Unsigned(*minus));
+                }
                 [0, on] if *on > 1 => return Ok(Code::Counts),
                 _ => {}
             }
@@ -280,7 +310,11 @@ impl Tally {
         }
         let listed = values.iter().take(8).map(i64::to_string).collect::<Vec<_>>().join(", ");
         let more = if values.len() > 8 || self.odd > 0 { " and others" } else { "" };
-        Err(format!("polarity takes the values {listed}{more}; {:.0} % of the events have others than 0, 1 and -1", 100.0 * odd as f64 / self.events as f64))
+        Err(format!(
+            "polarity takes the values {listed}{more}; {:.0} % of the events have others than 0, 1 \
+                     and -1",
+            100.0 * odd as f64 / self.events as f64
+        ))
     }
 
     /// Do coordinates begin at 1, as far as an array of this size shows it?
@@ -295,7 +329,12 @@ impl Tally {
     ///
     /// # Errors
     /// When no convention explains the polarities of more than one event in a hundred, and none is stated.
-    pub(crate) fn settle(self, path: &Path, stated: &Stated, mut about: EventsAbout) -> Result<Settled, FormatError> {
+    pub(crate) fn settle(
+        self,
+        path: &Path,
+        stated: &Stated,
+        mut about: EventsAbout,
+    ) -> Result<Settled, FormatError> {
         let (mut conventions, mut rules) = (Vec::new(), Rules::default());
         let code = match stated.polarity {
             Some(Polarity::Signs) => Ok(Code::Signs),
@@ -316,18 +355,36 @@ impl Tally {
             conventions.push(Convention {
                 id: "origin_one",
                 what: "coordinates begin at 1: 1 was subtracted".into(),
-                evidence: format!("columns {} to {}, rows {} to {}{}", self.x.least, self.x.most, self.y.least, self.y.most, of_pixels(size)),
+                evidence: format!(
+                    "columns {} to {}, rows {} to {}{}",
+                    self.x.least,
+                    self.x.most,
+                    self.y.least,
+                    self.y.most,
+                    of_pixels(size)
+                ),
                 otherwise: "state `origin = 0` where they begin at 0".into(),
             });
         }
         let negative = self.x.negative + self.y.negative;
         let is_negative = |side: &Side| side.negative == 0 || side.below < BETWEEN;
-        if about.extent.is_none() && negative > 0 && negative as f64 <= 0.1 * self.events as f64 && is_negative(&self.x) && is_negative(&self.y) {
+        if about.extent.is_none()
+            && negative > 0
+            && negative as f64 <= 0.1 * self.events as f64
+            && is_negative(&self.x)
+            && is_negative(&self.y)
+        {
             rules.has_negative = true;
             conventions.push(Convention {
                 id: "negative_coordinates",
-                what: format!("coordinates of {NEGATIVE} and more are negative numbers stored without a sign: their events lie outside of the array"),
-                evidence: format!("{negative} such coordinates; all others are at most {}", self.x.below.max(self.y.below)),
+                what: format!(
+                    "coordinates of {NEGATIVE} and more are negative numbers stored without a \
+                               sign: their events lie outside of the array"
+                ),
+                evidence: format!(
+                    "{negative} such coordinates; all others are at most {}",
+                    self.x.below.max(self.y.below)
+                ),
                 otherwise: "state `extent`: then what lies outside is left out by its size".into(),
             });
         }
@@ -339,13 +396,22 @@ impl Tally {
             let bits = counter.name();
             conventions.push(Convention {
                 id: "counter_followed",
-                what: format!("the stamps' counter of {bits} started again {turns} {}; its range was added", if turns == 1 { "time" } else { "times" }),
+                what: format!(
+                    "the stamps' counter of {bits} started again {turns} {}; its range was added",
+                    if turns == 1 { "time" } else { "times" }
+                ),
                 evidence: format!("time goes back by the range of {bits}, and all stamps lie within it"),
                 otherwise: "state `counter = \"none\"` where recordings were joined that begin anew".into(),
             });
         }
         about.notes.extend(conventions.iter().map(|convention| convention.what.clone()));
-        Ok(Settled { about, rules, follow: counter.map(|(counter, share)| (counter.range_ns(), (share * counter.range_ns() as f64) as i64)), conventions })
+        Ok(Settled {
+            about,
+            rules,
+            follow: counter
+                .map(|(counter, share)| (counter.range_ns(), (share * counter.range_ns() as f64) as i64)),
+            conventions,
+        })
     }
 
     /// What is noted of the polarity; nothing of the usual signs.
@@ -355,17 +421,37 @@ impl Tally {
         let (id, what) = match code {
             Code::Signs => return None,
             _ if is_stated && self.code() == Ok(Code::Signs) => return None,
-            Code::Counts if all.len() == 2 && least == 0 => ("polarity_two_values", format!("polarity is 0 or {most}: {most} was read as ON")),
+            Code::Counts if all.len() == 2 && least == 0 => {
+                ("polarity_two_values", format!("polarity is 0 or {most}: {most} was read as ON"))
+            }
             Code::Counts => {
                 let off = if least < 0 { ", every other as OFF" } else { "" };
-                ("polarity_counts", format!("polarity holds counts {least} to {most}: every value above 0 was read as ON{off}"))
+                (
+                    "polarity_counts",
+                    format!(
+                        "polarity holds counts {least} to {most}: every value above 0 \
+                                             was read as ON{off}"
+                    ),
+                )
             }
             Code::OneTwo => ("polarity_one_two", "polarity is 1 or 2: 1 was read as OFF, 2 as ON".into()),
-            Code::Unsigned(minus) => ("polarity_unsigned", format!("a polarity of {minus} is -1 stored without a sign: it was read as OFF")),
+            Code::Unsigned(minus) => (
+                "polarity_unsigned",
+                format!(
+                    "a polarity of {minus} is -1 stored \
+                                                            without a sign: it was read as OFF"
+                ),
+            ),
         };
-        let shares = all.iter().take(8).map(|(value, count)| format!("{value}: {count}")).collect::<Vec<_>>().join(", ");
+        let shares = all
+            .iter()
+            .take(8)
+            .map(|(value, count)| format!("{value}: {count}"))
+            .collect::<Vec<_>>()
+            .join(", ");
         let more = if all.len() > 8 { format!(", and {} more values", all.len() - 8) } else { String::new() };
-        let otherwise = "state `polarity`, \"signs\", \"counts\" or \"one_two\", where it is otherwise".into();
+        let otherwise =
+            "state `polarity`, \"signs\", \"counts\" or \"one_two\", where it is otherwise".into();
         Some(Convention { id, what, evidence: format!("events by value: {shares}{more}"), otherwise })
     }
 }
@@ -394,7 +480,8 @@ impl Settled {
     }
 }
 
-/// What is known of events before they are read, and how they are read: decided when it is first needed, by counting what the columns hold.
+/// What is known of events before they are read, and how they are read: decided when it is first needed, by
+/// counting what the columns hold.
 pub(crate) struct Lazy {
     path: PathBuf,
     stated: Stated,
@@ -427,7 +514,10 @@ impl Lazy {
     ///
     /// # Errors
     /// When the file cannot be read, or something must be stated.
-    pub(crate) fn settled(&self, count: impl FnOnce(&mut Tally) -> Result<(), FormatError>) -> Result<&Settled, FormatError> {
+    pub(crate) fn settled(
+        &self,
+        count: impl FnOnce(&mut Tally) -> Result<(), FormatError>,
+    ) -> Result<&Settled, FormatError> {
         let decide = || {
             let mut tally = Tally::new();
             count(&mut tally)?;
@@ -468,7 +558,8 @@ impl EventCursor for Followed {
             chunk.t[k] = stored.saturating_add(self.turns.saturating_mul(self.range));
             if let Some(t_in) = chunk.t_in.as_mut().and_then(|all| all.get_mut(k)) {
                 // It may have fired before the turn, and left after it.
-                let turns = if t_in.saturating_sub(stored) >= self.range / 2 { self.turns - 1 } else { self.turns };
+                let turns =
+                    if t_in.saturating_sub(stored) >= self.range / 2 { self.turns - 1 } else { self.turns };
                 *t_in = t_in.saturating_add(turns.saturating_mul(self.range));
             }
         }

@@ -1,7 +1,8 @@
 //! Events as comma-separated values or any other text with one event a line.
 //!
-//! The order of the columns and the unit of the stamps come from a header line, from comments, or from the user; nothing is guessed. What this module
-//! writes says both, and reads back without a declaration. Limits: one event a line, one stamp unit a file, a decimal point.
+//! The order of the columns and the unit of the stamps come from a header line, from comments, or from the
+//! user; nothing is guessed. What this module writes says both, and reads back without a declaration. Limits:
+//! one event a line, one stamp unit a file, a decimal point.
 
 use crate::convention::{Lazy, Rules, Tally};
 use crate::declared::{Column, Declared, TimeUnit};
@@ -20,7 +21,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Text with one event a line.
-pub static FORMAT: Format = Format { id: "csv", name: "text, one event a line", recognises, open: |path, declared| Ok(Box::new(Csv::open(path, declared)?)) };
+pub static FORMAT: Format = Format {
+    id: "csv",
+    name: "text, one event a line",
+    recognises,
+    open: |path, declared| Ok(Box::new(Csv::open(path, declared)?)),
+};
 
 /// Text whose header names t, x, y and p, or whose lines are at least four numbers each.
 fn recognises(probe: &Probe) -> bool {
@@ -31,7 +37,9 @@ fn recognises(probe: &Probe) -> bool {
     if let Some(columns) = &found.columns {
         return [Column::T, Column::X, Column::Y].iter().all(|wanted| columns.contains(wanted));
     }
-    let all_numbers = |line: &Vec<Option<Decimal>>| line.len() >= 4 && line.iter().filter(|field| field.is_some()).count() + 1 >= line.len();
+    let all_numbers = |line: &Vec<Option<Decimal>>| {
+        line.len() >= 4 && line.iter().filter(|field| field.is_some()).count() + 1 >= line.len()
+    };
     // A line or two may be damaged; a file that is mostly something else is not ours.
     let good = found.sample.iter().filter(|line| all_numbers(line)).count();
     found.fields >= 4 && found.header.is_none() && good * 10 >= found.sample.len() * 9
@@ -54,7 +62,11 @@ impl Csv {
     }
 
     /// As [`Csv::open`], for a format that defines columns and unit of its files.
-    pub(crate) fn open_as(path: &Path, declared: &Declared, defined: Option<(&[Column], TimeUnit)>) -> Result<Csv, FormatError> {
+    pub(crate) fn open_as(
+        path: &Path,
+        declared: &Declared,
+        defined: Option<(&[Column], TimeUnit)>,
+    ) -> Result<Csv, FormatError> {
         let found = sniff::sniff(path)?;
         let columns = columns(path, declared, defined.map(|(columns, _)| columns), &found)?;
         let mut notes: Vec<String> = sniff::unit_note(found.unit, declared.time_unit).into_iter().collect();
@@ -63,12 +75,22 @@ impl Csv {
             Some(unit) => unit,
             None => match defined {
                 // A unit of seconds with nothing after the point contradicts the definition.
-                Some((_, unit)) if unit != TimeUnit::S || stamps.len() < 10 || stamps.iter().any(|number| !number.is_whole()) => unit,
+                Some((_, unit))
+                    if unit != TimeUnit::S
+                        || stamps.len() < 10
+                        || stamps.iter().any(|number| !number.is_whole()) =>
+                {
+                    unit
+                }
                 _ => {
                     let evidence = evidence::of_decimals(&stamps, found.lines, Of::Events);
-                    return Err(FormatError::new(path, format!("the unit of the stamps is not stated ({})", evidence.text), evidence.hint())
-                        .expected("a unit in the header, such as `t [us]`")
-                        .undeclared("time_unit"));
+                    return Err(FormatError::new(
+                        path,
+                        format!("the unit of the stamps is not stated ({})", evidence.text),
+                        evidence.hint(),
+                    )
+                    .expected("a unit in the header, such as `t [us]`")
+                    .undeclared("time_unit"));
                 }
             },
         };
@@ -85,10 +107,23 @@ impl Csv {
             tick_ns,
             count: None,
             has_t_in,
-            stamps: format!("decimal {}{}", unit_name(unit), if places > 0 { format!(", {places} places") } else { String::new() }),
+            stamps: format!(
+                "decimal {}{}",
+                unit_name(unit),
+                if places > 0 { format!(", {places} places") } else { String::new() }
+            ),
             notes,
         };
-        let layout = Layout { separator: found.separator, columns, unit, scale, extent, has_t_in, start: found.start, rules: Rules::default() };
+        let layout = Layout {
+            separator: found.separator,
+            columns,
+            unit,
+            scale,
+            extent,
+            has_t_in,
+            start: found.start,
+            rules: Rules::default(),
+        };
         Ok(Csv { path: path.into(), about: Lazy::new(path, declared, about), layout: Arc::new(layout) })
     }
 
@@ -118,26 +153,46 @@ fn stamps(found: &Sniffed, columns: &[Column]) -> Vec<Decimal> {
     found.sample.iter().filter_map(|line| line.get(index).copied().flatten()).collect()
 }
 
-fn columns(path: &Path, declared: &Declared, defined: Option<&[Column]>, found: &Sniffed) -> Result<Vec<Column>, FormatError> {
-    let columns = declared.columns.clone().or_else(|| found.columns.clone()).or_else(|| defined.map(<[Column]>::to_vec));
+fn columns(
+    path: &Path,
+    declared: &Declared,
+    defined: Option<&[Column]>,
+    found: &Sniffed,
+) -> Result<Vec<Column>, FormatError> {
+    let columns = declared
+        .columns
+        .clone()
+        .or_else(|| found.columns.clone())
+        .or_else(|| defined.map(<[Column]>::to_vec));
     let Some(columns) = columns else {
         let proposal = sniff::proposal(&found.sample, found.fields);
         let hint = match &proposal {
             Some(columns) => {
-                format!("state what they hold; from the values, `columns = {}` looks right (x before y is convention)", sniff::column_names(columns))
+                format!(
+                    "state what they hold; from the values, `columns = {}` looks right (x before y is \
+                         convention)",
+                    sniff::column_names(columns)
+                )
             }
             None => "state what they hold: `columns = [\"t\", \"x\", \"y\", \"p\"]`".into(),
         };
-        return Err(FormatError::new(path, format!("{} columns without a header that names them", found.fields), hint)
-            .at(format!("line {}", found.start.1))
-            .expected("a header line such as `t,x,y,p`")
-            .undeclared("columns"));
+        return Err(FormatError::new(
+            path,
+            format!("{} columns without a header that names them", found.fields),
+            hint,
+        )
+        .at(format!("line {}", found.start.1))
+        .expected("a header line such as `t,x,y,p`")
+        .undeclared("columns"));
     };
     let names = [(Column::T, "t"), (Column::X, "x"), (Column::Y, "y"), (Column::P, "p")];
     let count = |wanted: Column| columns.iter().filter(|column| **column == wanted).count();
     if let Some((_, name)) = names.iter().find(|(column, _)| count(*column) != 1) {
-        let stated =
-            found.header.as_ref().filter(|_| declared.columns.is_none()).map_or("the declared columns".to_string(), |header| format!("the header {header}"));
+        let stated = found
+            .header
+            .as_ref()
+            .filter(|_| declared.columns.is_none())
+            .map_or("the declared columns".to_string(), |header| format!("the header {header}"));
         return Err(FormatError::new(
             path,
             format!("{stated} must name one column `{name}`"),
@@ -146,10 +201,15 @@ fn columns(path: &Path, declared: &Declared, defined: Option<&[Column]>, found: 
         .undeclared("columns"));
     }
     if columns.len() > found.fields && found.fields > 0 {
-        return Err(FormatError::new(path, format!("{} columns", found.fields), "state one name for every column, from the left")
-            .at(format!("line {}", found.start.1))
-            .expected(format!("{}", columns.len()))
-            .undeclared("columns"));
+        return Err(FormatError::new(
+            path,
+            format!("{} columns", found.fields),
+            "state one name for every \
+                                                            column, from the left",
+        )
+        .at(format!("line {}", found.start.1))
+        .expected(format!("{}", columns.len()))
+        .undeclared("columns"));
     }
     // What follows the last known column need not be there.
     let used = columns.iter().rposition(|column| *column != Column::Skip).map_or(0, |last| last + 1);
@@ -168,7 +228,9 @@ impl Recording for Csv {
     }
 
     fn conventions(&self) -> Vec<Convention> {
-        self.about.settled(|tally| self.tally(tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
+        self.about
+            .settled(|tally| self.tally(tally))
+            .map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn facts(&self) -> Vec<(String, String)> {
@@ -177,7 +239,10 @@ impl Recording for Csv {
             Separator::Semicolon => "semicolon",
             Separator::Space => "space",
         };
-        vec![("columns".into(), sniff::column_names(&self.layout.columns)), ("separator".into(), separator.into())]
+        vec![
+            ("columns".into(), sniff::column_names(&self.layout.columns)),
+            ("separator".into(), separator.into()),
+        ]
     }
 
     fn files(&self) -> Vec<PathBuf> {
@@ -198,8 +263,15 @@ impl<W: Write> CsvWriter<W> {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub fn new(mut out: W, unit: TimeUnit, extent: Option<Extent>, has_t_in: bool) -> std::io::Result<CsvWriter<W>> {
-        let size = extent.map(|extent| format!(" width={} height={}", extent.width, extent.height)).unwrap_or_default();
+    pub fn new(
+        mut out: W,
+        unit: TimeUnit,
+        extent: Option<Extent>,
+        has_t_in: bool,
+    ) -> std::io::Result<CsvWriter<W>> {
+        let size = extent
+            .map(|extent| format!(" width={} height={}", extent.width, extent.height))
+            .unwrap_or_default();
         writeln!(out, "# photocurrent-events/1 time_unit={}{size}", unit_name(unit))?;
         writeln!(out, "{}", if has_t_in { "t,x,y,p,t_in" } else { "t,x,y,p" })?;
         Ok(CsvWriter { out, unit, has_t_in, line: Vec::with_capacity(1 << 16) })
@@ -211,7 +283,11 @@ impl<W: Write> CsvWriter<W> {
     /// When they cannot be written, or in-pixel times were promised and are not there.
     pub fn write(&mut self, chunk: &EventChunk) -> std::io::Result<()> {
         if self.has_t_in && chunk.t_in.is_none() && !chunk.is_empty() {
-            return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, "these events have no in-pixel times, and the header promises them"));
+            return Err(std::io::Error::new(
+                std::io::ErrorKind::InvalidInput,
+                "these events have no in-pixel \
+                                                            times, and the header promises them",
+            ));
         }
         for k in 0..chunk.len() {
             stamp(&mut self.line, chunk.t[k], self.unit);
@@ -252,5 +328,6 @@ fn stamp(line: &mut Vec<u8>, t: i64, unit: TimeUnit) {
         TimeUnit::Ns => 0,
     };
     // Writing into memory does not fail.
-    let _ = if part == 0 { write!(line, "{sign}{whole}") } else { write!(line, "{sign}{whole}.{part:0places$}") };
+    let _ =
+        if part == 0 { write!(line, "{sign}{whole}") } else { write!(line, "{sign}{whole}.{part:0places$}") };
 }

@@ -1,7 +1,9 @@
-//! Decimal numbers of text files, kept as written, so that "1.123456789" seconds is 1,123,456,789 ns and not the nearest binary fraction.
+//! Decimal numbers of text files, kept as written, so that "1.123456789" seconds is 1,123,456,789 ns and not
+//! the nearest binary fraction.
 //!
-//! A number is a whole mantissa of up to 19 digits and a power of ten. A stamp that fits into 64 bits of nanoseconds needs no more digits than that; further
-//! ones only round, and half a nanosecond rounds away from zero.
+//! A number is a whole mantissa of up to 19 digits and a power of ten. A stamp that fits into 64 bits of
+//! nanoseconds needs no more digits than that; further ones only round, and half a nanosecond rounds away
+//! from zero.
 
 use crate::declared::TimeUnit;
 
@@ -63,12 +65,15 @@ impl Decimal {
         let magnitude = if self.mantissa == 0 {
             0
         } else if exponent >= 0 {
-            // A mantissa that lost digits has 19, so that any power of ten leads out of 64 bits: its next digit counts only here.
+            // A mantissa that lost digits has 19, so that any power of ten leads out of 64 bits: its next
+            // digit counts only here.
             let power = 10_u64.checked_pow(exponent.unsigned_abs())?;
             self.mantissa.checked_mul(power)?.checked_add(u64::from(exponent == 0 && self.next >= 5))?
         } else {
             match 10_u64.checked_pow(exponent.unsigned_abs()) {
-                Some(power) => self.mantissa / power + u64::from(self.mantissa % power >= power - self.mantissa % power),
+                Some(power) => {
+                    self.mantissa / power + u64::from(self.mantissa % power >= power - self.mantissa % power)
+                }
                 None => 0,
             }
         };
@@ -87,17 +92,22 @@ impl Decimal {
         })
     }
 
-    /// Digits after the point as written (12.50 has two), so many that they say something: the step of the number is 10^-places.
+    /// Digits after the point as written (12.50 has two), so many that they say something: the step of the
+    /// number is 10^-places.
     pub(crate) fn places(self) -> u32 {
         self.exponent.min(0).unsigned_abs()
     }
 
     /// Is it a whole number?
     pub(crate) fn is_whole(self) -> bool {
-        self.exponent >= 0 || 10_u64.checked_pow(self.exponent.unsigned_abs()).map_or(self.mantissa == 0, |power| self.mantissa.is_multiple_of(power))
+        self.exponent >= 0
+            || 10_u64
+                .checked_pow(self.exponent.unsigned_abs())
+                .map_or(self.mantissa == 0, |power| self.mantissa.is_multiple_of(power))
     }
 
-    /// The number divided by `scale` and rounded to the nearest whole one, halves up: the pixel that a coordinate lies in.
+    /// The number divided by `scale` and rounded to the nearest whole one, halves up: the pixel that a
+    /// coordinate lies in.
     pub(crate) fn pixel(self, scale: u32) -> Option<i64> {
         let millionths = self.shifted(6)?;
         let step = 1_000_000 * i64::from(scale.max(1));
@@ -159,7 +169,9 @@ mod tests {
 
     #[test]
     fn what_is_no_number_or_too_large_is_refused() {
-        for text in ["", "-", ".", "nan", "inf", "1 2", "1,5", "0x10", "1e", "1e+", "--1", "1..2", "e5", "1e1234567"] {
+        for text in
+            ["", "-", ".", "nan", "inf", "1 2", "1,5", "0x10", "1e", "1e+", "--1", "1..2", "e5", "1e1234567"]
+        {
             assert_eq!(ns(text, TimeUnit::S), None, "{text}");
         }
         for text in ["9223372036.854775808", "1e30", "99999999999999999999", "9223372036854775808"] {

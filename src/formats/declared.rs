@@ -6,7 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Everything that may be stated. A field that is absent is taken from the file, or refused with [`crate::FormatError::undeclared`] where the file lacks it.
+/// Everything that may be stated. A field that is absent is taken from the file, or refused with
+/// [`crate::FormatError::undeclared`] where the file lacks it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Declared {
     /// Size of the event pixel array.
@@ -53,7 +54,8 @@ pub struct Declared {
     pub counter: Option<Counter>,
     /// Which level of the trigger line is an open shutter; active high unless it is stated.
     pub strobe: Option<Strobe>,
-    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture, counted from 0; negative where the first pictures have none.
+    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture, counted
+    /// from 0; negative where the first pictures have none.
     pub first_pulse: Option<i64>,
     /// By what a missing picture, pulse or stamp is recognised.
     pub pairing: Option<Pairing>,
@@ -235,7 +237,8 @@ pub enum Counter {
 
 impl Counter {
     /// Those that begin again, by their range.
-    pub const ALL: [Counter; 6] = [Counter::Ns32, Counter::Us23, Counter::Us24, Counter::Us28, Counter::Us31, Counter::Us32];
+    pub const ALL: [Counter; 6] =
+        [Counter::Ns32, Counter::Us23, Counter::Us24, Counter::Us28, Counter::Us31, Counter::Us32];
 
     /// After which time it begins again, ns; 0 for [`Counter::None`].
     pub fn range_ns(self) -> i64 {

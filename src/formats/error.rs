@@ -18,19 +18,32 @@ pub struct FormatError {
     pub expected: Option<String>,
     /// What to do next.
     pub hint: String,
-    /// Does the file lack a fact that its format does not record, so that the user must state it? Names the field of [`crate::Declared`].
+    /// Does the file lack a fact that its format does not record, so that the user must state it? Names the
+    /// field of [`crate::Declared`].
     pub undeclared: Option<&'static str>,
 }
 
 impl FormatError {
     /// From what was found and what to do about it.
     pub fn new(path: &Path, found: impl Into<String>, hint: impl Into<String>) -> FormatError {
-        FormatError { path: path.into(), at: None, found: found.into(), expected: None, hint: hint.into(), undeclared: None }
+        FormatError {
+            path: path.into(),
+            at: None,
+            found: found.into(),
+            expected: None,
+            hint: hint.into(),
+            undeclared: None,
+        }
     }
 
     /// The system could not open or read a file.
     pub fn io(path: &Path, error: &std::io::Error) -> FormatError {
-        FormatError::new(path, photocurrent_core::error::cannot_read(path, error), "check the path, and that the file may be read")
+        FormatError::new(
+            path,
+            photocurrent_core::error::cannot_read(path, error),
+            "check the path, and \
+                                                            that the file may be read",
+        )
     }
 
     /// Says where in the file.
@@ -59,9 +72,14 @@ impl FormatError {
     /// Where, what was found, what was expected: the first line.
     fn first_line(&self) -> String {
         let at = self.at.as_ref().map(|at| format!(": {at}")).unwrap_or_default();
-        let expected = self.expected.as_ref().map(|expected| format!(", expected {expected}")).unwrap_or_default();
+        let expected =
+            self.expected.as_ref().map(|expected| format!(", expected {expected}")).unwrap_or_default();
         let path = self.path.display().to_string() + &at;
-        if path.is_empty() { format!("{}{expected}", self.found) } else { format!("{path}: {}{expected}", self.found) }
+        if path.is_empty() {
+            format!("{}{expected}", self.found)
+        } else {
+            format!("{path}: {}{expected}", self.found)
+        }
     }
 }
 
@@ -76,7 +94,12 @@ impl std::error::Error for FormatError {}
 /// Data that could not be brought into order: the file is named by who reports it.
 impl From<DataError> for FormatError {
     fn from(error: DataError) -> FormatError {
-        FormatError::new(Path::new(""), error.message, "free some memory or room for temporary files, or read a shorter window")
+        FormatError::new(
+            Path::new(""),
+            error.message,
+            "free some memory or room for temporary files, or \
+                                                        read a shorter window",
+        )
     }
 }
 

@@ -1,7 +1,9 @@
-//! A folder as the Event Camera Dataset keeps a recording: `events.txt` (`t x y p`, seconds), `images.txt` (`t images/frame_00000000.png`) and the pictures.
+//! A folder as the Event Camera Dataset keeps a recording: `events.txt` (`t x y p`, seconds), `images.txt`
+//! (`t images/frame_00000000.png`) and the pictures.
 //!
-//! Source: Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017. What an image's stamp means, the exposure and the encoding of its values are
-//! not recorded. E2VID's folders are the same with a first line `width height`.
+//! Source: Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017. What an image's stamp means,
+//! the exposure and the encoding of its values are not recorded. E2VID's folders are the same with a first
+//! line `width height`.
 
 use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
@@ -21,7 +23,8 @@ pub(crate) static FORMAT: Format = Format {
     open: |path, declared| Ok(Box::new(EventCameraDataset::open(path, declared)?)),
 };
 
-/// A folder with the list of pictures and their folder, but no events, is one that was copied or unpacked in part.
+/// A folder with the list of pictures and their folder, but no events, is one that was copied or unpacked in
+/// part.
 fn recognises(probe: &Probe) -> bool {
     let pictures_here = probe.names.iter().flatten().any(|name| names::is_picture(name));
     probe.has("events.txt") || probe.has("images.txt") && probe.has("images") && !pictures_here
@@ -29,13 +32,19 @@ fn recognises(probe: &Probe) -> bool {
 
 /// The refusal of a folder without its events.
 fn without_events(path: &Path) -> FormatError {
-    let packed = ["events.zip", "events.txt.gz", "events.txt.zip"].into_iter().find(|name| path.join(name).is_file());
+    let packed =
+        ["events.zip", "events.txt.gz", "events.txt.zip"].into_iter().find(|name| path.join(name).is_file());
     let hint = match packed {
-        Some(name) if name.ends_with(".gz") => format!("unpack it there: gunzip -k {}", path.join(name).display()),
+        Some(name) if name.ends_with(".gz") => {
+            format!("unpack it there: gunzip -k {}", path.join(name).display())
+        }
         Some(name) => format!("unpack it there: unzip {} -d {}", path.join(name).display(), path.display()),
         None => {
             let frames = "for its frames alone name the folder `images`, with `images.txt` as stamps";
-            format!("it is in the sequence's zip (rpg.ifi.uzh.ch/davis_data.html), with the pictures; {frames}")
+            format!(
+                "it is in the sequence's zip (rpg.ifi.uzh.ch/davis_data.html), with the pictures; \
+                     {frames}"
+            )
         }
     };
     let found = match packed {
@@ -67,7 +76,12 @@ impl EventCameraDataset {
         let images = path.join("images.txt");
         let frames = match images.is_file() {
             // The stamps of both files have one unit.
-            true => Some(Arc::new(PictureFiles::open_with(path, declared, &images, &Defined { unit: Some(events.unit()), ..Defined::default() })?)),
+            true => Some(Arc::new(PictureFiles::open_with(
+                path,
+                declared,
+                &images,
+                &Defined { unit: Some(events.unit()), ..Defined::default() },
+            )?)),
             false => None,
         };
         let extent = frames.as_ref().map(|frames| frames.about().extent);
@@ -103,7 +117,10 @@ impl Recording for EventCameraDataset {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        self.calibration.iter().map(|(_, line)| ("calibration (fx fy cx cy k1 k2 p1 p2 k3)".to_string(), line.clone())).collect()
+        self.calibration
+            .iter()
+            .map(|(_, line)| ("calibration (fx fy cx cy k1 k2 p1 p2 k3)".to_string(), line.clone()))
+            .collect()
     }
 
     fn conventions(&self) -> Vec<Convention> {

@@ -1,18 +1,24 @@
-//! Event Stream 2 (`.es`): recordings of the International Centre for Neuromorphic Systems and its tools (`sepia`, `faery`).
+//! Event Stream 2 (`.es`): recordings of the International Centre for Neuromorphic Systems and its tools
+//! (`sepia`, `faery`).
 //!
-//! Fifteen bytes of head (`Event Stream`, version), a byte for the kind of events, width and height (u16), then events with times as steps from one to the next,
-//! in microseconds. All little-endian.
+//! Fifteen bytes of head (`Event Stream`, version), a byte for the kind of events, width and height (u16),
+//! then events with times as steps from one to the next, in microseconds. All little-endian.
 //!
-//! - DVS: a byte 0xff adds 127 us, 0xfe does nothing; any other byte is (step << 1 | polarity), then column and row, two bytes each.
-//! - ATIS: a byte of 0xfc to 0xff adds 63 us times its lowest two bits; any other is (step << 2 | polarity << 1 | exposure), then column and row. Events with the
-//!   bit of exposure are measurements of light, no changes of it: they are left out.
+//! - DVS: a byte 0xff adds 127 us, 0xfe does nothing; any other byte is (step << 1 | polarity), then column
+//!   and row, two bytes each.
+//! - ATIS: a byte of 0xfc to 0xff adds 63 us times its lowest two bits; any other is (step << 2 | polarity <<
+//!   1 | exposure), then column and row. Events with the bit of exposure are measurements of light, no
+//!   changes of it: they are left out.
 //!
-//! Rows count from below in the file; given are rows from above, as `faery` does. Source: the README of neuromorphicsystems/event_stream.
+//! Rows count from below in the file; given are rows from above, as `faery` does. Source: the README of
+//! neuromorphicsystems/event_stream.
 //!
 //! A stated `extent` stands in for that of the file: rows count from its last.
 //!
-//! Limits: the file begins at time 0 and has no index, so that a search for a time goes back to the first event. Steps have no mark to find after a damaged
-//! byte: an event outside of the pixels ends what can be read, because all that follows would be made up. Generic and colour events have no polarity and are refused.
+//! Limits: the file begins at time 0 and has no index, so that a search for a time goes back to the first
+//! event. Steps have no mark to find after a damaged byte: an event outside of the pixels ends what can be
+//! read, because all that follows would be made up. Generic and colour events have no polarity and are
+//! refused.
 
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::declared::Declared;
@@ -26,7 +32,8 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Event Stream 2.
-pub(crate) static FORMAT: Format = Format { id: "event_stream", name: "Event Stream (.es)", recognises, open };
+pub(crate) static FORMAT: Format =
+    Format { id: "event_stream", name: "Event Stream (.es)", recognises, open };
 
 const MAGIC: &[u8; 12] = b"Event Stream";
 
@@ -65,7 +72,9 @@ impl EventStream {
         let size = file.metadata().map_err(io)?.len();
         let mut head = Vec::new();
         file.take(HEAD).read_to_end(&mut head).map_err(io)?;
-        let refuse = |at: &str, found: String, expected: &str, hint: &str| FormatError::new(path, found, hint).at(at).expected(expected);
+        let refuse = |at: &str, found: String, expected: &str, hint: &str| {
+            FormatError::new(path, found, hint).at(at).expected(expected)
+        };
         if !head.starts_with(MAGIC) {
             return Err(refuse(
                 "byte 0",
@@ -74,13 +83,27 @@ impl EventStream {
                 "let the program find the format by itself",
             ));
         }
-        let cut = || FormatError::new(path, format!("the file ends at byte {size}, inside its header; no event can be read"), "copy it again");
+        let cut = || {
+            FormatError::new(
+                path,
+                format!(
+                    "the file ends at byte {size}, inside its header; no \
+                                                     event can be read"
+                ),
+                "copy it again",
+            )
+        };
         let (version, kind) = match head.get(12..16) {
             Some([major, minor, patch, kind]) => ((*major, format!("{major}.{minor}.{patch}")), *kind),
             _ => return Err(cut()),
         };
         if version.0 != 2 {
-            return Err(refuse("byte 12", format!("version {} of Event Stream", version.1), "version 2", "convert it with the event_stream tools"));
+            return Err(refuse(
+                "byte 12",
+                format!("version {} of Event Stream", version.1),
+                "version 2",
+                "convert it with the event_stream tools",
+            ));
         }
         let kind = match kind {
             1 => Kind::Dvs,
@@ -92,26 +115,49 @@ impl EventStream {
                     4 => "colour events".into(),
                     _ => format!("events of kind {other}"),
                 };
-                return Err(refuse("byte 15", format!("{name}, which have no polarity"), "DVS or ATIS events (1 or 2)", "export it as DVS events"));
+                return Err(refuse(
+                    "byte 15",
+                    format!("{name}, which have no polarity"),
+                    "DVS or ATIS events \
+                                                            (1 or 2)",
+                    "export it as DVS events",
+                ));
             }
         };
         let [.., w0, w1, h0, h1] = *head.first_chunk::<20>().ok_or_else(cut)?;
-        let recorded = Extent { width: u16::from_le_bytes([w0, w1]).into(), height: u16::from_le_bytes([h0, h1]).into() };
+        let recorded = Extent {
+            width: u16::from_le_bytes([w0, w1]).into(),
+            height: u16::from_le_bytes([h0, h1]).into(),
+        };
         // Coordinates have 16 bits.
         let sides = 1..=1 << 16;
-        let extent = stated.filter(|stated| sides.contains(&stated.width) && sides.contains(&stated.height)).unwrap_or(recorded);
+        let extent = stated
+            .filter(|stated| sides.contains(&stated.width) && sides.contains(&stated.height))
+            .unwrap_or(recorded);
         if extent.width == 0 || extent.height == 0 {
             let hint = "state its `extent`, such as 640 x 480; or copy the file again: its header is damaged";
-            return Err(refuse("byte 16", format!("an extent of {extent}"), "at least one pixel", hint).undeclared("extent"));
+            return Err(refuse("byte 16", format!("an extent of {extent}"), "at least one pixel", hint)
+                .undeclared("extent"));
         }
         let mut notes = vec!["rows counted from above; the file has them from below".to_owned()];
         if extent != recorded {
             notes.push(format!("the extent is declared as {extent}; the file states {recorded}"));
         }
         if kind == Kind::Atis {
-            notes.push("events that measure the exposure of a pixel (threshold crossings of an ATIS) are left out".into());
+            notes.push(
+                "events that measure the exposure of a pixel (threshold crossings of an ATIS) are \
+                        left out"
+                    .into(),
+            );
         }
-        let about = EventsAbout { extent: Some(extent), tick_ns: 1000, count: None, has_t_in: false, stamps: "steps of whole microseconds".into(), notes };
+        let about = EventsAbout {
+            extent: Some(extent),
+            tick_ns: 1000,
+            count: None,
+            has_t_in: false,
+            stamps: "steps of whole microseconds".into(),
+            notes,
+        };
         Ok(EventStream { path: path.into(), size, kind, version: version.1, about, extent })
     }
 }
@@ -148,7 +194,12 @@ impl Cursor {
         self.used = 0;
         let have = self.bytes.len() as u64;
         let wanted = (self.size - (self.at + have).min(self.size)).min(1 << 18);
-        let count = self.file.by_ref().take(wanted).read_to_end(&mut self.bytes).map_err(|error| FormatError::io(&self.path, &error))?;
+        let count = self
+            .file
+            .by_ref()
+            .take(wanted)
+            .read_to_end(&mut self.bytes)
+            .map_err(|error| FormatError::io(&self.path, &error))?;
         Ok(count)
     }
 
@@ -173,7 +224,9 @@ impl Cursor {
                 Kind::Dvs => (first >> 1, first & 1 == 1, false),
                 Kind::Atis => (first >> 2, first & 2 == 2, first & 1 == 1),
             };
-            let Some(&[x0, x1, y0, y1]) = bytes.get(k + 1..).and_then(|rest| rest.first_chunk::<4>()) else { break };
+            let Some(&[x0, x1, y0, y1]) = bytes.get(k + 1..).and_then(|rest| rest.first_chunk::<4>()) else {
+                break;
+            };
             if chunk.len() >= CHUNK_EVENTS {
                 break;
             }
@@ -211,8 +264,11 @@ impl EventCursor for Cursor {
         while chunk.len() < CHUNK_EVENTS && self.at < self.size {
             match self.decode(chunk) {
                 Stop::Outside(x, y) => {
-                    let what =
-                        format!("an event at ({x}, {y}) lies outside the {} pixels: a byte is damaged, and nothing behind it can be trusted", self.extent);
+                    let what = format!(
+                        "an event at ({x}, {y}) lies outside the {} pixels: a byte is damaged, and \
+                                 nothing behind it can be trusted",
+                        self.extent
+                    );
                     self.end(what);
                 }
                 Stop::Piece if chunk.len() >= CHUNK_EVENTS || self.at >= self.size => {}
@@ -250,7 +306,18 @@ impl Recording for EventStream {
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
         let file = File::open(&self.path).map_err(|error| FormatError::io(&self.path, &error))?;
         let (path, kind, extent, size) = (self.path.clone(), self.kind, self.extent, self.size);
-        let mut cursor = Cursor { path, file, kind, extent, size, at: HEAD, time_us: 0, bytes: Vec::new(), used: 0, losses: Losses::default() };
+        let mut cursor = Cursor {
+            path,
+            file,
+            kind,
+            extent,
+            size,
+            at: HEAD,
+            time_us: 0,
+            bytes: Vec::new(),
+            used: 0,
+            losses: Losses::default(),
+        };
         cursor.seek(0)?;
         Ok(Box::new(cursor))
     }
@@ -290,7 +357,8 @@ mod tests {
     fn read(bytes: &[u8]) -> (Vec<Event>, Vec<Loss>) {
         with(bytes, |recording| {
             let recording = recording.unwrap();
-            let (mut cursor, mut chunk, mut events) = (recording.events().unwrap(), EventChunk::default(), Vec::new());
+            let (mut cursor, mut chunk, mut events) =
+                (recording.events().unwrap(), EventChunk::default(), Vec::new());
             while cursor.next(&mut chunk).unwrap() {
                 events.extend((0..chunk.len()).map(|k| (chunk.t[k], chunk.x[k], chunk.y[k], chunk.on[k])));
             }
@@ -315,10 +383,15 @@ mod tests {
 
     #[test]
     fn a_file_longer_than_a_piece_is_one_stream() {
-        let bytes: Vec<u8> = (0..150_000u32).flat_map(|k| [3 << 1 | (k & 1) as u8, (k % 4) as u8, 0, (k % 3) as u8, 0]).collect();
+        let bytes: Vec<u8> = (0..150_000u32)
+            .flat_map(|k| [3 << 1 | (k & 1) as u8, (k % 4) as u8, 0, (k % 3) as u8, 0])
+            .collect();
         let (events, losses) = read(&file(1, &bytes));
         assert_eq!((events.len(), losses.len()), (150_000, 0));
-        assert!(events.iter().enumerate().all(|(k, event)| *event == (3000 * (k as i64 + 1), (k % 4) as u16, 2 - (k % 3) as u16, (k & 1) as u8)));
+        assert!(
+            events.iter().enumerate().all(|(k, event)| *event
+                == (3000 * (k as i64 + 1), (k % 4) as u16, 2 - (k % 3) as u16, (k & 1) as u8))
+        );
     }
 
     #[test]
@@ -353,7 +426,13 @@ mod tests {
         let (mut cursor, mut chunk) = (recording.events().unwrap(), EventChunk::default());
         assert!(cursor.next(&mut chunk).unwrap() && cursor.losses().is_empty());
         assert_eq!((chunk.x, chunk.y), (vec![1, 3, 4, 1, 3], vec![7, 5, 0, 7, 5]));
-        assert!(recording.about.notes.iter().any(|note| note == "the extent is declared as 6 x 8; the file states 4 x 3"), "{:?}", recording.about.notes);
+        assert!(
+            recording.about.notes.iter().any(|note| note
+                == "the extent is declared as 6 x 8; the file \
+                                                            states 4 x 3"),
+            "{:?}",
+            recording.about.notes
+        );
     }
 
     #[test]
@@ -361,7 +440,9 @@ mod tests {
         for (kind, name) in [(0, "generic"), (4, "colour"), (9, "kind 9")] {
             with(&file(kind, &[]), |recording| assert!(recording.err().unwrap().to_string().contains(name)));
         }
-        with(b"Event Stream\x01\x00\x00\x01\x04\x00\x03\x00", |recording| assert!(recording.err().unwrap().found.contains("version 1.0.0")));
+        with(b"Event Stream\x01\x00\x00\x01\x04\x00\x03\x00", |recording| {
+            assert!(recording.err().unwrap().found.contains("version 1.0.0"))
+        });
     }
 
     proptest! {

@@ -1,7 +1,8 @@
 //! What stamps of an unknown unit look like: said to the user, who decides.
 //!
-//! Nothing is taken from this silently. A unit is proposed where the magnitude is that of a clock since 1970, or where only one unit gives a plausible rate,
-//! or where convention helps: whole numbers are mostly microseconds, decimal fractions mostly seconds.
+//! Nothing is taken from this silently. A unit is proposed where the magnitude is that of a clock since 1970,
+//! or where only one unit gives a plausible rate, or where convention helps: whole numbers are mostly
+//! microseconds, decimal fractions mostly seconds.
 
 use crate::decimal::Decimal;
 use crate::declared::TimeUnit;
@@ -77,7 +78,9 @@ impl Evidence {
     pub(crate) fn hint(&self) -> String {
         let name = self.of.parameter();
         match self.proposal {
-            Some(unit) => format!("state the unit of the stamps; `{name} = \"{}\"` looks right", unit_name(unit)),
+            Some(unit) => {
+                format!("state the unit of the stamps; `{name} = \"{}\"` looks right", unit_name(unit))
+            }
             None => format!("state the unit of the stamps: `{name} = \"us\"` (or s, ms, ns)"),
         }
     }
@@ -113,7 +116,10 @@ fn judge(values: &[f64], whole: bool, places: u32, total: f64, of: Of) -> Eviden
         (false, 0) => "numbers with a fraction".to_string(),
         (false, places) => format!("decimal numbers with up to {places} places"),
     };
-    let mut text = format!("stamps run from {low} to {high}, {form}, {distinct} distinct among {} looked at", finite.len());
+    let mut text = format!(
+        "stamps run from {low} to {high}, {form}, {distinct} distinct among {} looked at",
+        finite.len()
+    );
     let span = high - low;
     if span <= 0.0 {
         text += "; all are equal, so they do not show their unit";
@@ -121,10 +127,20 @@ fn judge(values: &[f64], whole: bool, places: u32, total: f64, of: Of) -> Eviden
     }
     let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
     let rate = |unit: TimeUnit| total / (span * unit.ns() as f64 * 1e-9);
-    let said: Vec<String> =
-        units.iter().map(|&unit| format!("{}: {} over {}", unit_name(unit), short(rate(unit), "/s"), short(span * unit.ns() as f64 * 1e-9, " s"))).collect();
+    let said: Vec<String> = units
+        .iter()
+        .map(|&unit| {
+            format!(
+                "{}: {} over {}",
+                unit_name(unit),
+                short(rate(unit), "/s"),
+                short(span * unit.ns() as f64 * 1e-9, " s")
+            )
+        })
+        .collect();
     text += &format!("; rate of {} if in {}", of.word(), said.join(", in "));
-    let plausible: Vec<TimeUnit> = units.into_iter().filter(|&unit| of.plausible().contains(&rate(unit))).collect();
+    let plausible: Vec<TimeUnit> =
+        units.into_iter().filter(|&unit| of.plausible().contains(&rate(unit))).collect();
     let usual = if whole { TimeUnit::Us } else { TimeUnit::S };
     let proposal = since_1970(low, whole).or(match plausible.as_slice() {
         [one] => Some(*one),
@@ -140,7 +156,9 @@ fn since_1970(stamp: f64, whole: bool) -> Option<TimeUnit> {
         return Some(TimeUnit::S);
     }
     // Whole numbers of that size are as well microseconds since the camera was started.
-    [TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns].into_iter().find(|unit| seconds.contains(&(stamp * unit.ns() as f64 * 1e-9)) && *unit != TimeUnit::Ms)
+    [TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns]
+        .into_iter()
+        .find(|unit| seconds.contains(&(stamp * unit.ns() as f64 * 1e-9)) && *unit != TimeUnit::Ms)
 }
 
 fn short(value: f64, unit: &str) -> String {
@@ -157,8 +175,14 @@ mod tests {
         assert_eq!(of_values(&whole, true, 1000.0, Of::Events).proposal, Some(TimeUnit::Us));
         let seconds: Vec<f64> = (0..1000).map(|k| f64::from(k) * 1.3e-5).collect();
         assert_eq!(of_values(&seconds, false, 1000.0, Of::Events).proposal, Some(TimeUnit::S));
-        assert_eq!(of_values(&[1.469e9 + 0.25, 1.469e9 + 0.5], false, 2.0, Of::Frames).proposal, Some(TimeUnit::S));
-        assert_eq!(of_values(&[1.469e18, 1.469e18 + 4e7], true, 2.0, Of::Frames).proposal, Some(TimeUnit::Ns));
+        assert_eq!(
+            of_values(&[1.469e9 + 0.25, 1.469e9 + 0.5], false, 2.0, Of::Frames).proposal,
+            Some(TimeUnit::S)
+        );
+        assert_eq!(
+            of_values(&[1.469e18, 1.469e18 + 4e7], true, 2.0, Of::Frames).proposal,
+            Some(TimeUnit::Ns)
+        );
     }
 
     #[test]

@@ -48,7 +48,10 @@ impl Probe {
         let mut probe = Probe { path: path.into(), head: Vec::new(), bytes: metadata.len(), names: None };
         if metadata.is_dir() {
             let entries = std::fs::read_dir(path).map_err(io)?.take(MOST_NAMES);
-            let mut names: Vec<String> = entries.filter_map(Result::ok).map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+            let mut names: Vec<String> = entries
+                .filter_map(Result::ok)
+                .map(|entry| entry.file_name().to_string_lossy().into_owned())
+                .collect();
             names.sort();
             probe.names = Some(names);
         } else if metadata.is_file() {

@@ -1,11 +1,12 @@
 //! Events of a file, by row: what turns a stream in time order into bands that nodes read, in bounded memory.
 //!
-//! Two passes over a cursor. [`scan`] finds what must be known before any data: how many events, from when to when, how far the coordinates
-//! reach. [`gather`] sorts them by groups of rows as they come; what exceeds the budget goes to an unnamed temporary file, group by group, and a
-//! band is read back and put into canonical order (row, time, column) when it is asked for.
+//! Two passes over a cursor. [`scan`] finds what must be known before any data: how many events, from when to
+//! when, how far the coordinates reach. [`gather`] sorts them by groups of rows as they come; what exceeds
+//! the budget goes to an unnamed temporary file, group by group, and a band is read back and put into
+//! canonical order (row, time, column) when it is asked for.
 //!
-//! Limits: a band is held whole, so a budget is kept only by those who read few rows at a time. The temporary file takes 13 bytes an event (21 with
-//! in-pixel times), in the system's folder for temporary files.
+//! Limits: a band is held whole, so a budget is kept only by those who read few rows at a time. The temporary
+//! file takes 13 bytes an event (21 with in-pixel times), in the system's folder for temporary files.
 
 use crate::chunk::EventChunk;
 use crate::error::{FormatError, Loss};
@@ -40,17 +41,22 @@ pub struct Scan {
 pub const KEPT_STAMPS: usize = 1 << 16;
 
 impl Scan {
-    /// The shortest span that holds a share (0 to 1) of the kept stamps; a few strays do not widen it. `None` without events.
+    /// The shortest span that holds a share (0 to 1) of the kept stamps; a few strays do not widen it. `None`
+    /// without events.
     pub fn dense_span(&self, share: f64) -> Option<(i64, i64)> {
         let mut sorted = self.some_stamps.clone();
         sorted.sort_unstable();
         let inside = ((share * sorted.len() as f64).ceil() as usize).clamp(1, sorted.len().max(1));
-        sorted.windows(inside).map(|window| (window[0], window[inside - 1])).min_by_key(|(first, last)| last.saturating_sub(*first))
+        sorted
+            .windows(inside)
+            .map(|window| (window[0], window[inside - 1]))
+            .min_by_key(|(first, last)| last.saturating_sub(*first))
     }
 }
 
 impl Scan {
-    /// Largest column and row without the few events beyond: a share (0 to 1) of the events lies within each. `None` without events.
+    /// Largest column and row without the few events beyond: a share (0 to 1) of the events lies within each.
+    /// `None` without events.
     pub fn reach(&self, share: f64) -> Option<(u16, u16)> {
         let within = |counts: &[u64]| {
             let (mut below, wanted) = (0, (share * self.count as f64).ceil() as u64);
@@ -74,11 +80,16 @@ impl Scan {
 ///
 /// # Errors
 /// When the file cannot be read, or `advance` says so.
-pub fn scan<E: From<FormatError>>(cursor: &mut dyn EventCursor, mut advance: impl FnMut(&dyn EventCursor) -> Result<(), E>) -> Result<Scan, E> {
+pub fn scan<E: From<FormatError>>(
+    cursor: &mut dyn EventCursor,
+    mut advance: impl FnMut(&dyn EventCursor) -> Result<(), E>,
+) -> Result<Scan, E> {
     let (mut scan, mut chunk, mut ahead) = (Scan::default(), EventChunk::default(), i64::MIN);
     let (mut every, mut next) = (1u64, 0u64);
     while cursor.next(&mut chunk)? {
-        if let (Some(&first), Some(&x), Some(&y)) = (chunk.t.first(), chunk.x.iter().max(), chunk.y.iter().max()) {
+        if let (Some(&first), Some(&x), Some(&y)) =
+            (chunk.t.first(), chunk.x.iter().max(), chunk.y.iter().max())
+        {
             while next < scan.count + chunk.len() as u64 {
                 scan.some_stamps.push(chunk.t[(next - scan.count) as usize]);
                 next += every;
@@ -119,7 +130,8 @@ pub fn scan<E: From<FormatError>>(cursor: &mut dyn EventCursor, mut advance: imp
 /// What to gather.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// Size of the pixel array, or of the part of it that is wanted; events outside the array are left out and counted.
+    /// Size of the pixel array, or of the part of it that is wanted; events outside the array are left out
+    /// and counted.
     pub extent: Extent,
     /// The wanted part; `None` is the whole array. Its pixels are numbered from 0.
     pub crop: Option<Crop>,
@@ -175,7 +187,8 @@ impl Columns {
 
     /// Only the events of some rows, in the same order.
     fn keep(&mut self, rows: Rows) {
-        let wanted: Vec<usize> = (0..self.y.len()).filter(|&i| (rows.start..rows.end).contains(&u32::from(self.y[i]))).collect();
+        let wanted: Vec<usize> =
+            (0..self.y.len()).filter(|&i| (rows.start..rows.end).contains(&u32::from(self.y[i]))).collect();
         if wanted.len() == self.y.len() {
             return;
         }
@@ -281,12 +294,19 @@ pub fn gather<E: From<FormatError> + From<DataError>>(
             held.on.push(chunk.on[i]);
             held.t.push(t);
             if wanted.t_in {
-                held.t_in.push(chunk.t_in.as_ref().map_or(t, |column| column[i].saturating_sub(wanted.zero_ns)));
+                held.t_in
+                    .push(chunk.t_in.as_ref().map_or(t, |column| column[i].saturating_sub(wanted.zero_ns)));
             }
         }
         let bytes: usize = all.groups.iter().map(|group| group.held.bytes()).sum();
         if bytes > wanted.budget {
-            all.spill(&mut written).map_err(|error| DataError::new(format!("cannot write a temporary file for {} events: {error}", all.count)))?;
+            all.spill(&mut written).map_err(|error| {
+                DataError::new(format!(
+                    "cannot write a temporary file \
+                                                            for {} events: {error}",
+                    all.count
+                ))
+            })?;
         }
         advance(cursor)?;
     }
@@ -320,7 +340,12 @@ impl Gathered {
 
     /// Everything of one group, in file order.
     fn load(&self, group: &Group) -> std::io::Result<Columns> {
-        fn column<T: bytemuck::Pod>(file: &File, at: &mut u64, events: usize, column: &mut Vec<T>) -> std::io::Result<()> {
+        fn column<T: bytemuck::Pod>(
+            file: &File,
+            at: &mut u64,
+            events: usize,
+            column: &mut Vec<T>,
+        ) -> std::io::Result<()> {
             let begin = column.len();
             column.resize(begin + events, T::zeroed());
             let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut column[begin..]);
@@ -351,8 +376,12 @@ impl BandSource<EventBand> for Gathered {
         let rows = rows.intersect(self.extent.rows());
         let mut all = Columns::default();
         if !rows.is_empty() {
-            for group in &self.groups[(rows.start / self.rows_per_group) as usize..=((rows.end - 1) / self.rows_per_group) as usize] {
-                let mut part = self.load(group).map_err(|error| DataError::new(format!("cannot read a temporary file of events: {error}")))?;
+            for group in &self.groups[(rows.start / self.rows_per_group) as usize
+                ..=((rows.end - 1) / self.rows_per_group) as usize]
+            {
+                let mut part = self.load(group).map_err(|error| {
+                    DataError::new(format!("cannot read a temporary file of events: {error}"))
+                })?;
                 part.keep(rows);
                 all.append(&part);
             }
@@ -420,7 +449,17 @@ mod tests {
     }
 
     fn go(budget: usize, start_ns: i64, end_ns: i64) -> Gathered {
-        let wanted = Wanted { extent: EXTENT, crop: None, zero_ns: 1000, start_ns, end_ns, ordered: false, t_in: true, budget, drop_duplicates: false };
+        let wanted = Wanted {
+            extent: EXTENT,
+            crop: None,
+            zero_ns: 1000,
+            start_ns,
+            end_ns,
+            ordered: false,
+            t_in: true,
+            budget,
+            drop_duplicates: false,
+        };
         gather::<DataError>(&mut made(), wanted, |_| Ok(())).unwrap()
     }
 
@@ -430,7 +469,13 @@ mod tests {
             for i in 0..chunk.len() {
                 let t = chunk.t[i] - 1000;
                 if chunk.x[i] < 5 && chunk.y[i] < 130 && (start..end).contains(&t) {
-                    events.push(Event { x: chunk.x[i], y: chunk.y[i], polarity: Polarity::from_bit(chunk.on[i]), t, t_in: Some(t - 1) });
+                    events.push(Event {
+                        x: chunk.x[i],
+                        y: chunk.y[i],
+                        polarity: Polarity::from_bit(chunk.on[i]),
+                        t,
+                        t_in: Some(t - 1),
+                    });
                 }
             }
         }
@@ -443,7 +488,8 @@ mod tests {
             let all = go(budget, i64::MIN, i64::MAX);
             assert_eq!(all.file.is_some(), budget < usize::MAX, "the budget decides whether a file is used");
             assert_eq!(all.read(EXTENT.rows()).unwrap(), expected(i64::MIN, i64::MAX));
-            for rows in [Rows { start: 0, end: 1 }, Rows { start: 2, end: 77 }, Rows { start: 129, end: 130 }] {
+            for rows in [Rows { start: 0, end: 1 }, Rows { start: 2, end: 77 }, Rows { start: 129, end: 130 }]
+            {
                 assert_eq!(all.read(rows).unwrap(), expected(i64::MIN, i64::MAX).slice(rows));
             }
         }
@@ -453,7 +499,11 @@ mod tests {
     fn a_window_and_pixels_outside_are_left_out() {
         let all = go(usize::MAX, 50, 200);
         assert_eq!(all.read(EXTENT.rows()).unwrap(), expected(50, 200));
-        let outside = |c: &EventChunk| (0..c.len()).filter(|&i| (50..200).contains(&(c.t[i] - 1000)) && (c.x[i] >= 5 || c.y[i] >= 130)).count();
+        let outside = |c: &EventChunk| {
+            (0..c.len())
+                .filter(|&i| (50..200).contains(&(c.t[i] - 1000)) && (c.x[i] >= 5 || c.y[i] >= 130))
+                .count()
+        };
         assert_eq!(all.outside as usize, made().chunks.iter().map(outside).sum::<usize>());
         assert!(all.outside > 0);
     }
@@ -469,8 +519,14 @@ mod tests {
         assert_eq!(found.some_stamps, all);
         let mut columns: Vec<u16> = made().chunks.iter().flat_map(|c| c.x.clone()).collect();
         columns.sort_unstable();
-        assert_eq!((found.reach(1.0), found.reach(0.5).map(|(x, _)| x)), (Some((5, 131)), Some(columns[599])));
-        assert_eq!(found.outside(5, 132), made().chunks.iter().flat_map(|c| &c.x).filter(|x| **x >= 5).count() as u64);
+        assert_eq!(
+            (found.reach(1.0), found.reach(0.5).map(|(x, _)| x)),
+            (Some((5, 131)), Some(columns[599]))
+        );
+        assert_eq!(
+            found.outside(5, 132),
+            made().chunks.iter().flat_map(|c| &c.x).filter(|x| **x >= 5).count() as u64
+        );
     }
 
     #[test]

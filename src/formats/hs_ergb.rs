@@ -1,10 +1,11 @@
-//! A sequence folder of HS-ERGB or BS-ERGB (Time Lens, Time Lens++): event files `events*/000000.npz`, pictures `images*/000000.png`, and their stamps
-//! in `timestamp.txt` or `timestamps.txt`.
+//! A sequence folder of HS-ERGB or BS-ERGB (Time Lens, Time Lens++): event files `events*/000000.npz`,
+//! pictures `images*/000000.png`, and their stamps in `timestamp.txt` or `timestamps.txt`.
 //!
-//! Event file n lies between pictures n and n + 1. Stamps are microseconds; that is taken only where the values agree with it. BS-ERGB's coordinates were
-//! rectified and are stored as 16-bit numbers of 1/32 pixel, where negative ones appear as 65,536 too large; HS-ERGB's are whole pixels or
-//! floats. Which of these it is follows from the values and is noted. Source: the loaders of Time Lens and of EVREAL.
-//! Limits: the events' array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
+//! Event file n lies between pictures n and n + 1. Stamps are microseconds; that is taken only where the
+//! values agree with it. BS-ERGB's coordinates were rectified and are stored as 16-bit numbers of 1/32 pixel,
+//! where negative ones appear as 65,536 too large; HS-ERGB's are whole pixels or floats. Which of these it is
+//! follows from the values and is noted. Source: the loaders of Time Lens and of EVREAL. Limits: the events'
+//! array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
 
 use crate::chunk::EventChunk;
 use crate::convention::{Lazy, Rules, Tally};
@@ -23,8 +24,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// HS-ERGB and BS-ERGB sequences.
-pub(crate) static FORMAT: Format =
-    Format { id: "hs_ergb", name: "HS-ERGB or BS-ERGB sequence folder", recognises, open: |path, declared| Ok(Box::new(HsErgb::open(path, declared)?)) };
+pub(crate) static FORMAT: Format = Format {
+    id: "hs_ergb",
+    name: "HS-ERGB or BS-ERGB sequence folder",
+    recognises,
+    open: |path, declared| Ok(Box::new(HsErgb::open(path, declared)?)),
+};
 
 const EVENTS: [&str; 3] = ["events_aligned", "events_corrected", "events"];
 const IMAGES: [&str; 3] = ["images_corrected", "images_aligned", "images"];
@@ -35,9 +40,11 @@ fn recognises(probe: &Probe) -> bool {
     // Pictures in folders of these names, but no event files: a sequence that was copied or unpacked in part.
     let in_part = ["images_corrected", "images_aligned"].iter().any(|name| probe.has(name));
     let has_images = IMAGES.iter().any(|name| probe.has(name))
-        && (probe.has("timestamp.txt") || IMAGES.iter().any(|name| probe.path.join(name).join("timestamp.txt").is_file()));
+        && (probe.has("timestamp.txt")
+            || IMAGES.iter().any(|name| probe.path.join(name).join("timestamp.txt").is_file()));
     match events {
-        Some(folder) => archives(&folder).is_ok_and(|files| !files.is_empty() || in_part || has_images && is_empty(&folder)),
+        Some(folder) => archives(&folder)
+            .is_ok_and(|files| !files.is_empty() || in_part || has_images && is_empty(&folder)),
         None => in_part,
     }
 }
@@ -49,11 +56,18 @@ fn is_empty(folder: &Path) -> bool {
 /// The refusal of a sequence without event files.
 fn without_events(path: &Path) -> FormatError {
     let found = match events_folder(path, |name| path.join(name).is_dir()) {
-        Some(folder) => format!("{}/000000.npz and all other event files are missing", folder.file_name().unwrap_or_default().to_string_lossy()),
+        Some(folder) => format!(
+            "{}/000000.npz and all other event files are missing",
+            folder.file_name().unwrap_or_default().to_string_lossy()
+        ),
         None => "the folder of event files is missing".into(),
     };
-    let hint = "they come with the sequence's download (Time Lens: HS-ERGB, Time Lens++: BS-ERGB on rpg.ifi.uzh.ch); name the folder of one sequence";
-    FormatError::new(path, found, hint).expected("a folder `events`, `events_aligned` or `events_corrected` with 000000.npz and so on")
+    let hint = "they come with the sequence's download (Time Lens: HS-ERGB, Time Lens++: BS-ERGB on \
+                rpg.ifi.uzh.ch); name the folder of one sequence";
+    FormatError::new(path, found, hint).expected(
+        "a folder `events`, `events_aligned` or `events_corrected` \
+                                                  with 000000.npz and so on",
+    )
 }
 
 fn events_folder(path: &Path, has: impl Fn(&str) -> bool) -> Option<PathBuf> {
@@ -91,7 +105,8 @@ impl HsErgb {
     /// # Errors
     /// When it has no events, or the values contradict microseconds or leave open how coordinates are stored.
     pub(crate) fn open(path: &Path, declared: &Declared) -> Result<HsErgb, FormatError> {
-        let folder = events_folder(path, |name| path.join(name).is_dir()).ok_or_else(|| without_events(path))?;
+        let folder =
+            events_folder(path, |name| path.join(name).is_dir()).ok_or_else(|| without_events(path))?;
         let archives = archives(&folder)?;
         if archives.is_empty() {
             return Err(without_events(path));
@@ -100,18 +115,27 @@ impl HsErgb {
         let unit = sample.unit(&folder, declared)?;
         let mut notes = Vec::new();
         if declared.time_unit.is_none() {
-            notes.push("stamps were taken as microseconds, as in the published sequences: their span and rate agree".into());
+            notes.push(
+                "stamps were taken as microseconds, as in the published sequences: their span and \
+                        rate agree"
+                    .into(),
+            );
         }
         let frames = frames(path, declared, unit)?;
         let picture = frames.as_ref().map(|frames| frames.about().extent);
         let scale = sample.scale(&folder, declared, picture, &mut notes)?;
         let extent = declared.extent.or(picture);
         if declared.extent.is_none() && picture.is_some() {
-            notes.push("no size of the event array is stated; the pictures', on which the events were aligned, was taken".into());
+            notes.push(
+                "no size of the event array is stated; the pictures', on which the events were \
+                        aligned, was taken"
+                    .into(),
+            );
         }
         let wraps_at = match (scale > 1 && sample.is_u16, extent) {
             (true, Some(extent)) => {
-                // Between the array and the wrap lies at least half of the range of 16 bits; the middle of the gap separates them.
+                // Between the array and the wrap lies at least half of the range of 16 bits; the middle of
+                // the gap separates them.
                 let limit = |side: u32| (i64::from(side) * i64::from(scale) + 65_536) / 2;
                 Some((limit(extent.width), limit(extent.height)))
             }
@@ -140,13 +164,28 @@ impl HsErgb {
     }
 }
 
-fn frames(path: &Path, declared: &Declared, unit: TimeUnit) -> Result<Option<Arc<PictureFiles>>, FormatError> {
-    let Some(folder) = IMAGES.iter().map(|name| path.join(name)).find(|folder| folder.is_dir()) else { return Ok(None) };
-    let stamps =
-        declared.stamps.clone().or_else(|| [&folder, path].into_iter().flat_map(|place| STAMPS.map(|name| place.join(name))).find(|file| file.is_file()));
+fn frames(
+    path: &Path,
+    declared: &Declared,
+    unit: TimeUnit,
+) -> Result<Option<Arc<PictureFiles>>, FormatError> {
+    let Some(folder) = IMAGES.iter().map(|name| path.join(name)).find(|folder| folder.is_dir()) else {
+        return Ok(None);
+    };
+    let stamps = declared.stamps.clone().or_else(|| {
+        [&folder, path]
+            .into_iter()
+            .flat_map(|place| STAMPS.map(|name| place.join(name)))
+            .find(|file| file.is_file())
+    });
     let pictures = match stamps {
         // One unit a file set.
-        Some(file) => PictureFiles::open_with(&folder, declared, &file, &Defined { unit: Some(unit), role: None, lines_count: true })?,
+        Some(file) => PictureFiles::open_with(
+            &folder,
+            declared,
+            &file,
+            &Defined { unit: Some(unit), role: None, lines_count: true },
+        )?,
         None => PictureFiles::open(&folder, declared)?,
     };
     Ok(Some(Arc::new(pictures)))
@@ -171,7 +210,8 @@ impl Sample {
         let mut last_error = None;
         let (mut stamps, mut xs, mut ys, mut rows) = (Vec::new(), Vec::new(), Vec::new(), 0.0);
         // The first, the last, and two between.
-        let mut indices: Vec<usize> = (0..FILES).map(|k| k * archives.len().saturating_sub(1) / (FILES - 1)).collect();
+        let mut indices: Vec<usize> =
+            (0..FILES).map(|k| k * archives.len().saturating_sub(1) / (FILES - 1)).collect();
         indices.dedup();
         for index in indices.into_iter().filter(|index| *index < archives.len()) {
             let read = npz::table(&archives[index], declared).and_then(|(table, _)| {
@@ -189,10 +229,18 @@ impl Sample {
             }
         }
         let Some(table) = first else {
-            return Err(last_error.unwrap_or_else(|| FormatError::new(folder, "no event file holds events", "check that the sequence was copied whole")));
+            return Err(last_error.unwrap_or_else(|| {
+                FormatError::new(
+                    folder,
+                    "no event file holds events",
+                    "check that the sequence was copied whole",
+                )
+            }));
         };
         let is_fractional = xs.iter().chain(&ys).any(|value| value.fract() != 0.0);
-        let is_u16 = [Column::X, Column::Y].into_iter().all(|column| table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Uint && scalar.bytes == 2));
+        let is_u16 = [Column::X, Column::Y].into_iter().all(|column| {
+            table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Uint && scalar.bytes == 2)
+        });
         let high = |values: &mut Vec<f64>| {
             // Wrapped negative coordinates are no reach.
             values.retain(|value| value.is_finite() && (!is_u16 || *value < 60_000.0));
@@ -213,12 +261,21 @@ impl Sample {
         if whole && matches!(evidence.proposal, Some(TimeUnit::Us) | None) {
             return Ok(TimeUnit::Us);
         }
-        let what = format!("the stamps do not look like the microseconds of the published sequences ({})", evidence.text);
+        let what = format!(
+            "the stamps do not look like the microseconds of the published sequences ({})",
+            evidence.text
+        );
         Err(FormatError::new(folder, what, evidence.hint()).undeclared("time_unit"))
     }
 
     /// 1 or 32, from how far the coordinates reach beyond the pictures.
-    fn scale(&self, folder: &Path, declared: &Declared, picture: Option<Extent>, notes: &mut Vec<String>) -> Result<u32, FormatError> {
+    fn scale(
+        &self,
+        folder: &Path,
+        declared: &Declared,
+        picture: Option<Extent>,
+        notes: &mut Vec<String>,
+    ) -> Result<u32, FormatError> {
         let (x, y) = self.reach;
         let reach = format!("coordinates reach x = {x}, y = {y}");
         if let Some(scale) = declared.coordinate_scale.map(|scale| scale.max(1)) {
@@ -226,20 +283,37 @@ impl Sample {
             return Ok(scale);
         }
         let undeclared = |what: String| {
-            FormatError::new(folder, what, "state `coordinate_scale`: 1 when they are pixels, 32 when they are 1/32 pixel (as in BS-ERGB)")
-                .undeclared("coordinate_scale")
+            FormatError::new(
+                folder,
+                what,
+                "state `coordinate_scale`: 1 when they are pixels, 32 when they \
+                                            are 1/32 pixel (as in BS-ERGB)",
+            )
+            .undeclared("coordinate_scale")
         };
         let Some(Extent { width, height }) = declared.extent.or(picture) else {
             // Without pictures only fractions show that they are pixels.
-            return if self.is_fractional { Ok(1) } else { Err(undeclared(format!("{reach}, and there are no pictures to compare them with"))) };
+            return if self.is_fractional {
+                Ok(1)
+            } else {
+                Err(undeclared(format!(
+                    "{reach}, and there are no \
+                                                            pictures to compare them with"
+                )))
+            };
         };
         let (width, height) = (f64::from(width), f64::from(height));
         if x < width && y < height {
             return Ok(1);
         }
-        if !self.is_fractional && x / 32.0 < 1.1 * width && y / 32.0 < 1.1 * height && (x > 4.0 * width || y > 4.0 * height) {
+        if !self.is_fractional
+            && x / 32.0 < 1.1 * width
+            && y / 32.0 < 1.1 * height
+            && (x > 4.0 * width || y > 4.0 * height)
+        {
             notes.push(format!(
-                "{reach} where the pictures are {width} x {height}: divided by 32, as the dataset's authors document, and rounded to the nearest pixel"
+                "{reach} where the pictures are {width} x {height}: divided by 32, as the dataset's authors \
+                 document, and rounded to the nearest pixel"
             ));
             return Ok(32);
         }
@@ -269,14 +343,22 @@ impl SequenceCursor {
         match opened {
             Ok((cursor, losses)) => {
                 for loss in losses {
-                    self.losses.add("event files whose arrays disagree", || format!("{name}, {}", loss.at), || loss.what.clone());
+                    self.losses.add(
+                        "event files whose arrays disagree",
+                        || format!("{name}, {}", loss.at),
+                        || loss.what.clone(),
+                    );
                 }
                 self.inner = Some(cursor);
             }
             // A file that has gone is no damage.
             Err(error) if !file.is_file() => return Err(error),
             Err(error) => {
-                self.losses.add("event files that cannot be read", || name, || format!("{}; its events are lost", error.found));
+                self.losses.add(
+                    "event files that cannot be read",
+                    || name,
+                    || format!("{}; its events are lost", error.found),
+                );
                 self.index += 1;
             }
         }
@@ -292,7 +374,8 @@ impl EventCursor for SequenceCursor {
                 if inner.next(chunk)? {
                     break true;
                 }
-                let name = self.archives[self.index].file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let name =
+                    self.archives[self.index].file_name().unwrap_or_default().to_string_lossy().into_owned();
                 if let Some(inner) = self.inner.take() {
                     self.losses.append(inner.into_losses(), |at| format!("{name}, {at}"));
                 }
@@ -330,11 +413,20 @@ impl Recording for HsErgb {
         let settled = self.about.settled(|tally| self.tally(tally))?;
         let (archives, declared) = (self.archives.clone(), self.declared.clone());
         let reading = Reading { rules: settled.rules, ..self.reading };
-        Ok(settled.followed(Box::new(SequenceCursor { archives, declared, reading, index: 0, inner: None, losses: Losses::default() })))
+        Ok(settled.followed(Box::new(SequenceCursor {
+            archives,
+            declared,
+            reading,
+            index: 0,
+            inner: None,
+            losses: Losses::default(),
+        })))
     }
 
     fn conventions(&self) -> Vec<Convention> {
-        self.about.settled(|tally| self.tally(tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
+        self.about
+            .settled(|tally| self.tally(tally))
+            .map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

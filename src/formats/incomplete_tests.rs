@@ -1,4 +1,5 @@
-//! Folders of datasets of which one file is missing: each names it, and where it comes from. Whole ones are read by the tests of their formats.
+//! Folders of datasets of which one file is missing: each names it, and where it comes from. Whole ones are
+//! read by the tests of their formats.
 
 use crate::catalog::recognise;
 use crate::declared::Declared;
@@ -33,7 +34,12 @@ fn write(path: &Path) {
 #[test]
 fn an_event_camera_dataset_folder_without_events_says_so() {
     let error = open(&["images.txt", "calib.txt", "images/a.png"], "ecd");
-    assert!(error.found.contains("events.txt is missing") && error.hint.contains("davis_data") && error.hint.contains("images.txt"), "{error}");
+    assert!(
+        error.found.contains("events.txt is missing")
+            && error.hint.contains("davis_data")
+            && error.hint.contains("images.txt"),
+        "{error}"
+    );
     let packed = open(&["images.txt", "images/a.png", "events.zip"], "ecd");
     assert!(packed.found.contains("events.zip is there") && packed.hint.contains("unzip"), "{packed}");
     // Pictures with a list of stamps next to them are pictures.
@@ -47,15 +53,21 @@ fn an_event_camera_dataset_folder_without_events_says_so() {
 #[test]
 fn a_dsec_sequence_without_events_names_the_archive_that_has_them() {
     let error = open(&["images/left/rectified/000000.png", "images/timestamps.txt"], "dsec");
-    assert!(error.found.contains("events/left/events.h5 is missing") && error.hint.contains("_events_left.zip of dsec.ifi.uzh.ch"), "{error}");
+    assert!(
+        error.found.contains("events/left/events.h5 is missing")
+            && error.hint.contains("_events_left.zip of dsec.ifi.uzh.ch"),
+        "{error}"
+    );
     let packed = open(&["images/left/distorted/000000.png", "events_left.zip"], "dsec");
     assert!(packed.hint.contains("unzip") && packed.hint.contains("events/left"), "{packed}");
 }
 
 #[test]
 fn an_hs_ergb_sequence_without_event_files_names_the_first() {
-    for files in [&["events_aligned/", "images_corrected/000000.png", "images_corrected/timestamp.txt"][..], &["events/", "images/000000.png", "timestamp.txt"]]
-    {
+    for files in [
+        &["events_aligned/", "images_corrected/000000.png", "images_corrected/timestamp.txt"][..],
+        &["events/", "images/000000.png", "timestamp.txt"],
+    ] {
         let error = open(files, "hs_ergb");
         assert!(error.found.contains("/000000.npz") && error.hint.contains("HS-ERGB"), "{error}");
     }

@@ -1,6 +1,8 @@
-//! Events of one file with frames of another place: a RAW file and a folder of PNGs, an AEDAT file and a Y4M video.
+//! Events of one file with frames of another place: a RAW file and a folder of PNGs, an AEDAT file and a Y4M
+//! video.
 //!
-//! Both must stand on one clock. The frames' times are the stamps of a text file, or the pulses of a trigger line that the event file recorded.
+//! Both must stand on one clock. The frames' times are the stamps of a text file, or the pulses of a trigger
+//! line that the event file recorded.
 
 use crate::chunk::{Edge, Trigger};
 use crate::declared::Declared;
@@ -25,7 +27,10 @@ pub struct Joined {
 ///
 /// # Errors
 /// When there are no pictures, or nothing says when they were taken.
-pub fn with_declared_frames(events: Box<dyn Recording>, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
+pub fn with_declared_frames(
+    events: Box<dyn Recording>,
+    declared: &Declared,
+) -> Result<Box<dyn Recording>, FormatError> {
     match &declared.frames {
         Some(path) => Ok(Box::new(Joined::new(events, path, declared)?)),
         None => Ok(events),
@@ -41,21 +46,31 @@ pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn
         Some(_) => with_declared_frames(recording, declared),
         None => Ok(with_known_camera(format, recording)),
     });
-    opened.and_then(|recording| placed(path, restamped(format.id, recording, declared), declared)).map_err(|error| explained(error, declared))
+    opened
+        .and_then(|recording| placed(path, restamped(format.id, recording, declared), declared))
+        .map_err(|error| explained(error, declared))
 }
 
 impl Joined {
     /// Joins a recording with the pictures at `path`. A declared trigger line goes before stamps.
     ///
     /// # Errors
-    /// When there are no pictures, nothing says when they were taken, or which belongs to which time is a question.
+    /// When there are no pictures, nothing says when they were taken, or which belongs to which time is a
+    /// question.
     pub fn new(events: Box<dyn Recording>, path: &Path, declared: &Declared) -> Result<Joined, FormatError> {
         let frames = match declared.trigger_line {
             Some(line) => {
                 let triggers = events.triggers()?;
                 if !triggers.iter().any(|trigger| trigger.line == line) {
-                    let found = format!("no exposure on trigger line {line} of the event file ({})", said(&triggers));
-                    let mut error = FormatError::new(path, found, "state another `trigger_line`, or a file of `stamps`").expected("rising and falling edges");
+                    let found =
+                        format!("no exposure on trigger line {line} of the event file ({})", said(&triggers));
+                    let mut error = FormatError::new(
+                        path,
+                        found,
+                        "state another `trigger_line`, or a file \
+                                                            of `stamps`",
+                    )
+                    .expected("rising and falling edges");
                     error.undeclared = Some("trigger_line");
                     return Err(error);
                 }
@@ -96,7 +111,16 @@ fn said(triggers: &[Trigger]) -> String {
     if lines.is_empty() {
         return "no trigger edges".into();
     }
-    lines.iter().map(|(line, rising, falling)| format!("{rising} rising and {falling} falling edges on trigger line {line}")).collect::<Vec<_>>().join(", ")
+    lines
+        .iter()
+        .map(|(line, rising, falling)| {
+            format!(
+                "{rising} rising and {falling} falling edges on \
+                                                        trigger line {line}"
+            )
+        })
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 impl Recording for Joined {

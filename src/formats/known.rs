@@ -1,6 +1,8 @@
-//! What is known of the frame cameras behind a format, though none of its files states it: that they have a global shutter, that their values are linear.
+//! What is known of the frame cameras behind a format, though none of its files states it: that they have a
+//! global shutter, that their values are linear.
 //!
-//! Facts of hardware, each with its reason, in one table. They stand behind whatever a file or the user states, and a note says that they were used.
+//! Facts of hardware, each with its reason, in one table. They stand behind whatever a file or the user
+//! states, and a note says that they were used.
 
 use crate::chunk::Trigger;
 use crate::declared::Transfer;
@@ -16,7 +18,11 @@ struct Known {
 }
 
 /// A DAVIS exposes all pixels together, and its converter gives values in proportion to the light.
-const DAVIS: Known = Known { linear: true, why: "frames of a DAVIS: a global shutter (row time 0) and linear values" };
+const DAVIS: Known = Known {
+    linear: true,
+    why: "frames of a DAVIS: a global shutter (row time 0) and \
+                                                 linear values",
+};
 
 /// The pixel arrays of DAVIS cameras: DAVIS240, DAVIS346, DAVIS640, and the DAVIS208.
 const DAVIS_ARRAYS: [(u32, u32); 4] = [(240, 180), (346, 260), (640, 480), (208, 192)];
@@ -25,12 +31,19 @@ fn known(format: &Format, recording: &dyn Recording) -> Option<Known> {
     let shutter = |why| Some(Known { linear: false, why });
     let has_davis_size = || {
         let pictures = recording.pictures();
-        pictures.is_some_and(|pictures| DAVIS_ARRAYS.contains(&(pictures.about().extent.width, pictures.about().extent.height)))
+        pictures.is_some_and(|pictures| {
+            DAVIS_ARRAYS.contains(&(pictures.about().extent.width, pictures.about().extent.height))
+        })
     };
     match format.id {
-        // Simulators write these layouts too, mostly from pictures with a curve: what has another size is not from the cameras of the published sequences.
+        // Simulators write these layouts too, mostly from pictures with a curve: what has another size is not
+        // from the cameras of the published sequences.
         "mvsec" | "ecd" => has_davis_size().then_some(DAVIS),
-        "aedat4" | "aedat3" => recording.facts().iter().any(|(name, value)| name == "camera" && value.starts_with("DAVIS")).then_some(DAVIS),
+        "aedat4" | "aedat3" => recording
+            .facts()
+            .iter()
+            .any(|(name, value)| name == "camera" && value.starts_with("DAVIS"))
+            .then_some(DAVIS),
         "dsec" => shutter("the frame cameras of DSEC have global shutters: row time 0"),
         "m3ed" => shutter("the frame cameras of M3ED have global shutters: row time 0"),
         "hs_ergb" => shutter("the frame cameras of HS-ERGB and BS-ERGB have global shutters: row time 0"),

@@ -7,8 +7,8 @@ const LISTED: u64 = 20;
 
 /// Losses, by kind: the first twenty places of a kind are listed, one line counts the others.
 ///
-/// A file of a million damaged lines must not become a million messages, nor take the time to write them: place and sentence are made only of
-/// those that are listed.
+/// A file of a million damaged lines must not become a million messages, nor take the time to write them:
+/// place and sentence are made only of those that are listed.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Losses {
     /// Listed losses with the index of their kind, in the order in which they were found.
@@ -29,18 +29,38 @@ struct Kind {
 }
 
 impl Losses {
-    /// Adds one loss. `kind` is a phrase in the plural that says what was lost: "lines without a number were left out".
-    pub(crate) fn add(&mut self, kind: &'static str, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+    /// Adds one loss. `kind` is a phrase in the plural that says what was lost: "lines without a number were
+    /// left out".
+    pub(crate) fn add(
+        &mut self,
+        kind: &'static str,
+        at: impl FnOnce() -> String,
+        what: impl FnOnce() -> String,
+    ) {
         self.add_items(kind, 1, at, what);
     }
 
-    /// Adds `items` losses of one place, such as events of one packet; none for 0. A listed one that is met again is not added again.
-    pub(crate) fn add_items(&mut self, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+    /// Adds `items` losses of one place, such as events of one packet; none for 0. A listed one that is met
+    /// again is not added again.
+    pub(crate) fn add_items(
+        &mut self,
+        kind: &'static str,
+        items: u64,
+        at: impl FnOnce() -> String,
+        what: impl FnOnce() -> String,
+    ) {
         self.add_by(Cause::Damage, kind, items, at, what);
     }
 
     /// As [`Losses::add_items`], of a cause other than damage.
-    pub(crate) fn add_by(&mut self, cause: Cause, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+    pub(crate) fn add_by(
+        &mut self,
+        cause: Cause,
+        kind: &'static str,
+        items: u64,
+        at: impl FnOnce() -> String,
+        what: impl FnOnce() -> String,
+    ) {
         if items == 0 {
             return;
         }
@@ -57,7 +77,8 @@ impl Losses {
         }
     }
 
-    /// Adds the losses of a part of the recording; `place` makes a place in the recording of a place in the part.
+    /// Adds the losses of a part of the recording; `place` makes a place in the recording of a place in the
+    /// part.
     pub(crate) fn append(&mut self, part: Losses, place: impl Fn(String) -> String) {
         let Losses { listed, kinds } = part;
         for (kind, loss) in listed {
@@ -89,7 +110,10 @@ impl Losses {
             if left[*k] == 0 && kind.more_places > 0 {
                 let places = if kind.more_places == 1 { "place" } else { "places" };
                 let what = format!("{} more of this kind: {}", kind.more_items, kind.name);
-                list.push(Loss { more: kind.more_places, ..Loss::new(format!("{} more {places}", kind.more_places), what).by(kind.cause) });
+                list.push(Loss {
+                    more: kind.more_places,
+                    ..Loss::new(format!("{} more {places}", kind.more_places), what).by(kind.cause)
+                });
             }
         }
         list
@@ -102,7 +126,9 @@ mod tests {
 
     fn lines(count: usize) -> Losses {
         let mut losses = Losses::default();
-        (1..=count).for_each(|line| losses.add("lines without a number", || format!("line {line}"), || "no number".into()));
+        (1..=count).for_each(|line| {
+            losses.add("lines without a number", || format!("line {line}"), || "no number".into())
+        });
         losses
     }
 
@@ -112,17 +138,29 @@ mod tests {
         losses.add("cut ends", || "line 1001".into(), || "the last line is cut off".into());
         let list = losses.list();
         assert_eq!((list.len(), list[19].at.as_str(), list[21].at.as_str()), (22, "line 20", "line 1001"));
-        assert_eq!((list[20].at.as_str(), list[20].what.as_str()), ("980 more places", "980 more of this kind: lines without a number"));
+        assert_eq!(
+            (list[20].at.as_str(), list[20].what.as_str()),
+            (
+                "980 more places",
+                "980 more of this \
+                                                            kind: lines without a number"
+            )
+        );
         assert_eq!(list.iter().map(Loss::places).sum::<u64>(), 1001, "every place is counted once");
     }
 
     #[test]
     fn items_of_one_place_are_counted_and_none_is_no_loss() {
         let mut losses = Losses::default();
-        (0..21).for_each(|packet| losses.add_items("events outside", 3, || format!("packet {packet}"), || "3 events".into()));
+        (0..21).for_each(|packet| {
+            losses.add_items("events outside", 3, || format!("packet {packet}"), || "3 events".into())
+        });
         losses.add_items("unknown words", 0, || unreachable!("no place"), || unreachable!("no words"));
         let list = losses.list();
-        assert_eq!((list.len(), list[20].at.as_str(), list[20].what.as_str()), (21, "1 more place", "3 more of this kind: events outside"));
+        assert_eq!(
+            (list.len(), list[20].at.as_str(), list[20].what.as_str()),
+            (21, "1 more place", "3 more of this kind: events outside")
+        );
     }
 
     #[test]

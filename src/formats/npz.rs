@@ -1,6 +1,8 @@
-//! Events that numpy saved: an npz archive with arrays x, y, t, p, one npy file of records, or one array of N x 4.
+//! Events that numpy saved: an npz archive with arrays x, y, t, p, one npy file of records, or one array of N
+//! x 4.
 //!
-//! The unit of the stamps is in none of these, and the user states it; of an array of N x 4 the order of the columns too.
+//! The unit of the stamps is in none of these, and the user states it; of an array of N x 4 the order of the
+//! columns too.
 
 use crate::convention::{Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
@@ -16,16 +18,22 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Events in npz and npy files.
-pub(crate) static FORMAT: Format =
-    Format { id: "npz", name: "numpy arrays of events (npz, npy)", recognises, open: |path, declared| Ok(Box::new(Npz::open(path, declared)?)) };
+pub(crate) static FORMAT: Format = Format {
+    id: "npz",
+    name: "numpy arrays of events (npz, npy)",
+    recognises,
+    open: |path, declared| Ok(Box::new(Npz::open(path, declared)?)),
+};
 
 /// Begins as an npy file does, or as a zip archive whose first member is one.
 fn recognises(probe: &Probe) -> bool {
     if probe.head.starts_with(b"\x93NUMPY") {
         return true;
     }
-    let name_length = probe.head.get(26..28).map_or(0, |bytes| usize::from(u16::from_le_bytes([bytes[0], bytes[1]])));
-    probe.head.starts_with(b"PK\x03\x04") && probe.head.get(30..30 + name_length).is_some_and(|name| name.ends_with(b".npy"))
+    let name_length =
+        probe.head.get(26..28).map_or(0, |bytes| usize::from(u16::from_le_bytes([bytes[0], bytes[1]])));
+    probe.head.starts_with(b"PK\x03\x04")
+        && probe.head.get(30..30 + name_length).is_some_and(|name| name.ends_with(b".npy"))
 }
 
 /// An opened npz or npy file.
@@ -52,7 +60,14 @@ impl Npz {
             notes.push(format!("coordinates divided by {scale} and rounded to the nearest pixel"));
         }
         let has_t_in = table.scalar(Column::TIn).is_some();
-        let reading = Reading { unit, scale, wraps_at: None, extent: declared.extent, has_t_in, rules: Rules::default() };
+        let reading = Reading {
+            unit,
+            scale,
+            wraps_at: None,
+            extent: declared.extent,
+            has_t_in,
+            rules: Rules::default(),
+        };
         let about = Lazy::new(path, declared, about(&table, &reading, notes));
         Ok(Npz { path: path.into(), about, table: Arc::new(table), reading, losses, names })
     }
@@ -63,7 +78,10 @@ pub(crate) fn about(table: &Table, reading: &Reading, mut notes: Vec<String>) ->
     let scalar = table.scalar(Column::T);
     let is_float = scalar.is_some_and(|scalar| scalar.kind == Kind::Float);
     if let Some(scalar) = scalar.filter(|scalar| scalar.kind == Kind::Float && scalar.bytes == 4) {
-        notes.push(format!("stamps are stored as {}, of 24 bits: their step grows to 1e-7 of the time since 0", scalar.name()));
+        notes.push(format!(
+            "stamps are stored as {}, of 24 bits: their step grows to 1e-7 of the time since 0",
+            scalar.name()
+        ));
     }
     for (column, name) in [(Column::X, "x"), (Column::Y, "y")] {
         if table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Float) {
@@ -75,13 +93,23 @@ pub(crate) fn about(table: &Table, reading: &Reading, mut notes: Vec<String>) ->
         tick_ns: if is_float { 1 } else { reading.unit.ns() },
         count: Some(table.rows),
         has_t_in: reading.has_t_in,
-        stamps: format!("{} {}", scalar.map(|scalar| scalar.name()).unwrap_or_default(), unit_name(reading.unit)),
+        stamps: format!(
+            "{} {}",
+            scalar.map(|scalar| scalar.name()).unwrap_or_default(),
+            unit_name(reading.unit)
+        ),
         notes,
     }
 }
 
-/// The unit of the stamps: declared, or defined by the format for fractions; or an error with what they look like.
-pub(crate) fn unit(path: &Path, table: &Table, declared: &Declared, fractions: Option<TimeUnit>) -> Result<(TimeUnit, Vec<String>), FormatError> {
+/// The unit of the stamps: declared, or defined by the format for fractions; or an error with what they look
+/// like.
+pub(crate) fn unit(
+    path: &Path,
+    table: &Table,
+    declared: &Declared,
+    fractions: Option<TimeUnit>,
+) -> Result<(TimeUnit, Vec<String>), FormatError> {
     if let Some(unit) = declared.time_unit {
         return Ok((unit, Vec::new()));
     }
@@ -92,14 +120,27 @@ pub(crate) fn unit(path: &Path, table: &Table, declared: &Declared, fractions: O
         return Ok((unit, Vec::new()));
     }
     let evidence = evidence::of_values(&sample, whole, table.rows as f64, Of::Events);
-    Err(FormatError::new(path, format!("the unit of the stamps is not stated ({})", evidence.text), evidence.hint()).undeclared("time_unit"))
+    Err(FormatError::new(
+        path,
+        format!("the unit of the stamps is not stated ({})", evidence.text),
+        evidence.hint(),
+    )
+    .undeclared("time_unit"))
 }
 
 /// The arrays of a file as columns of events, and their names for messages.
 pub(crate) fn table(path: &Path, declared: &Declared) -> Result<(Table, String), FormatError> {
     let is_archive = path_begins(path, b"PK")?;
-    let arrays = if is_archive { place::archive(path)? } else { vec![(String::new(), Place { path: path.into(), member: None })] };
-    let names = if arrays.is_empty() { "no arrays".to_string() } else { arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ") };
+    let arrays = if is_archive {
+        place::archive(path)?
+    } else {
+        vec![(String::new(), Place { path: path.into(), member: None })]
+    };
+    let names = if arrays.is_empty() {
+        "no arrays".to_string()
+    } else {
+        arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ")
+    };
     let lone = arrays.len() == 1;
     let mut table = Table::default();
     let mut columns_of = None;
@@ -138,8 +179,12 @@ fn has_rows(place: &Place) -> bool {
 fn undeclared_columns(path: &Path, place: Place, header: &crate::npy::header::Header) -> FormatError {
     let fields = header.shape.get(1).map_or(0, |width| usize::try_from(*width).unwrap_or(usize::MAX));
     if header.shape.len() != 2 || !(4..=16).contains(&fields) {
-        return FormatError::new(path, format!("one array of shape {:?}", header.shape), "save events as arrays t, x, y, p, or as one array of N x 4")
-            .expected("events, one in a row");
+        return FormatError::new(
+            path,
+            format!("one array of shape {:?}", header.shape),
+            "save events as arrays t, x, y, p, or as one array of N x 4",
+        )
+        .expected("events, one in a row");
     }
     // Their values may show the order; as decimal text they are judged as those of a text file are.
     let mut table = Table::default();
@@ -148,17 +193,29 @@ fn undeclared_columns(path: &Path, place: Place, header: &crate::npy::header::He
         let mut columns = vec![Column::Skip; fields];
         columns[index] = Column::T;
         table.sources.clear();
-        let values = table.add_columns(&columns, place.clone(), header).and_then(|()| table.sample(Column::T, 1000)).unwrap_or_default();
+        let values = table
+            .add_columns(&columns, place.clone(), header)
+            .and_then(|()| table.sample(Column::T, 1000))
+            .unwrap_or_default();
         sample.resize(values.len().max(sample.len()), Vec::new());
         for (row, value) in values.iter().enumerate() {
             sample[row].push(crate::decimal::Decimal::read(format!("{value}").as_bytes()));
         }
     }
     let hint = match proposal(&sample, fields) {
-        Some(columns) => format!("state what they hold; from the values, `columns = {}` looks right (x before y is convention)", column_names(&columns)),
+        Some(columns) => format!(
+            "state what they hold; from the values, `columns = {}` looks right (x \
+                                  before y is convention)",
+            column_names(&columns)
+        ),
         None => "state what they hold: `columns = [\"t\", \"x\", \"y\", \"p\"]`".into(),
     };
-    FormatError::new(path, format!("one array of shape {:?}, and nothing says what its columns hold", header.shape), hint).undeclared("columns")
+    FormatError::new(
+        path,
+        format!("one array of shape {:?}, and nothing says what its columns hold", header.shape),
+        hint,
+    )
+    .undeclared("columns")
 }
 
 fn path_begins(path: &Path, with: &[u8]) -> Result<bool, FormatError> {
@@ -177,7 +234,9 @@ impl Recording for Npz {
     }
 
     fn conventions(&self) -> Vec<Convention> {
-        self.about.settled(|tally| self.table.tally(self.reading, tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
+        self.about
+            .settled(|tally| self.table.tally(self.reading, tally))
+            .map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn facts(&self) -> Vec<(String, String)> {

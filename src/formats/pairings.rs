@@ -1,11 +1,15 @@
 //! Which of several ways to pair pictures with times agrees with the events.
 //!
-//! A picture changes from one exposure to the next by what events report between the two. For every way to pair (which level of the strobe is an open shutter, which
-//! pulse belongs to the first picture, whether holes and gaps count) the log changes of neighbouring pictures are held against the events between their middles: the
-//! correlation over places, at the delay of events at which it is largest. The delay is bounded, so that no pairing borrows the place of its neighbour.
+//! A picture changes from one exposure to the next by what events report between the two. For every way to
+//! pair (which level of the strobe is an open shutter, which pulse belongs to the first picture, whether
+//! holes and gaps count) the log changes of neighbouring pictures are held against the events between their
+//! middles: the correlation over places, at the delay of events at which it is largest. The delay is bounded,
+//! so that no pairing borrows the place of its neighbour.
 //!
-//! Limits: it needs motion. Events that are later than 3 ms or a quarter of the period count for the pairing that is later by as much; so a period near the latency of a
-//! pixel decides little, and is no clear answer ([`Comparison::clear`]). The row time must be known: rows that are exposed one after another look like early events.
+//! Limits: it needs motion. Events that are later than 3 ms or a quarter of the period count for the pairing
+//! that is later by as much; so a period near the latency of a pixel decides little, and is no clear answer
+//! ([`Comparison::clear`]). The row time must be known: rows that are exposed one after another look like
+//! early events.
 
 use crate::chunk::{Edge, EventChunk};
 use crate::declared::{Declared, Pairing, Strobe};
@@ -30,7 +34,8 @@ const PICTURES: usize = 64;
 const RUN: usize = 8;
 /// Steps of a period.
 const STEPS: i64 = 16;
-/// Delays of events that are tried, in steps, at most: a quarter of the period, since the two levels of a strobe lie half a period apart.
+/// Delays of events that are tried, in steps, at most: a quarter of the period, since the two levels of a
+/// strobe lie half a period apart.
 const DELAYS: i64 = STEPS / 4;
 /// Counters of events, at most: 32 MB.
 const COUNTERS: usize = 1 << 23;
@@ -42,11 +47,14 @@ const DEAREST: u32 = 16;
 const LEAST: f64 = 0.15;
 /// A second best with less than this part of the best correlation is clearly worse.
 const CLEARLY: f64 = 0.9;
-/// What counts propose is passed over where it has less than this part of the best correlation. On simulated discs a wrong level has 0.75 to 0.82, a wrong pulse 0.2 to 0.4.
+/// What counts propose is passed over where it has less than this part of the best correlation. On simulated
+/// discs a wrong level has 0.75 to 0.82, a wrong pulse 0.2 to 0.4.
 const PASSED_OVER: f64 = 0.85;
-/// A latency of a pixel may be as long, ns: longer delays are not tried, and a period of less than twice this decides nothing.
+/// A latency of a pixel may be as long, ns: longer delays are not tried, and a period of less than twice this
+/// decides nothing.
 const LATENCY_NS: i64 = 3_000_000;
-/// A step of the grey scale, as a part of the largest value: added before the logarithm, so that darkness is finite.
+/// A step of the grey scale, as a part of the largest value: added before the logarithm, so that darkness is
+/// finite.
 const DARK: f32 = 1.0 / 255.0;
 
 /// One way to pair.
@@ -70,7 +78,8 @@ pub struct Way {
     pub is_plain: bool,
     /// Picture and the middle of its exposure, ns, of the pictures that are compared.
     pairs: Vec<(usize, i64)>,
-    /// Correlation of the pictures' changes with the events, and how late events are there, ns; none where it was not compared.
+    /// Correlation of the pictures' changes with the events, and how late events are there, ns; none where it
+    /// was not compared.
     pub agreement: Option<(f64, i64)>,
 }
 
@@ -85,12 +94,18 @@ pub struct Comparison {
     pub clear: bool,
 }
 
-/// Compares every way to pair the declared frames with the times of a trigger line, or with stamps; none where names pair them, or there is nothing to compare.
-/// `row_time_ns` is the delay from one row of a frame to the next.
+/// Compares every way to pair the declared frames with the times of a trigger line, or with stamps; none
+/// where names pair them, or there is nothing to compare. `row_time_ns` is the delay from one row of a frame
+/// to the next.
 ///
 /// # Errors
 /// When events, pictures or stamps cannot be read.
-pub fn compare(format: &Format, path: &Path, declared: &Declared, row_time_ns: i64) -> Result<Option<Comparison>, FormatError> {
+pub fn compare(
+    format: &Format,
+    path: &Path,
+    declared: &Declared,
+    row_time_ns: i64,
+) -> Result<Option<Comparison>, FormatError> {
     let Some(frames) = &declared.frames else { return Ok(None) };
     let recording = (format.open)(path, declared)?;
     let found = find(frames)?;
@@ -112,15 +127,23 @@ pub fn compare(format: &Format, path: &Path, declared: &Declared, row_time_ns: i
     // Two ways that give the same pairs are one.
     let second = by_agreement.iter().find(|n| ways[**n].pairs != ways[best].pairs);
     let ahead = second.is_none_or(|second| score(&ways[*second]) < CLEARLY * score(&ways[best]));
-    let by_counts = ways.iter().filter(|way| way.cost == ways[0].cost).map(score).fold(f64::NEG_INFINITY, f64::max);
+    let by_counts =
+        ways.iter().filter(|way| way.cost == ways[0].cost).map(score).fold(f64::NEG_INFINITY, f64::max);
     let ahead = ahead && (ways[best].cost == ways[0].cost || by_counts < PASSED_OVER * score(&ways[best]));
-    let clear = ways.len() > 1 && score(&ways[best]) >= LEAST && ahead && period.is_some_and(|period| period >= 2 * LATENCY_NS);
+    let clear = ways.len() > 1
+        && score(&ways[best]) >= LEAST
+        && ahead
+        && period.is_some_and(|period| period >= 2 * LATENCY_NS);
     if clear {
         ways = by_agreement.into_iter().map(|n| ways[n].clone()).collect();
     } else {
-        // By counts; of ways that cost the same, an exposure of less than half of the period, then the better agreement.
-        let is_long = |way: &Way| way.exposure_ns.zip(period).is_some_and(|(exposure, period)| 2 * exposure > period);
-        ways.sort_by(|a, b| (a.cost, is_long(a)).cmp(&(b.cost, is_long(b))).then(score(b).total_cmp(&score(a))));
+        // By counts; of ways that cost the same, an exposure of less than half of the period, then the better
+        // agreement.
+        let is_long =
+            |way: &Way| way.exposure_ns.zip(period).is_some_and(|(exposure, period)| 2 * exposure > period);
+        ways.sort_by(|a, b| {
+            (a.cost, is_long(a)).cmp(&(b.cost, is_long(b))).then(score(b).total_cmp(&score(a)))
+        });
     }
     // Of the same pairs, the first says it.
     let mut kept: Vec<Way> = Vec::new();
@@ -132,8 +155,8 @@ pub fn compare(format: &Format, path: &Path, declared: &Declared, row_time_ns: i
     Ok(Some(Comparison { ways: kept, pictures: found.names.len(), clear }))
 }
 
-/// The trigger line of the event file whose edges are as many as the pictures, about: its number, its rising and falling edges, and how many pictures there are; none
-/// without edges or pictures.
+/// The trigger line of the event file whose edges are as many as the pictures, about: its number, its rising
+/// and falling edges, and how many pictures there are; none without edges or pictures.
 pub fn likeliest_line(format: &Format, path: &Path, declared: &Declared) -> Option<(u16, [usize; 2], usize)> {
     let pictures = find(declared.frames.as_ref()?).ok()?.names.len();
     let mut lines: BTreeMap<u16, [usize; 2]> = BTreeMap::new();
@@ -141,11 +164,18 @@ pub fn likeliest_line(format: &Format, path: &Path, declared: &Declared) -> Opti
         lines.entry(trigger.line).or_default()[usize::from(trigger.edge == Edge::Falling)] += 1;
     }
     let most = |edges: &[usize; 2]| edges[0].max(edges[1]);
-    let (line, edges) = lines.into_iter().min_by_key(|(_, edges)| (most(edges).abs_diff(pictures), std::cmp::Reverse(most(edges))))?;
+    let (line, edges) = lines
+        .into_iter()
+        .min_by_key(|(_, edges)| (most(edges).abs_diff(pictures), std::cmp::Reverse(most(edges))))?;
     Some((line, edges, pictures))
 }
 
-fn ways(recording: &dyn Recording, frames: &Path, found: &Found, declared: &Declared) -> Result<Vec<Way>, FormatError> {
+fn ways(
+    recording: &dyn Recording,
+    frames: &Path,
+    found: &Found,
+    declared: &Declared,
+) -> Result<Vec<Way>, FormatError> {
     let mut all = Vec::new();
     if let Some(line) = declared.trigger_line {
         let triggers = recording.triggers()?;
@@ -170,27 +200,49 @@ fn ways(recording: &dyn Recording, frames: &Path, found: &Found, declared: &Decl
     Ok(all)
 }
 
-fn add(all: &mut Vec<Way>, found: &Found, rows: &[Row], declared: &Declared, times: Times, strobe: Option<Strobe>) {
+fn add(
+    all: &mut Vec<Way>,
+    found: &Found,
+    rows: &[Row],
+    declared: &Declared,
+    times: Times,
+    strobe: Option<Strobe>,
+) {
     let picked = picked(found, 1);
     let sides = Sides::new(&found.names, rows);
     let candidates = sides.candidates(declared);
     let Some(dearest) = candidates.first().map(|best| best.cost + DEAREST) else { return };
     let whole = rows.iter().filter(|row| row.is_whole).count();
-    let mut lengths: Vec<i64> = rows.iter().filter_map(|row| row.exposure).map(|(start, end)| end.saturating_sub(start)).collect();
+    let mut lengths: Vec<i64> =
+        rows.iter().filter_map(|row| row.exposure).map(|(start, end)| end.saturating_sub(start)).collect();
     lengths.sort_unstable();
     let exposure_ns = lengths.get(lengths.len() / 2).copied();
     let plain = sides.decide(declared).ok().flatten().map(|candidate| sides.pairs(&candidate));
-    let middle = |row: &Row| row.exposure.map_or(row.at, |(start, end)| start.saturating_add(end.saturating_sub(start) / 2));
+    let middle = |row: &Row| {
+        row.exposure.map_or(row.at, |(start, end)| start.saturating_add(end.saturating_sub(start) / 2))
+    };
     for candidate in candidates.iter().take_while(|candidate| candidate.cost <= dearest).take(WAYS) {
         let Candidate { by, first, cost } = *candidate;
         let places = sides.pairs(candidate);
         let remainder = remainder(found.names.len(), rows, &places, times);
         let usable = places.iter().filter(|(picture, row)| picked[*picture] && rows[*row].is_whole);
         let pairs = usable.map(|(picture, row)| (*picture, middle(&rows[*row]))).collect();
-        // The pulse of a pair is seen in its number, not in its exposure: as many whole exposures as pictures speak for a level.
+        // The pulse of a pair is seen in its number, not in its exposure: as many whole exposures as pictures
+        // speak for a level.
         let is_plain = plain.as_ref() == Some(&places);
         let uneven = if strobe.is_some() { 2 * (whole.abs_diff(found.names.len()).min(4) as u32) } else { 0 };
-        all.push(Way { strobe, by, first, cost: cost + uneven, whole, exposure_ns, remainder, is_plain, pairs, agreement: None });
+        all.push(Way {
+            strobe,
+            by,
+            first,
+            cost: cost + uneven,
+            whole,
+            exposure_ns,
+            remainder,
+            is_plain,
+            pairs,
+            agreement: None,
+        });
     }
 }
 
@@ -198,7 +250,11 @@ fn add(all: &mut Vec<Way>, found: &Found, rows: &[Row], declared: &Declared, tim
 fn picked(found: &Found, every: usize) -> Vec<bool> {
     let mut picked = vec![false; found.names.len()];
     let some = chosen(found.names.len(), PICTURES);
-    some.chunks(RUN).step_by(every).flatten().filter(|picture| found.whole[**picture]).for_each(|picture| picked[*picture] = true);
+    some.chunks(RUN)
+        .step_by(every)
+        .flatten()
+        .filter(|picture| found.whole[**picture])
+        .for_each(|picture| picked[*picture] = true);
     picked
 }
 
@@ -212,7 +268,12 @@ struct Window {
 
 /// Fills in the agreement of every way; gives the period, ns, where there is one.
 fn agree(recording: &dyn Recording, found: &Found, ways: &mut [Way]) -> Result<Option<i64>, FormatError> {
-    let mut periods: Vec<i64> = ways[0].pairs.windows(2).map(|pair| pair[1].1.saturating_sub(pair[0].1)).filter(|period| *period > 0).collect();
+    let mut periods: Vec<i64> = ways[0]
+        .pairs
+        .windows(2)
+        .map(|pair| pair[1].1.saturating_sub(pair[0].1))
+        .filter(|period| *period > 0)
+        .collect();
     periods.sort_unstable();
     let Some(period) = periods.get(periods.len() / 2).copied() else { return Ok(None) };
     let step = (period / STEPS).max(1);
@@ -233,10 +294,16 @@ fn agree(recording: &dyn Recording, found: &Found, ways: &mut [Way]) -> Result<O
     let logs = logs(found, &picked, across, down);
     let sums = sums(recording, &windows, extent, (across, down), step)?;
     for way in ways.iter_mut() {
-        let pairs: Vec<(usize, i64)> = way.pairs.iter().copied().filter(|(picture, _)| picked[*picture] && !logs[*picture].is_empty()).collect();
+        let pairs: Vec<(usize, i64)> = way
+            .pairs
+            .iter()
+            .copied()
+            .filter(|(picture, _)| picked[*picture] && !logs[*picture].is_empty())
+            .collect();
         let scores = (0..=latest).filter_map(|delay| {
             let late = delay * step;
-            correlation(&pairs, &logs, &windows, &sums, (places, step), late).map(|correlation| (correlation, late))
+            correlation(&pairs, &logs, &windows, &sums, (places, step), late)
+                .map(|correlation| (correlation, late))
         });
         way.agreement = scores.max_by(|a, b| a.0.total_cmp(&b.0));
     }
@@ -252,9 +319,12 @@ fn is_near(a: (usize, i64), b: (usize, i64), period: i64) -> bool {
 fn windows(ways: &[Way], picked: &[bool], period: i64, step: i64) -> Vec<Window> {
     let mut spans: Vec<(i64, i64)> = Vec::new();
     for way in ways {
-        let pairs: Vec<(usize, i64)> = way.pairs.iter().copied().filter(|(picture, _)| picked[*picture]).collect();
+        let pairs: Vec<(usize, i64)> =
+            way.pairs.iter().copied().filter(|(picture, _)| picked[*picture]).collect();
         let near = pairs.windows(2).filter(|pair| is_near(pair[0], pair[1], period));
-        spans.extend(near.map(|pair| (pair[0].1.saturating_sub(step), pair[1].1.saturating_add((DELAYS + 2) * step))));
+        spans.extend(
+            near.map(|pair| (pair[0].1.saturating_sub(step), pair[1].1.saturating_add((DELAYS + 2) * step))),
+        );
         // Ways overlap nearly everywhere: joined now and then, so that the list stays short.
         if spans.len() > 1 << 16 {
             spans = joined(spans);
@@ -293,9 +363,11 @@ fn logs(found: &Found, picked: &[bool], across: u32, down: u32) -> Vec<Vec<f32>>
             continue;
         }
         if dark == 0.0 {
-            dark = (DARK * values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max)).max(1e-6);
+            dark = (DARK * values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max))
+                .max(1e-6);
         }
-        let (mut sums, mut counts) = (vec![0.0_f32; (across * down) as usize], vec![0_u32; (across * down) as usize]);
+        let (mut sums, mut counts) =
+            (vec![0.0_f32; (across * down) as usize], vec![0_u32; (across * down) as usize]);
         for (y, row) in (0..extent.height).zip(values.chunks_exact(extent.width as usize * channels)) {
             for (x, pixel) in (0..extent.width).zip(row.chunks_exact(channels)) {
                 let value = pixel.iter().sum::<f32>() / channels as f32;
@@ -317,7 +389,13 @@ fn place(x: u32, y: u32, extent: Extent, (across, down): (u32, u32)) -> usize {
 }
 
 /// ON less OFF events of every place, summed over time from the start of each window: [step][place].
-fn sums(recording: &dyn Recording, windows: &[Window], extent: Extent, grid: (u32, u32), step: i64) -> Result<Vec<f32>, FormatError> {
+fn sums(
+    recording: &dyn Recording,
+    windows: &[Window],
+    extent: Extent,
+    grid: (u32, u32),
+    step: i64,
+) -> Result<Vec<f32>, FormatError> {
     let places = (grid.0 * grid.1) as usize;
     let mut sums = vec![0.0_f32; windows.last().map_or(0, |window| window.at + window.steps + 1) * places];
     let mut cursor = recording.events()?;
@@ -329,32 +407,50 @@ fn sums(recording: &dyn Recording, windows: &[Window], extent: Extent, grid: (u3
             if x >= extent.width || y >= extent.height {
                 continue;
             }
-            let steps_in = |window: &Window| t.checked_sub(window.start).map(|since| since.div_euclid(step)).filter(|n| (0..window.steps as i64).contains(n));
+            let steps_in = |window: &Window| {
+                t.checked_sub(window.start)
+                    .map(|since| since.div_euclid(step))
+                    .filter(|n| (0..window.steps as i64).contains(n))
+            };
             let mut within = windows.get(now).and_then(steps_in);
             if within.is_none() {
                 now = windows.partition_point(|window| window.start <= t).saturating_sub(1);
                 within = windows.get(now).and_then(steps_in);
             }
             if let Some(n) = within {
-                sums[(windows[now].at + n as usize + 1) * places + place(x, y, extent, grid)] += if on == 1 { 1.0 } else { -1.0 };
+                sums[(windows[now].at + n as usize + 1) * places + place(x, y, extent, grid)] +=
+                    if on == 1 { 1.0 } else { -1.0 };
             }
         }
     }
     for window in windows {
         for row in window.at + 1..=window.at + window.steps {
             let (before, after) = sums.split_at_mut(row * places);
-            after[..places].iter_mut().zip(&before[(row - 1) * places..]).for_each(|(after, before)| *after += before);
+            after[..places]
+                .iter_mut()
+                .zip(&before[(row - 1) * places..])
+                .for_each(|(after, before)| *after += before);
         }
     }
     Ok(sums)
 }
 
-/// Of the log changes from picture to picture with the events between the middles, `late` later; none without a change.
-fn correlation(pairs: &[(usize, i64)], logs: &[Vec<f32>], windows: &[Window], sums: &[f32], (places, step): (usize, i64), late: i64) -> Option<f64> {
+/// Of the log changes from picture to picture with the events between the middles, `late` later; none without
+/// a change.
+fn correlation(
+    pairs: &[(usize, i64)],
+    logs: &[Vec<f32>],
+    windows: &[Window],
+    sums: &[f32],
+    (places, step): (usize, i64),
+    late: i64,
+) -> Option<f64> {
     let at = |window: &Window, t: i64| -> Option<(usize, f32)> {
         let since = t.checked_sub(window.start)?;
         let n = since.div_euclid(step);
-        (0..window.steps as i64).contains(&n).then(|| ((window.at + n as usize) * places, since.rem_euclid(step) as f32 / step as f32))
+        (0..window.steps as i64)
+            .contains(&n)
+            .then(|| ((window.at + n as usize) * places, since.rem_euclid(step) as f32 / step as f32))
     };
     let (mut both, mut of_events, mut of_pictures) = (0.0_f64, 0.0_f64, 0.0_f64);
     for pair in pairs.windows(2).filter(|pair| is_near(pair[0], pair[1], step.saturating_mul(STEPS + 1))) {
@@ -362,9 +458,14 @@ fn correlation(pairs: &[(usize, i64)], logs: &[Vec<f32>], windows: &[Window], su
         let n = windows.partition_point(|window| window.start <= from);
         let Some(window) = n.checked_sub(1).map(|n| &windows[n]) else { continue };
         let (Some((a, a_part)), Some((b, b_part))) = (at(window, from), at(window, to)) else { continue };
-        let sum = |row: usize, part: f32, place: usize| sums[row + place] + part * (sums[row + places + place] - sums[row + place]);
-        let events = levelled((0..places).map(|place| sum(b, b_part, place) - sum(a, a_part, place)).collect());
-        let change = levelled(logs[pair[1].0].iter().zip(&logs[pair[0].0]).map(|(after, before)| after - before).collect());
+        let sum = |row: usize, part: f32, place: usize| {
+            sums[row + place] + part * (sums[row + places + place] - sums[row + place])
+        };
+        let events =
+            levelled((0..places).map(|place| sum(b, b_part, place) - sum(a, a_part, place)).collect());
+        let change = levelled(
+            logs[pair[1].0].iter().zip(&logs[pair[0].0]).map(|(after, before)| after - before).collect(),
+        );
         for (event, change) in events.iter().zip(&change) {
             let (event, change) = (f64::from(*event), f64::from(*change));
             both += event * change;

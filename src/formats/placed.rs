@@ -1,7 +1,9 @@
-//! What a user states of how both streams lie on each other: a mirrored picture, a shift by whole pixels, exchanged polarity, frames to leave out.
+//! What a user states of how both streams lie on each other: a mirrored picture, a shift by whole pixels,
+//! exchanged polarity, frames to leave out.
 //!
-//! Events are moved to where the frames see the same ([`Declared::mirror`] first, then [`Declared::shift`]); events that are moved off the array are left out.
-//! Frames are left out by their number in the file ([`Declared::skip_frames`]).
+//! Events are moved to where the frames see the same ([`Declared::mirror`] first, then [`Declared::shift`]);
+//! events that are moved off the array are left out. Frames are left out by their number in the file
+//! ([`Declared::skip_frames`]).
 
 use crate::arrange::Arranged;
 use crate::chunk::{EventChunk, Trigger};
@@ -16,7 +18,11 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// When a mirrored picture has no known size, or a frame that is left out is not there.
-pub fn placed(path: &Path, recording: Box<dyn Recording>, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
+pub fn placed(
+    path: &Path,
+    recording: Box<dyn Recording>,
+    declared: &Declared,
+) -> Result<Box<dyn Recording>, FormatError> {
     let mut about = recording.events_about().cloned();
     let mut places = None;
     let inverts = declared.invert_polarity == Some(true);
@@ -24,20 +30,34 @@ pub fn placed(path: &Path, recording: Box<dyn Recording>, declared: &Declared) -
         let extent = declared.extent.or(about.as_ref().and_then(|about| about.extent));
         if declared.mirror.is_some() && about.is_some() && extent.is_none() {
             let hint = "state the size of the event array too: `extent = { width = 640, height = 480 }`";
-            return Err(FormatError::new(path, "a mirrored picture needs the size of the event array, which is not recorded", hint).undeclared("extent"));
+            return Err(FormatError::new(
+                path,
+                "a mirrored picture needs the size of the event array, which \
+                                               is not recorded",
+                hint,
+            )
+            .undeclared("extent"));
         }
         if let Some(about) = &mut about {
             if let Some(mirror) = declared.mirror {
                 about.notes.push(format!("events were mirrored, {}", mirror.name()));
             }
             if let Some(Shift { right, down }) = declared.shift {
-                about.notes.push(format!("events were moved {right} pixels to the left and {down} up, as stated"));
+                about.notes.push(format!(
+                    "events were moved {right} pixels to the left and {down} up, as \
+                                          stated"
+                ));
             }
         }
         if let Some(about) = about.as_mut().filter(|_| inverts) {
             about.notes.push("ON and OFF were exchanged, as stated".into());
         }
-        places = Some(Places { inverts, mirror: declared.mirror, shift: declared.shift.unwrap_or(Shift { right: 0, down: 0 }), extent });
+        places = Some(Places {
+            inverts,
+            mirror: declared.mirror,
+            shift: declared.shift.unwrap_or(Shift { right: 0, down: 0 }),
+            extent,
+        });
     }
     let mut pictures = recording.pictures();
     if let (Some(skipped), Some(inner)) = (&declared.skip_frames, &pictures) {
@@ -167,7 +187,15 @@ impl Fewer {
         let count = about.stamps.len();
         if let Some(absent) = skipped.iter().find(|frame| **frame as usize >= count) {
             let hint = "number them from 0 in the order of the file: `skip_frames`";
-            return Err(FormatError::new(path, format!("frame {absent} is to be left out, and there are {count}"), hint).undeclared("skip_frames"));
+            return Err(FormatError::new(
+                path,
+                format!(
+                    "frame {absent} is to be left out, and there are \
+                                                       {count}"
+                ),
+                hint,
+            )
+            .undeclared("skip_frames"));
         }
         let kept: Vec<usize> = (0..count).filter(|frame| !skipped.contains(&(*frame as u32))).collect();
         about.notes.push(format!("{} of {count} frames were left out, as stated", count - kept.len()));
@@ -188,12 +216,17 @@ impl Pictures for Fewer {
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         match self.kept.get(frame) {
             Some(inner) => self.inner.read(*inner, values),
-            None => Err(FormatError::new(Path::new(""), format!("there is no frame {frame}"), "read one of those that are there")),
+            None => Err(FormatError::new(
+                Path::new(""),
+                format!("there is no frame {frame}"),
+                "read one of those that are there",
+            )),
         }
     }
 }
 
-/// The part of a recording that an arrangement reads: its window of time, its part of the array, exposures as they are arranged; times stay on the events' clock.
+/// The part of a recording that an arrangement reads: its window of time, its part of the array, exposures as
+/// they are arranged; times stay on the events' clock.
 pub struct PartOf<'a> {
     recording: &'a dyn Recording,
     arranged: &'a Arranged,
@@ -217,11 +250,10 @@ impl<'a> PartOf<'a> {
             // As they are arranged: with what was stated of exposures, stamps and clocks.
             if let Ok(frames) = &arranged.frames {
                 let of = |place: usize| {
-                    frames
-                        .times
-                        .exposures
-                        .get(place)
-                        .map(|exposure| exposure.start.0.saturating_add(arranged.zero_ns)..exposure.end.0.saturating_add(arranged.zero_ns))
+                    frames.times.exposures.get(place).map(|exposure| {
+                        exposure.start.0.saturating_add(arranged.zero_ns)
+                            ..exposure.end.0.saturating_add(arranged.zero_ns)
+                    })
                 };
                 for (stamp, (_, place)) in fewer.about.stamps.iter_mut().zip(&kept) {
                     stamp.exposure = of(*place).map(|exposure| (exposure.start, exposure.end));
@@ -261,11 +293,19 @@ mod tests {
 
     #[test]
     fn a_place_is_mirrored_first_and_moved_then_and_nothing_leaves_the_array() {
-        let of = |mirror, right, down| Places { inverts: false, mirror, shift: Shift { right, down }, extent: Some(EXTENT) };
+        let of = |mirror, right, down| Places {
+            inverts: false,
+            mirror,
+            shift: Shift { right, down },
+            extent: Some(EXTENT),
+        };
         assert_eq!(of(Some(Mirror::LeftRight), 0, 0).of(1, 2), Some((6, 2)));
         assert_eq!(of(Some(Mirror::TopBottom), 0, 0).of(1, 2), Some((1, 3)));
         assert_eq!(of(Some(Mirror::Both), 2, -1).of(1, 2), Some((4, 4)));
-        assert_eq!((of(None, 1, 0).of(0, 0), of(None, -1, 0).of(7, 0), of(None, -1, 0).of(6, 5)), (None, None, Some((7, 5))));
+        assert_eq!(
+            (of(None, 1, 0).of(0, 0), of(None, -1, 0).of(7, 0), of(None, -1, 0).of(6, 5)),
+            (None, None, Some((7, 5)))
+        );
         // Mirrored twice is as it was.
         let mirrored = of(Some(Mirror::Both), 0, 0);
         assert_eq!(mirrored.of(3, 5).and_then(|(x, y)| mirrored.of(x, y)), Some((3, 5)));

@@ -24,7 +24,8 @@ pub trait Recording: Send + Sync {
         None
     }
 
-    /// Edges of trigger lines, in file order. Formats that interleave them with events read the whole file for this.
+    /// Edges of trigger lines, in file order. Formats that interleave them with events read the whole file
+    /// for this.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -42,7 +43,8 @@ pub trait Recording: Send + Sync {
         Vec::new()
     }
 
-    /// Unusual ways of storing events that were recognised over the whole file, each also a note of [`Recording::events_about`].
+    /// Unusual ways of storing events that were recognised over the whole file, each also a note of
+    /// [`Recording::events_about`].
     fn conventions(&self) -> Vec<Convention> {
         Vec::new()
     }
@@ -56,8 +58,8 @@ pub trait Recording: Send + Sync {
     fn files(&self) -> Vec<PathBuf>;
 }
 
-/// What a recording that changes another one's events or frames passes on from the field that holds it: description, facts, conventions, and, unless it has
-/// its own, losses and files.
+/// What a recording that changes another one's events or frames passes on from the field that holds it:
+/// description, facts, conventions, and, unless it has its own, losses and files.
 macro_rules! forward {
     ($field:ident) => {
         $crate::recording::forward!($field, without losses and files);
@@ -112,26 +114,29 @@ pub struct EventsAbout {
     pub has_t_in: bool,
     /// How stamps are stored, for people: "u64 microseconds", "f64 seconds".
     pub stamps: String,
-    /// What the reader did to give whole pixels, nanoseconds and 0/1: "coordinates divided by 32", "t_offset of 1234 us added".
+    /// What the reader did to give whole pixels, nanoseconds and 0/1: "coordinates divided by 32", "t_offset
+    /// of 1234 us added".
     pub notes: Vec<String>,
 }
 
-/// The note that one camera of several was read: "events are those of left; not read: right (`camera` chooses)".
+/// The note that one camera of several was read: "events are those of left; not read: right (`camera`
+/// chooses)".
 pub(crate) fn not_read(what: &str, chosen: &str, others: &[&str], field: &str) -> String {
     format!("{what} are those of {chosen}; not read: {} (`{field}` chooses)", others.join(", "))
 }
 
 /// Walks through events in file order.
 pub trait EventCursor: Send {
-    /// Clears `chunk` and fills it with the next events, about [`crate::chunk::CHUNK_EVENTS`] of them. False, and an empty chunk, at the end. A chunk
-    /// may be empty before the end.
+    /// Clears `chunk` and fills it with the next events, about [`crate::chunk::CHUNK_EVENTS`] of them. False,
+    /// and an empty chunk, at the end. A chunk may be empty before the end.
     ///
     /// # Errors
-    /// When the file cannot be read any more (vanished, an input error). Damaged content is no error: see [`EventCursor::losses`].
+    /// When the file cannot be read any more (vanished, an input error). Damaged content is no error: see
+    /// [`EventCursor::losses`].
     fn next(&mut self, chunk: &mut EventChunk) -> Result<bool, FormatError>;
 
-    /// Moves so that no event stamped at or after `t_ns` is left out: to the first of them, or to some event before. Cheap only where the
-    /// format allows random access; otherwise back to the first event.
+    /// Moves so that no event stamped at or after `t_ns` is left out: to the first of them, or to some event
+    /// before. Cheap only where the format allows random access; otherwise back to the first event.
     ///
     /// # Errors
     /// As [`EventCursor::next`].
@@ -179,7 +184,8 @@ pub trait Pictures: Send + Sync {
     /// What is known of them.
     fn about(&self) -> &FramesAbout;
 
-    /// Replaces `values` by the stored values of one frame, row by row, channels side by side (red, green, blue).
+    /// Replaces `values` by the stored values of one frame, row by row, channels side by side (red, green,
+    /// blue).
     ///
     /// # Errors
     /// When the frame cannot be read or is damaged.

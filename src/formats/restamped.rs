@@ -1,9 +1,11 @@
 //! Stamps in another unit than their format has: files lie about their units.
 //!
-//! Formats that leave the unit open read the stated one themselves. The others define it; where a user states another ([`Declared::time_unit`] for events and triggers,
-//! [`Declared::stamps_unit`] for frames in the same file), stamps are multiplied by the ratio of both.
+//! Formats that leave the unit open read the stated one themselves. The others define it; where a user states
+//! another ([`Declared::time_unit`] for events and triggers, [`Declared::stamps_unit`] for frames in the same
+//! file), stamps are multiplied by the ratio of both.
 //!
-//! Limits: stamps that the format's own unit cannot hold (microseconds since 1970 read as seconds) are refused before.
+//! Limits: stamps that the format's own unit cannot hold (microseconds since 1970 read as seconds) are
+//! refused before.
 
 use crate::chunk::{EventChunk, Trigger};
 use crate::declared::{Declared, TimeUnit};
@@ -16,7 +18,8 @@ use std::sync::Arc;
 /// The unit that a format defines for events; `None` where the reader takes the stated one.
 fn of_events(format: &str) -> Option<TimeUnit> {
     match format {
-        "aedat4" | "aedat3" | "aedat2" | "event_stream" | "evt2" | "evt21" | "evt3" | "dat" | "prophesee_hdf5" | "m3ed" => Some(TimeUnit::Us),
+        "aedat4" | "aedat3" | "aedat2" | "event_stream" | "evt2" | "evt21" | "evt3" | "dat"
+        | "prophesee_hdf5" | "m3ed" => Some(TimeUnit::Us),
         "mvsec" => Some(TimeUnit::S),
         "rosbag" | "rosbag2" | "mcap" => Some(TimeUnit::Ns),
         _ => None,
@@ -59,10 +62,18 @@ impl Ratio {
 }
 
 /// Applies stated units; a recording of which none is stated stays as it is.
-pub(crate) fn restamped(format: &str, recording: Box<dyn Recording>, declared: &Declared) -> Box<dyn Recording> {
+pub(crate) fn restamped(
+    format: &str,
+    recording: Box<dyn Recording>,
+    declared: &Declared,
+) -> Box<dyn Recording> {
     let events = declared.time_unit.zip(of_events(format)).and_then(|(stated, read)| Ratio::of(stated, read));
     let is_inside = declared.frames.is_none();
-    let frames = declared.stamps_unit.filter(|_| is_inside).zip(of_frames(format, declared)).and_then(|(stated, read)| Ratio::of(stated, read));
+    let frames = declared
+        .stamps_unit
+        .filter(|_| is_inside)
+        .zip(of_frames(format, declared))
+        .and_then(|(stated, read)| Ratio::of(stated, read));
     if events.is_none() && frames.is_none() {
         return recording;
     }
@@ -156,7 +167,10 @@ mod tests {
     fn a_ratio_is_exact_and_stays_within_64_bits() {
         let ms_as_us = Ratio::of(TimeUnit::Ms, TimeUnit::Us).unwrap();
         assert_eq!((ms_as_us.apply(1_424_000), ms_as_us.undo(1_424_000_000)), (1_424_000_000, 1_424_000));
-        assert_eq!(Ratio::of(TimeUnit::Ns, TimeUnit::S).unwrap().apply(1_500_000_000_000_000_000), 1_500_000_000);
+        assert_eq!(
+            Ratio::of(TimeUnit::Ns, TimeUnit::S).unwrap().apply(1_500_000_000_000_000_000),
+            1_500_000_000
+        );
         assert_eq!(ms_as_us.apply(i64::MAX), i64::MAX);
         assert_eq!(Ratio::of(TimeUnit::Us, TimeUnit::Us), None);
     }

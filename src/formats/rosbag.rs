@@ -1,4 +1,5 @@
-//! ROS 1 bags: events of `dvs_msgs`, `prophesee_event_msgs` and `event_camera_msgs`, pictures of `sensor_msgs`. See [`crate::ros`].
+//! ROS 1 bags: events of `dvs_msgs`, `prophesee_event_msgs` and `event_camera_msgs`, pictures of
+//! `sensor_msgs`. See [`crate::ros`].
 
 use crate::format::Format;
 use crate::ros::{bag, recording, scan};

@@ -1,11 +1,13 @@
 //! From stored values to linear ones: the inverse of the curve that a camera or an encoder applied.
 //!
-//! Full scale stays full scale: 0 and the largest code are fixed points. The same bits come out on every machine.
+//! Full scale stays full scale: 0 and the largest code are fixed points. The same bits come out on every
+//! machine.
 
 use crate::declared::Transfer;
 
 impl Transfer {
-    /// The linear value of a stored one, both of 0 to 1. Values outside are left as the curve continues them: sRGB's linear piece below 0.
+    /// The linear value of a stored one, both of 0 to 1. Values outside are left as the curve continues them:
+    /// sRGB's linear piece below 0.
     pub fn linear(self, stored: f64) -> f64 {
         match self {
             Transfer::Linear => stored,
@@ -29,7 +31,9 @@ impl Transfer {
             Transfer::Linear => {}
             // A picture has more pixels than codes: a table is quicker, and gives the same bits.
             _ if bits > 0 && bits <= 16 && values.len() >= 1 << bits => {
-                let table: Vec<f32> = (0..1_u32 << bits).map(|code| (self.linear(f64::from(code) / full) * full) as f32).collect();
+                let table: Vec<f32> = (0..1_u32 << bits)
+                    .map(|code| (self.linear(f64::from(code) / full) * full) as f32)
+                    .collect();
                 for value in values {
                     let code = *value as usize;
                     *value = match table.get(code) {
@@ -67,7 +71,9 @@ mod tests {
     #[test]
     fn the_curve_is_the_inverse_of_the_published_one() {
         // The encoder of IEC 61966-2-1, written out here.
-        let encode = |linear: f64| if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055 };
+        let encode = |linear: f64| {
+            if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055 }
+        };
         for k in 0..=1000 {
             let linear = f64::from(k) / 1000.0;
             assert!((Transfer::Srgb.linear(encode(linear)) - linear).abs() < 1e-7, "{linear}");

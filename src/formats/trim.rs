@@ -1,4 +1,5 @@
-//! A part of an event stream: a rectangle of pixels, a window of time, another zero; and a stream brought into order of time.
+//! A part of an event stream: a rectangle of pixels, a window of time, another zero; and a stream brought
+//! into order of time.
 
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::error::{FormatError, Loss};
@@ -133,7 +134,12 @@ impl InOrder {
         while inner.next(&mut chunk)? {
             if all.len() + chunk.len() > MOST_SORTED {
                 let found = format!("events out of order, more than {MOST_SORTED} of them");
-                return Err(FormatError::new(Path::new(""), found, "take a part of the recording: --start and --end"));
+                return Err(FormatError::new(
+                    Path::new(""),
+                    found,
+                    "take a part of the recording: --start \
+                                                            and --end",
+                ));
             }
             all.t.extend_from_slice(&chunk.t);
             all.x.extend_from_slice(&chunk.x);
@@ -149,7 +155,13 @@ impl InOrder {
             order.iter().map(|&i| column[i as usize]).collect()
         }
         let t_in = all.t_in.as_ref().map(|column| gather(&order, column));
-        let sorted = EventChunk { t: gather(&order, &all.t), x: gather(&order, &all.x), y: gather(&order, &all.y), on: gather(&order, &all.on), t_in };
+        let sorted = EventChunk {
+            t: gather(&order, &all.t),
+            x: gather(&order, &all.x),
+            y: gather(&order, &all.y),
+            on: gather(&order, &all.on),
+            t_in,
+        };
         Ok(InOrder { sorted, next: 0, losses: inner.losses() })
     }
 }
@@ -198,7 +210,8 @@ mod tests {
             if first >= 100 {
                 return Ok(false);
             }
-            (first..first + 10).for_each(|i| chunk.push(10 * i as i64, (i % 7) as u16, (i % 5) as u16, i % 2 == 0));
+            (first..first + 10)
+                .for_each(|i| chunk.push(10 * i as i64, (i % 7) as u16, (i % 5) as u16, i % 2 == 0));
             self.0 += 1;
             Ok(true)
         }
@@ -223,8 +236,13 @@ mod tests {
         while trimmed.next(&mut chunk).unwrap() {
             found.extend((0..chunk.len()).map(|i| (chunk.t[i], chunk.x[i], chunk.y[i], chunk.on[i])));
         }
-        let inside = |i: &i64| (155..705).contains(&(10 * i)) && (2..5).contains(&(i % 7)) && (1..3).contains(&(i % 5));
-        let expected: Vec<_> = (0..100).filter(inside).map(|i| (10 * i - 100, (i % 7 - 2) as u16, (i % 5 - 1) as u16, u8::from(i % 2 == 0))).collect();
+        let inside = |i: &i64| {
+            (155..705).contains(&(10 * i)) && (2..5).contains(&(i % 7)) && (1..3).contains(&(i % 5))
+        };
+        let expected: Vec<_> = (0..100)
+            .filter(inside)
+            .map(|i| (10 * i - 100, (i % 7 - 2) as u16, (i % 5 - 1) as u16, u8::from(i % 2 == 0)))
+            .collect();
         assert_eq!(found, expected);
         assert!(!expected.is_empty());
     }

@@ -1,9 +1,11 @@
 //! Luma and chroma of BT.709: the one place where Y'CbCr becomes R'G'B', and R'G'B' becomes Y'CbCr.
 //!
-//! BT.709 for every file: HD films use it, and `write/video` writes it. A Y4M header has no agreed word for the matrix; films of standard definition may mean
-//! BT.601, whose pure red has 9 percent of green when it is read as BT.709. Readers name the matrix in a note.
+//! BT.709 for every file: HD films use it, and `write/video` writes it. A Y4M header has no agreed word for
+//! the matrix; films of standard definition may mean BT.601, whose pure red has 9 percent of green when it is
+//! read as BT.709. Readers name the matrix in a note.
 //!
-//! Source: ITU-R BT.709-6, items 3.2 to 3.5 (the matrix, limited range); full range stretches luma and chroma over all numbers, as JFIF does.
+//! Source: ITU-R BT.709-6, items 3.2 to 3.5 (the matrix, limited range); full range stretches luma and chroma
+//! over all numbers, as JFIF does.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,7 +47,9 @@ impl Levels {
         let most = f64::from((1_u32 << bits) - 1);
         let middle = 1 << (bits - 1);
         match range {
-            Range::Limited => Levels { black: 16.0 * unit, swing: 219.0 * unit, middle, chroma_swing: 224.0 * unit, most },
+            Range::Limited => {
+                Levels { black: 16.0 * unit, swing: 219.0 * unit, middle, chroma_swing: 224.0 * unit, most }
+            }
             Range::Full => Levels { black: 0.0, swing: most, middle, chroma_swing: most, most },
         }
     }
@@ -90,7 +94,11 @@ impl Levels {
     pub fn ycbcr(self, [red, green, blue]: [f64; 3], white: f64) -> [u16; 3] {
         let [weight_red, weight_green, weight_blue] = LUMINANCE;
         let luma = weight_red * red + weight_green * green + weight_blue * blue;
-        let chroma = |difference: f64, weight: f64| self.stored(f64::from(self.middle) + self.chroma_swing / white * difference / (2.0 * (1.0 - weight)));
+        let chroma = |difference: f64, weight: f64| {
+            self.stored(
+                f64::from(self.middle) + self.chroma_swing / white * difference / (2.0 * (1.0 - weight)),
+            )
+        };
         [self.stored_luma(luma, white), chroma(blue - luma, weight_blue), chroma(red - luma, weight_red)]
     }
 
@@ -103,35 +111,73 @@ impl Levels {
 mod tests {
     use super::*;
 
-    const COLOURS: [[f64; 3]; 8] =
-        [[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]];
+    const COLOURS: [[f64; 3]; 8] = [
+        [1.0, 1.0, 1.0],
+        [1.0, 1.0, 0.0],
+        [0.0, 1.0, 1.0],
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 1.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, 0.0],
+    ];
 
     #[test]
     fn the_bars_of_the_standard_have_its_numbers() {
-        // 100 percent bars of BT.709 as test patterns print them: white, yellow, cyan, green, magenta, red, blue, black.
-        let eight: [[u16; 3]; 8] =
-            [[235, 128, 128], [219, 16, 138], [188, 154, 16], [173, 42, 26], [78, 214, 230], [63, 102, 240], [32, 240, 118], [16, 128, 128]];
-        let ten: [[u16; 3]; 8] =
-            [[940, 512, 512], [877, 64, 553], [754, 615, 64], [691, 167, 105], [313, 857, 919], [250, 409, 960], [127, 960, 471], [64, 512, 512]];
+        // 100 percent bars of BT.709 as test patterns print them: white, yellow, cyan, green, magenta, red,
+        // blue, black.
+        let eight: [[u16; 3]; 8] = [
+            [235, 128, 128],
+            [219, 16, 138],
+            [188, 154, 16],
+            [173, 42, 26],
+            [78, 214, 230],
+            [63, 102, 240],
+            [32, 240, 118],
+            [16, 128, 128],
+        ];
+        let ten: [[u16; 3]; 8] = [
+            [940, 512, 512],
+            [877, 64, 553],
+            [754, 615, 64],
+            [691, 167, 105],
+            [313, 857, 919],
+            [250, 409, 960],
+            [127, 960, 471],
+            [64, 512, 512],
+        ];
         for (bits, bars, tolerance) in [(8, eight, 0.01), (10, ten, 0.0025)] {
             let levels = Levels::new(Range::Limited, bits);
             assert_eq!(COLOURS.map(|rgb| levels.ycbcr(rgb, 1.0)), bars);
             for (bar, rgb) in bars.into_iter().zip(COLOURS) {
-                assert!(levels.rgb(bar).iter().zip(rgb).all(|(found, expected)| (found - expected).abs() < tolerance), "{bits} bits, {bar:?}");
+                assert!(
+                    levels
+                        .rgb(bar)
+                        .iter()
+                        .zip(rgb)
+                        .all(|(found, expected)| (found - expected).abs() < tolerance),
+                    "{bits} bits, {bar:?}"
+                );
             }
         }
     }
 
     #[test]
     fn every_range_and_depth_gives_colours_back_within_its_steps() {
-        for (range, bits) in [Range::Limited, Range::Full].into_iter().flat_map(|range| [8, 9, 10, 12, 16].map(|bits| (range, bits))) {
+        for (range, bits) in [Range::Limited, Range::Full]
+            .into_iter()
+            .flat_map(|range| [8, 9, 10, 12, 16].map(|bits| (range, bits)))
+        {
             let levels = Levels::new(range, bits);
             // Half a step of luma, and of chroma times 1.8556 at most, over the smallest of the swings.
             let most = 0.5 * (1.0 + 1.8556) / (219.0 * f64::from(1_u32 << (bits - 8)));
             for k in 0..1000_u32 {
                 let rgb = [k % 10, k / 10 % 10, k / 100].map(|ninths| f64::from(ninths) / 9.0);
                 let found = levels.rgb(levels.ycbcr(rgb.map(|share| 255.0 * share), 255.0));
-                assert!(found.iter().zip(rgb).all(|(found, expected)| (found - expected).abs() <= most), "{range:?}, {bits} bits: {rgb:?}, {found:?}");
+                assert!(
+                    found.iter().zip(rgb).all(|(found, expected)| (found - expected).abs() <= most),
+                    "{range:?}, {bits} bits: {rgb:?}, {found:?}"
+                );
             }
         }
     }

@@ -3,7 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
-/// Text that cannot be taken for markup, in element content and in quoted attributes. Control characters but for line ends become spaces.
+/// Text that cannot be taken for markup, in element content and in quoted attributes. Control characters but
+/// for line ends become spaces.
 ///
 /// ```
 /// use photocurrent_page::escaped;

@@ -27,8 +27,13 @@ pub struct Activity {
 impl Activity {
     /// From the events of all pixels, with column and row; isolated events, without another of their polarity
     /// near, are left out.
-    pub fn new<'a>(extent: Extent, span: (i64, i64), events: impl Iterator<Item = (usize, usize, &'a [MapEvent])>) -> Activity {
-        let (columns, lines) = ((extent.width as usize).div_ceil(SIDE), (extent.height as usize).div_ceil(SIDE));
+    pub fn new<'a>(
+        extent: Extent,
+        span: (i64, i64),
+        events: impl Iterator<Item = (usize, usize, &'a [MapEvent])>,
+    ) -> Activity {
+        let (columns, lines) =
+            ((extent.width as usize).div_ceil(SIDE), (extent.height as usize).div_ceil(SIDE));
         let times = ((span.1 - span.0) / STEP_NS + 1) as usize;
         let none = vec![false; times * columns * lines];
         let mut activity = Activity { columns, lines, start_ns: span.0, fires: none, is_active: Vec::new() };
@@ -39,7 +44,11 @@ impl Activity {
                 }
             }
         }
-        activity.is_active = activity.fires.chunks_exact(columns * lines).flat_map(|blocks| activity.around(blocks, AROUND)).collect();
+        activity.is_active = activity
+            .fires
+            .chunks_exact(columns * lines)
+            .flat_map(|blocks| activity.around(blocks, AROUND))
+            .collect();
         activity
     }
 
@@ -50,7 +59,9 @@ impl Activity {
         for at in (0..blocks.len()).filter(|at| blocks[*at]) {
             let (line, column) = (at / columns, at % columns);
             for line in line.saturating_sub(reach)..usize::min(line + reach + 1, lines) {
-                around[line * columns + column.saturating_sub(reach)..line * columns + usize::min(column + reach + 1, columns)].fill(true);
+                around[line * columns + column.saturating_sub(reach)
+                    ..line * columns + usize::min(column + reach + 1, columns)]
+                    .fill(true);
             }
         }
         around
@@ -60,7 +71,10 @@ impl Activity {
     fn at_some(&self, of: &[bool], between: (i64, i64)) -> Vec<bool> {
         let mut blocks = vec![false; self.columns * self.lines];
         for time in self.times(between) {
-            blocks.iter_mut().zip(&of[time * self.columns * self.lines..]).for_each(|(block, is)| *block |= is);
+            blocks
+                .iter_mut()
+                .zip(&of[time * self.columns * self.lines..])
+                .for_each(|(block, is)| *block |= is);
         }
         blocks
     }
@@ -76,7 +90,11 @@ impl Activity {
     /// instants.
     pub fn places(&self, between: (i64, i64), pixels: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
         let blocks = self.at_some(&self.is_active, between);
-        pixels.enumerate().filter(|(_, (x, y))| blocks[y / SIDE * self.columns + x / SIDE]).map(|(n, _)| n).collect()
+        pixels
+            .enumerate()
+            .filter(|(_, (x, y))| blocks[y / SIDE * self.columns + x / SIDE])
+            .map(|(n, _)| n)
+            .collect()
     }
 
     /// Numbers of the intervals between two instants.
@@ -101,7 +119,9 @@ mod tests {
     #[test]
     fn places_near_neighbouring_events_are_active_for_a_while() {
         let activity = activity(false);
-        let at = |x: usize, y: usize, ms: i64| !activity.places((ms * 1_000_000, ms * 1_000_000), [(x, y)].into_iter()).is_empty();
+        let at = |x: usize, y: usize, ms: i64| {
+            !activity.places((ms * 1_000_000, ms * 1_000_000), [(x, y)].into_iter()).is_empty()
+        };
         assert!(at(60, 40, 100) && at(60 + 16, 40 - 16, 100) && at(60, 40, 90) && at(60, 40, 111));
         assert!(!at(60 + 40, 40, 100) && !at(60, 40 + 40, 100) && !at(60, 40, 50) && !at(60, 40, 150));
         // A span of time counts as a whole.

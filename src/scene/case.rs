@@ -1,4 +1,5 @@
-//! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the sensor.
+//! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the
+//! sensor.
 
 use crate::grey::Grey;
 use crate::recorded::Gathered;
@@ -8,8 +9,8 @@ use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Meta, Polarity, Rows, Sensor,
-    TimeSpan,
+    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence,
+    FrameTimes, FramesMeta, Meta, Polarity, Rows, Sensor, TimeSpan,
 };
 use std::ops::Range;
 use std::sync::Arc;
@@ -44,7 +45,8 @@ pub struct Case {
 }
 
 impl Case {
-    /// About how many bytes reading takes at its peak: events by pixel, a band of them as it is read, and frames.
+    /// About how many bytes reading takes at its peak: events by pixel, a band of them as it is read, and
+    /// frames.
     pub fn estimated_bytes(events: Option<&Arc<EventsMeta>>, frames: Option<&Arc<FramesMeta>>) -> u64 {
         let events = events.map_or(0, |meta| {
             let count = meta.count_hint.unwrap_or(8 * meta.extent.pixels() as u64);
@@ -54,13 +56,19 @@ impl Case {
         events.saturating_add(frames.map_or(0, |meta| Meta::Frames(meta.clone()).estimated_bytes()))
     }
 
-    /// A recording as far as it is known before its data: with their times, and without events and frame values.
+    /// A recording as far as it is known before its data: with their times, and without events and frame
+    /// values.
     ///
     /// # Errors
     /// When neither stream is there, or frames have no whole number of pixels along the side of an event's.
-    pub fn before_data(events: Option<&EventsMeta>, frames: Option<&FramesMeta>, sensor: &Sensor) -> Result<Case, DataError> {
+    pub fn before_data(
+        events: Option<&EventsMeta>,
+        frames: Option<&FramesMeta>,
+        sensor: &Sensor,
+    ) -> Result<Case, DataError> {
         let neither = || DataError::new("the recording has neither events nor frames");
-        let extent = events.map(|events| events.extent).or(frames.map(|frames| frames.extent)).ok_or_else(neither)?;
+        let extent =
+            events.map(|events| events.extent).or(frames.map(|frames| frames.extent)).ok_or_else(neither)?;
         let grey = frames.map(|frames| Grey::new(extent, frames, sensor)).transpose()?;
         Ok(Case {
             extent,
@@ -68,7 +76,9 @@ impl Case {
             events: PixelEvents::default(),
             has_t_in: events.is_some_and(|events| events.has_t_in),
             t_resolution_ns: events.and_then(|events| events.t_resolution_ns).unwrap_or(0),
-            frames: frames.zip(grey).map(|(frames, grey)| CaseFrames::new(grey.times(&frames.times), Vec::new())),
+            frames: frames
+                .zip(grey)
+                .map(|(frames, grey)| CaseFrames::new(grey.times(&frames.times), Vec::new())),
             sensor: sensor.clone(),
         })
     }
@@ -76,8 +86,13 @@ impl Case {
     /// Reads a recording into memory.
     ///
     /// # Errors
-    /// When neither stream is there, they cannot be read, or frames have no whole number of pixels along the side of an event's.
-    pub fn read(events: Option<&EventStream>, frames: Option<&FrameSequence>, sensor: &Sensor) -> Result<Case, DataError> {
+    /// When neither stream is there, they cannot be read, or frames have no whole number of pixels along the
+    /// side of an event's.
+    pub fn read(
+        events: Option<&EventStream>,
+        frames: Option<&FrameSequence>,
+        sensor: &Sensor,
+    ) -> Result<Case, DataError> {
         let extent = match (events, frames) {
             (Some(events), _) => events.meta.extent,
             (None, Some(frames)) => frames.meta.extent,
@@ -99,8 +114,13 @@ impl Case {
             None => (0..extent.pixels()).for_each(|_| gathered.pixel([])),
         }
         let both = frames.zip(grey).filter(|(frames, _)| !frames.is_empty());
-        let frames = both.map(|(frames, grey)| Ok(CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames)?))).transpose()?;
-        let span = Case::span_of(events.map(|events| &*events.meta), frames.as_ref().map(|frames| (&frames.times, extent.height)));
+        let frames = both
+            .map(|(frames, grey)| Ok(CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames)?)))
+            .transpose()?;
+        let span = Case::span_of(
+            events.map(|events| &*events.meta),
+            frames.as_ref().map(|frames| (&frames.times, extent.height)),
+        );
         Ok(Case {
             extent,
             span,
@@ -112,12 +132,18 @@ impl Case {
         })
     }
 
-    /// The events and the frames as data that others take, cut out of this recording as they are read; frames are grey, as captured.
+    /// The events and the frames as data that others take, cut out of this recording as they are read; frames
+    /// are grey, as captured.
     pub fn streams(&self) -> (EventStream, Option<FrameSequence>) {
         let (rows, shared) = (self.extent.rows(), Arc::new(Shared(self.clone())));
         let events = EventStream::new(Arc::new(self.events_meta()), rows, shared.clone());
         let frames = self.frames.as_ref().map(|frames| {
-            let meta = FramesMeta { extent: self.extent, colour: Colour::Mono, times: frames.times.clone(), scale: FrameScale::Captured };
+            let meta = FramesMeta {
+                extent: self.extent,
+                colour: Colour::Mono,
+                times: frames.times.clone(),
+                scale: FrameScale::Captured,
+            };
             FrameSequence::new(Arc::new(meta), rows, shared)
         });
         (events, frames)
@@ -145,8 +171,9 @@ impl Case {
         }
     }
 
-    /// The neighbouring frames of at most `values` values in all with the most events between them, and the events from the first one's start to the last one's end; none where all
-    /// frames fit, or fewer than three do.
+    /// The neighbouring frames of at most `values` values in all with the most events between them, and the
+    /// events from the first one's start to the last one's end; none where all frames fit, or fewer than
+    /// three do.
     pub fn busiest(&self, values: usize) -> Option<Case> {
         let frames = self.frames.as_ref()?;
         let pixels = self.extent.pixels();
@@ -155,7 +182,9 @@ impl Case {
             return None;
         }
         let row = self.extent.height - 1;
-        let span = |from: usize| (frames.times.exposure(from, 0).start.0, frames.times.exposure(from + count - 1, row).end.0);
+        let span = |from: usize| {
+            (frames.times.exposure(from, 0).start.0, frames.times.exposure(from + count - 1, row).end.0)
+        };
         let mut instants: Vec<i64> = self.events.iter().map(|event| event.t_in_ns).collect();
         instants.sort_unstable();
         let number = |from: usize| {
@@ -173,9 +202,14 @@ impl Case {
     pub fn part(&self, of: Range<usize>) -> Case {
         let frames = self.frames.as_ref().expect("frames are there");
         let pixels = self.extent.pixels();
-        let span = (frames.times.exposure(of.start, 0).start.0, frames.times.exposure(of.end - 1, self.extent.height - 1).end.0);
+        let span = (
+            frames.times.exposure(of.start, 0).start.0,
+            frames.times.exposure(of.end - 1, self.extent.height - 1).end.0,
+        );
         let within = |event: &&Recorded| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
-        let events = PixelEvents::new((0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()));
+        let events = PixelEvents::new(
+            (0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()),
+        );
         Case { span, events, frames: Some(frames.part(of)), sensor: self.sensor.clone(), ..*self }
     }
 
@@ -240,7 +274,11 @@ impl FrameSource for Shared {
         for frame in frames {
             for row in rows.iter() {
                 let first = row as usize * width;
-                block.row_mut(frame, row).iter_mut().enumerate().for_each(|(x, to)| *to = self.0.dn(frame, first + x) as f32);
+                block
+                    .row_mut(frame, row)
+                    .iter_mut()
+                    .enumerate()
+                    .for_each(|(x, to)| *to = self.0.dn(frame, first + x) as f32);
             }
         }
         Ok(block)
@@ -253,7 +291,11 @@ fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gather
     for k in 0..row.len() {
         let t_off_ns = row.t[k];
         let t_in_ns = row.t_in.map_or(t_off_ns - latency_ns, |t_in| t_in[k]);
-        of[usize::from(row.x[k])].push(Recorded { t_in_ns, t_off_ns, polarity: if row.on[k] == 1 { 1 } else { -1 } });
+        of[usize::from(row.x[k])].push(Recorded {
+            t_in_ns,
+            t_off_ns,
+            polarity: if row.on[k] == 1 { 1 } else { -1 },
+        });
     }
     of.into_iter().for_each(|events| gathered.pixel(events));
 }
@@ -269,10 +311,17 @@ mod tests {
         for has_t_in in [true, false] {
             let case = Case { has_t_in, t_resolution_ns: 20, ..testing::case() };
             // Without in-pixel times they follow from the off-pixel ones.
-            let case = if has_t_in { case } else { Case::read(Some(&case.streams().0), None, &case.sensor).unwrap() };
+            let case = if has_t_in {
+                case
+            } else {
+                Case::read(Some(&case.streams().0), None, &case.sensor).unwrap()
+            };
             let (events, frames) = case.streams();
             let again = Case::read(Some(&events), frames.as_ref(), &case.sensor).unwrap();
-            assert_eq!((again.events, again.frames, again.span), (case.events.clone(), case.frames.clone(), case.span));
+            assert_eq!(
+                (again.events, again.frames, again.span),
+                (case.events.clone(), case.frames.clone(), case.span)
+            );
             assert_eq!((again.has_t_in, again.t_resolution_ns), (has_t_in, 20));
         }
     }
@@ -292,10 +341,17 @@ mod tests {
         let case = testing::case();
         let (events, frames) = case.streams();
         let rows = case.extent.rows();
-        for (count, bands) in [(Some(1000), vec![10]), (Some(3 * BAND_EVENTS), vec![4, 4, 2]), (None, vec![10])] {
+        for (count, bands) in
+            [(Some(1000), vec![10]), (Some(3 * BAND_EVENTS), vec![4, 4, 2]), (None, vec![10])]
+        {
             let watched = Arc::new(Watched(events.clone(), Mutex::default()));
             let meta = Arc::new(EventsMeta { count_hint: count, ..(*events.meta).clone() });
-            let again = Case::read(Some(&EventStream::new(meta, rows, watched.clone())), frames.as_ref(), &case.sensor).unwrap();
+            let again = Case::read(
+                Some(&EventStream::new(meta, rows, watched.clone())),
+                frames.as_ref(),
+                &case.sensor,
+            )
+            .unwrap();
             assert_eq!(watched.1.lock().unwrap().iter().map(Rows::len).collect::<Vec<_>>(), bands);
             assert_eq!((again.events, again.frames), (case.events.clone(), case.frames.clone()));
         }
@@ -307,12 +363,18 @@ mod tests {
         let pixels = case.extent.pixels();
         assert!(case.busiest(7 * pixels).is_none() && case.busiest(2 * pixels).is_none());
         // Events of the last 25 ms only: the last four of seven frames have them all.
-        let late = PixelEvents::new((0..pixels).map(|pixel| case.events.of(pixel).iter().filter(|event| event.t_in_ns > 35_000_000).copied().collect()));
+        let late = PixelEvents::new((0..pixels).map(|pixel| {
+            case.events.of(pixel).iter().filter(|event| event.t_in_ns > 35_000_000).copied().collect()
+        }));
         let part = Case { events: late, ..case.clone() }.busiest(4 * pixels + 5).unwrap();
         assert_eq!(part.span, (24_000_000, 52_000_000 + 9 * 20_000));
         assert_eq!(part.frame_count(), 4);
         assert_eq!((part.dn(0, 17), part.dn(3, 50)), (case.dn(3, 17), case.dn(6, 50)));
-        let within = case.events.iter().filter(|event| event.t_in_ns > 35_000_000 && event.t_off_ns < part.span.1).count();
+        let within = case
+            .events
+            .iter()
+            .filter(|event| event.t_in_ns > 35_000_000 && event.t_off_ns < part.span.1)
+            .count();
         assert_eq!(part.events.len(), within);
     }
 }

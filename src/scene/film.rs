@@ -22,7 +22,11 @@ impl LogTracks {
     /// Of a band that holds all rows.
     pub fn new(extent: Extent, band: TrackBand, fired: &Arc<Fired>) -> LogTracks {
         let offsets = band.offsets().to_vec();
-        let log = band.photocurrent.par_iter().map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE)) as f32).collect();
+        let log = band
+            .photocurrent
+            .par_iter()
+            .map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE)) as f32)
+            .collect();
         LogTracks { extent, fired: fired.clone(), offsets, t_ns: band.t, log }
     }
 
@@ -125,8 +129,12 @@ impl Film {
         };
         let rows: Vec<Vec<f32>> = (0..height).into_par_iter().map(row).collect();
         let picture = |n: usize| -> Image {
-            let mut picture: Vec<f32> = rows.iter().flat_map(|lines| &lines[n * width..(n + 1) * width]).copied().collect();
-            let sum = picture.iter().filter(|u| !u.is_nan()).fold((0.0, 0.0), |(sum, n), u| (sum + f64::from(*u), n + 1.0));
+            let mut picture: Vec<f32> =
+                rows.iter().flat_map(|lines| &lines[n * width..(n + 1) * width]).copied().collect();
+            let sum = picture
+                .iter()
+                .filter(|u| !u.is_nan())
+                .fold((0.0, 0.0), |(sum, n), u| (sum + f64::from(*u), n + 1.0));
             let grey = if sum.1 > 0.0 { (sum.0 / sum.1) as f32 } else { 0.0 };
             picture.iter_mut().filter(|u| u.is_nan()).for_each(|u| *u = grey);
             Image { width, height, values: picture }

@@ -86,9 +86,16 @@ type Affine = [f64; 6];
 
 impl Flow {
     /// Of tracks between two instants; with rivals on request.
-    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), activity: &Activity, how: (&MotionParams, bool)) -> Flow {
+    pub fn of_tracks(
+        tracks: &LogTracks,
+        span: (i64, i64),
+        activity: &Activity,
+        how: (&MotionParams, bool),
+    ) -> Flow {
         let size = (tracks.extent.width as usize, tracks.extent.height as usize);
-        Flow::new(size, (span.0, Film::count(span)), activity, how, |numbers| Film::new(tracks, span.0, numbers))
+        Flow::new(size, (span.0, Film::count(span)), activity, how, |numbers| {
+            Film::new(tracks, span.0, numbers)
+        })
     }
 
     /// From a film of so many pictures from an instant on, of which `film` gives those of any numbers.
@@ -104,19 +111,33 @@ impl Flow {
         let (mut fields, mut rivals) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
         for first in (0..bins).step_by(TOGETHER) {
             let bins = first..usize::min(first + TOGETHER, bins);
-            let numbers = (bins.start * STRIDE).saturating_sub(REACH)..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
+            let numbers = (bins.start * STRIDE).saturating_sub(REACH)
+                ..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
             let at_ns = |n: usize| start_ns + n as i64 * STEP_NS;
-            let places = activity.places((at_ns(numbers.start), at_ns(numbers.end)), (0..lattice.len()).map(|at| lattice.pixel(at)));
+            let places = activity.places(
+                (at_ns(numbers.start), at_ns(numbers.end)),
+                (0..lattice.len()).map(|at| lattice.pixel(at)),
+            );
             if places.is_empty() {
                 fields.extend(bins.clone().map(|_| vec![[0.0; 2]; lattice.len()]));
                 rivals.extend(bins.filter(|_| with_rivals).map(|_| vec![[0.0; 2]; lattice.len()]));
                 continue;
             }
             let film = film(numbers);
-            let estimator = Estimator { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places, params, with_rivals };
+            let estimator = Estimator {
+                lattice,
+                coarse: &film.smoothed(2.0),
+                fine: &film.smoothed(0.7),
+                count,
+                places: &places,
+                params,
+                with_rivals,
+            };
             let per_ms = 1e6 / STEP_NS as f64;
             let of = |bin: usize| {
-                let per_ms = |field: Vec<[f64; 2]>| -> Vec<[f32; 2]> { field.iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect() };
+                let per_ms = |field: Vec<[f64; 2]>| -> Vec<[f32; 2]> {
+                    field.iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect()
+                };
                 let (field, rival) = estimator.estimate(bin * STRIDE);
                 (per_ms(field), per_ms(rival))
             };
@@ -162,8 +183,11 @@ impl Flow {
         for (axis, value) in velocity.iter_mut().enumerate() {
             let at = |field: usize| {
                 let f = &fields[field];
-                let v = |i: usize, j: usize| f64::from(f[usize::min(j, lines - 1) * columns + usize::min(i, columns - 1)][axis]);
-                (1.0 - dy) * ((1.0 - dx) * v(i, j) + dx * v(i + 1, j)) + dy * ((1.0 - dx) * v(i, j + 1) + dx * v(i + 1, j + 1))
+                let v = |i: usize, j: usize| {
+                    f64::from(f[usize::min(j, lines - 1) * columns + usize::min(i, columns - 1)][axis])
+                };
+                (1.0 - dy) * ((1.0 - dx) * v(i, j) + dx * v(i + 1, j))
+                    + dy * ((1.0 - dx) * v(i, j + 1) + dx * v(i + 1, j + 1))
             };
             *value = (1.0 - share) * at(before) + share * at(after);
         }
@@ -194,7 +218,10 @@ impl Pairs<'_> {
     fn each(&self, mut with: impl FnMut(&Image, &Image, f64, f64)) {
         for &shift in self.shifts {
             for &distance in self.distances {
-                let (early, late) = (self.middle as i64 + shift - distance as i64, self.middle as i64 + shift + distance as i64);
+                let (early, late) = (
+                    self.middle as i64 + shift - distance as i64,
+                    self.middle as i64 + shift + distance as i64,
+                );
                 if early >= 0 && (late as usize) < self.count {
                     let at = |n: i64| (n - self.middle as i64) as f64;
                     let picture = |n: i64| &self.film.pictures[n as usize - self.film.first];
@@ -205,7 +232,13 @@ impl Pairs<'_> {
     }
 
     /// Disagreement and its gradient by the velocity at a pixel, for a pair.
-    fn disagreement(&self, pair: (&Image, &Image, f64, f64), x: f64, y: f64, v: [f64; 2]) -> Option<(f64, f64, f64)> {
+    fn disagreement(
+        &self,
+        pair: (&Image, &Image, f64, f64),
+        x: f64,
+        y: f64,
+        v: [f64; 2],
+    ) -> Option<(f64, f64, f64)> {
         let (early, late, t0, t1) = pair;
         let first = early.sample(x + v[0] * t0, y + v[1] * t0)?;
         let second = late.sample(x + v[0] * t1, y + v[1] * t1)?;
@@ -231,7 +264,14 @@ impl Estimator<'_> {
     fn estimate(&self, middle: usize) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
         let Estimator { lattice, coarse, fine, count, places, params, .. } = *self;
         let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
-        let pairs = |film, distances| Pairs { film, count, robust: params.robust * params.robust, middle, shifts: &[-2, 0, 2], distances };
+        let pairs = |film, distances| Pairs {
+            film,
+            count,
+            robust: params.robust * params.robust,
+            middle,
+            shifts: &[-2, 0, 2],
+            distances,
+        };
         let affine = self.affine(&pairs(coarse, &[1]), [0.0; 6], 6);
         let affine = self.affine(&pairs(fine, &[1, 2]), affine, 4);
         let affine = self.affine(&pairs(fine, &[2, 4]), affine, 3);
@@ -261,10 +301,12 @@ impl Estimator<'_> {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
                     // Who leaves the sensor explains nothing.
-                    let square = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, candidate[at]).map_or(1.0, |(e, ..)| {
-                        let square = e * e / pairs.robust;
-                        square / (1.0 + square)
-                    });
+                    let square = pairs
+                        .disagreement((early, late, t0, t1), x as f64, y as f64, candidate[at])
+                        .map_or(1.0, |(e, ..)| {
+                            let square = e * e / pairs.robust;
+                            square / (1.0 + square)
+                        });
                     sums[at] += square as f32;
                 }
             });
@@ -274,11 +316,21 @@ impl Estimator<'_> {
         let own = cost(field);
         let mut best = own.iter().map(|cost| cost * left).collect::<Vec<f32>>();
         let mut tried = vec![(own, begun.clone())];
-        let of_all: Vec<[f64; 2]> = (0..self.lattice.len()).map(|at| self.lattice.pixel(at)).map(|(x, y)| self.velocity_of(affine, x, y)).collect();
-        let far = farther.iter().map(|far| i64::from(*far)).flat_map(|far| [(far, 0), (-far, 0), (0, far), (0, -far)]);
+        let of_all: Vec<[f64; 2]> = (0..self.lattice.len())
+            .map(|at| self.lattice.pixel(at))
+            .map(|(x, y)| self.velocity_of(affine, x, y))
+            .collect();
+        let far = farther
+            .iter()
+            .map(|far| i64::from(*far))
+            .flat_map(|far| [(far, 0), (-far, 0), (0, far), (0, -far)]);
         let shifted = far.map(|(dx, dy)| -> Vec<[f64; 2]> {
-            let place = |at: usize, by: i64, count: usize| (at as i64 + by / pitch as i64).clamp(0, count as i64 - 1) as usize;
-            (0..begun.len()).map(|at| begun[place(at / columns, dy, lines) * columns + place(at % columns, dx, columns)]).collect()
+            let place = |at: usize, by: i64, count: usize| {
+                (at as i64 + by / pitch as i64).clamp(0, count as i64 - 1) as usize
+            };
+            (0..begun.len())
+                .map(|at| begun[place(at / columns, dy, lines) * columns + place(at % columns, dx, columns)])
+                .collect()
         });
         for candidate in std::iter::once(of_all).chain(shifted) {
             let cost = cost(&candidate);
@@ -295,8 +347,15 @@ impl Estimator<'_> {
         let mut rivals = field.to_vec();
         for &at in self.places {
             let apart = |v: [f64; 2]| libm::hypot(v[0] - field[at][0], v[1] - field[at][1]);
-            let of_field = tried.iter().filter(|(_, candidate)| candidate[at] == field[at]).map(|(cost, _)| cost[at]).fold(f32::INFINITY, f32::min);
-            let close = tried.iter().filter(|(cost, _)| cost[at] * left <= of_field).map(|(_, candidate)| candidate[at]);
+            let of_field = tried
+                .iter()
+                .filter(|(_, candidate)| candidate[at] == field[at])
+                .map(|(cost, _)| cost[at])
+                .fold(f32::INFINITY, f32::min);
+            let close = tried
+                .iter()
+                .filter(|(cost, _)| cost[at] * left <= of_field)
+                .map(|(_, candidate)| candidate[at]);
             rivals[at] = close.fold(field[at], |most, v| if apart(v) > apart(most) { v } else { most });
         }
         rivals
@@ -312,7 +371,10 @@ impl Estimator<'_> {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
                     let v = self.velocity_of(&p, x, y);
-                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v) else { continue };
+                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v)
+                    else {
+                        continue;
+                    };
                     let square = e * e / pairs.robust;
                     let w = 1.0 / ((1.0 + square) * (1.0 + square));
                     let (cx, cy) = centred(width, height, x, y);
@@ -350,7 +412,11 @@ impl Estimator<'_> {
             pairs.each(|early, late, t0, t1| {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
-                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, field[at]) else { continue };
+                    let Some((e, gx, gy)) =
+                        pairs.disagreement((early, late, t0, t1), x as f64, y as f64, field[at])
+                    else {
+                        continue;
+                    };
                     let w = 1.0 / (1.0 + e * e / pairs.robust);
                     for (sum, value) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx * e, gy * e]) {
                         sum[at] += (w * value) as f32;

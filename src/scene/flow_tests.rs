@@ -7,16 +7,29 @@ use photocurrent_sensor::map::MapEvent;
 /// Log light that slides by 0.7 and 0.2 pixels a millisecond.
 fn texture(x: usize, y: usize, ms: f64) -> f64 {
     let (x, y) = (x as f64 - 0.7 * ms, y as f64 - 0.2 * ms);
-    4.6 + 0.3 * libm::sin(0.8 * x + 0.3) * libm::cos(0.7 * y) + 0.2 * libm::sin(0.4 * x - 0.9 * y) + 0.1 * libm::sin(1.3 * x + 0.5 * y)
+    4.6 + 0.3 * libm::sin(0.8 * x + 0.3) * libm::cos(0.7 * y)
+        + 0.2 * libm::sin(0.4 * x - 0.9 * y)
+        + 0.1 * libm::sin(1.3 * x + 0.5 * y)
 }
 
 #[test]
 fn the_motion_of_a_sliding_texture_is_found() {
     // From the light itself, so that only the motion estimate is tested.
-    let picture = |n: usize| Image { width: 24, height: 16, values: (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect() };
-    let film = |numbers: std::ops::Range<usize>| Film { first: numbers.start, pictures: numbers.map(picture).collect() };
+    let picture = |n: usize| Image {
+        width: 24,
+        height: 16,
+        values: (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect(),
+    };
+    let film = |numbers: std::ops::Range<usize>| Film {
+        first: numbers.start,
+        pictures: numbers.map(picture).collect(),
+    };
     let event = MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
-    let activity = Activity::new(Extent { width: 24, height: 16 }, (0, 20_000_000), std::iter::once((12, 8, &[event][..])));
+    let activity = Activity::new(
+        Extent { width: 24, height: 16 },
+        (0, 20_000_000),
+        std::iter::once((12, 8, &[event][..])),
+    );
     let flow = Flow::new((24, 16), (0, 41), &activity, (&MotionParams::default(), true), film);
     for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
         let [vx, vy] = flow.at(x, y, t_ns);
@@ -35,16 +48,22 @@ fn what_passes_before_a_ground_leaves_its_motion_alone() {
         let inside = (3.5 - libm::hypot(x as f64 - cx, y as f64 - cy)).clamp(0.0, 1.0);
         texture(x, y, ms) + 1.5 * inside
     };
-    let values = |n: usize| (0..width * height).map(|p| log(p % width, p / width, 0.5 * n as f64) as f32).collect();
+    let values =
+        |n: usize| (0..width * height).map(|p| log(p % width, p / width, 0.5 * n as f64) as f32).collect();
     let picture = |n: usize| Image { width, height, values: values(n) };
-    let film = |numbers: std::ops::Range<usize>| Film { first: numbers.start, pictures: numbers.map(picture).collect() };
+    let film = |numbers: std::ops::Range<usize>| Film {
+        first: numbers.start,
+        pictures: numbers.map(picture).collect(),
+    };
     let event = MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let extent = Extent { width: width as u32, height: height as u32 };
     let activity = Activity::new(extent, (0, 20_000_000), std::iter::once((30, 22, &[event][..])));
     let flow = Flow::new((width, height), (0, 41), &activity, (&MotionParams::default(), true), film);
     // In a ring around it, as far as windows reach.
-    let ring: Vec<(usize, usize)> =
-        (0..width * height).map(|p| (p % width, p / width)).filter(|(x, y)| (7.0..12.0).contains(&libm::hypot(*x as f64 - 30.0, *y as f64 - 22.0))).collect();
+    let ring: Vec<(usize, usize)> = (0..width * height)
+        .map(|p| (p % width, p / width))
+        .filter(|(x, y)| (7.0..12.0).contains(&libm::hypot(*x as f64 - 30.0, *y as f64 - 22.0)))
+        .collect();
     let off = |(x, y): &(usize, usize)| {
         let [vx, vy] = flow.at(*x as f64, *y as f64, 10_000_000);
         libm::hypot(vx - 0.7, vy - 0.2)

@@ -32,7 +32,9 @@ impl Gate {
         let pixels = width * height;
         let all = spread * middle(residual.iter().copied());
         let rows = residual.chunks_exact(width);
-        let white = spread * middle(rows.flat_map(|row| row.windows(2).map(|pair| pair[1] - pair[0]))) * std::f64::consts::FRAC_1_SQRT_2;
+        let white = spread
+            * middle(rows.flat_map(|row| row.windows(2).map(|pair| pair[1] - pair[0])))
+            * std::f64::consts::FRAC_1_SQRT_2;
         let allowed = |white: f64| f64::max(least_dn, f64::min(all, f64::max(white, structure_dn))) as f32;
         let (most, most_mean) = (allowed(white), allowed(white / 3.0));
         let count = case.frame_count();
@@ -40,7 +42,8 @@ impl Gate {
         for l in 0..count {
             for y in 0..height {
                 for x in 0..width {
-                    let near = (y.saturating_sub(1)..(y + 2).min(height)).flat_map(|j| (x.saturating_sub(1)..(x + 2).min(width)).map(move |i| j * width + i));
+                    let near = (y.saturating_sub(1)..(y + 2).min(height))
+                        .flat_map(|j| (x.saturating_sub(1)..(x + 2).min(width)).map(move |i| j * width + i));
                     let (mut sum, mut number, mut is_good) = (0.0, 0.0, true);
                     for at in near {
                         let r = residual[l * pixels + at];
@@ -93,9 +96,11 @@ mod tests {
     fn noise_is_predicted_and_what_neighbours_share_is_not() {
         let case = testing::texture(Extent { width: 24, height: 18 }, 6);
         let mut random = Random::new(5, &[]);
-        let mut residual: Vec<f32> = (0..case.frame_count() * 432).map(|_| (5.0 * random.normal()) as f32).collect();
+        let mut residual: Vec<f32> =
+            (0..case.frame_count() * 432).map(|_| (5.0 * random.normal()) as f32).collect();
         let share = |gate: &Gate, at: &dyn Fn(usize) -> bool| {
-            let of: Vec<bool> = gate.good.iter().enumerate().filter(|(k, _)| at(*k)).map(|(_, good)| *good).collect();
+            let of: Vec<bool> =
+                gate.good.iter().enumerate().filter(|(k, _)| at(*k)).map(|(_, good)| *good).collect();
             of.iter().filter(|good| **good).count() as f64 / of.len() as f64
         };
         // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their

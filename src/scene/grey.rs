@@ -1,13 +1,16 @@
 //! Frames as the event pixels receive them: one grey value for each pixel of the events.
 //!
-//! Frames may have three values a pixel, or a whole number of pixels along the side of each event pixel: a photodiode without a filter receives the light of all of
-//! them, so their values are averaged by what it receives of each colour (`optics.event_weights`, alike where nothing is stated), over the channels' gains. Behind a mosaic of
-//! filters at the events' own pixels, events have the colour of their pixel as well, so each value stays as it is; neighbours then measure other light
-//! ([`Grey::is_behind_filters`]).
+//! Frames may have three values a pixel, or a whole number of pixels along the side of each event pixel: a
+//! photodiode without a filter receives the light of all of them, so their values are averaged by what it
+//! receives of each colour (`optics.event_weights`, alike where nothing is stated), over the channels' gains.
+//! Behind a mosaic of filters at the events' own pixels, events have the colour of their pixel as well, so
+//! each value stays as it is; neighbours then measure other light ([`Grey::is_behind_filters`]).
 //!
 //! Limit: a mean of values of which one is saturated is not known.
 
-use photocurrent_core::{Colour, DataError, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp};
+use photocurrent_core::{
+    Colour, DataError, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp,
+};
 
 /// How frames become one grey value for each event pixel.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,18 +35,31 @@ impl Grey {
         let ratio = frames.extent.multiple_of(extent).ok_or_else(|| {
             let (found, times) = (frames.extent, "or a whole number of times as many");
             DataError::new(format!(
-                "frames have {found} pixels, {}; a diagnosis needs frames of {extent} pixels, as the events have, {times}",
+                "frames have {found} pixels, {}; a diagnosis needs frames of {extent} pixels, as the events \
+                 have, {times}",
                 frames.colour.name()
             ))
         })?;
-        let (weights, gains) = (sensor.optics.event_weights.unwrap_or([1.0; 3]), sensor.frames.channel_gain.unwrap_or([1.0; 3]));
+        let (weights, gains) =
+            (sensor.optics.event_weights.unwrap_or([1.0; 3]), sensor.frames.channel_gain.unwrap_or([1.0; 3]));
         if !gains.iter().all(|gain| *gain > 0.0 && gain.is_finite()) {
-            return Err(DataError::new(format!("`frames.channel_gain` is {gains:?}, and must be three positive numbers: red, green, blue")));
+            return Err(DataError::new(format!(
+                "`frames.channel_gain` is {gains:?}, and must be three \
+                                               positive numbers: red, green, blue"
+            )));
         }
-        if !weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite()) || weights.iter().sum::<f64>() <= 0.0 {
-            return Err(DataError::new(format!("`optics.event_weights` is {weights:?}, and must be three numbers, not negative and not all 0")));
+        if !weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite())
+            || weights.iter().sum::<f64>() <= 0.0
+        {
+            return Err(DataError::new(format!(
+                "`optics.event_weights` is {weights:?}, and must be three \
+                                               numbers, not negative and not all 0"
+            )));
         }
-        let (black, full) = (sensor.frames.black_level_dn.unwrap_or(0.0), sensor.frames.saturation_dn.unwrap_or(f64::INFINITY));
+        let (black, full) = (
+            sensor.frames.black_level_dn.unwrap_or(0.0),
+            sensor.frames.saturation_dn.unwrap_or(f64::INFINITY),
+        );
         Ok(Grey { extent, ratio, colour: frames.colour, weights, gains, black, full })
     }
 
@@ -63,7 +79,10 @@ impl Grey {
             return times.clone();
         }
         let later_ns = i64::from(self.ratio - 1) * times.row_time_ns / 2;
-        let moved = |exposure: &Exposure| Exposure { start: Timestamp(exposure.start.0 + later_ns), end: Timestamp(exposure.end.0 + later_ns) };
+        let moved = |exposure: &Exposure| Exposure {
+            start: Timestamp(exposure.start.0 + later_ns),
+            end: Timestamp(exposure.end.0 + later_ns),
+        };
         let exposures: Vec<Exposure> = times.exposures.iter().map(moved).collect();
         FrameTimes { exposures: exposures.into(), row_time_ns: i64::from(self.ratio) * times.row_time_ns }
     }
@@ -82,7 +101,9 @@ impl Grey {
             // One frame at a time: in colour they are larger than what is made of them.
             let block = frames.read(l..l + 1, rows)?;
             let values = block.frame(l);
-            (0..self.extent.height).for_each(|y| all.extend((0..self.extent.width).map(|x| self.of_pixel(values, block.row_values, x, y))));
+            (0..self.extent.height).for_each(|y| {
+                all.extend((0..self.extent.width).map(|x| self.of_pixel(values, block.row_values, x, y)))
+            });
         }
         Ok(all)
     }
@@ -93,7 +114,10 @@ impl Grey {
         for row in y * self.ratio..(y + 1) * self.ratio {
             for value in x * side..(x + 1) * side {
                 let dn = f64::from(values[row as usize * row_values + value as usize]);
-                let (of, gain) = self.colour.channel(value, row).map_or((1.0, 1.0), |channel| (self.weights[channel], self.gains[channel]));
+                let (of, gain) = self
+                    .colour
+                    .channel(value, row)
+                    .map_or((1.0, 1.0), |channel| (self.weights[channel], self.gains[channel]));
                 // One value alone is not weighted.
                 let of = if side == 1 { 1.0 } else { of };
                 sum += if dn < self.full {
@@ -155,7 +179,11 @@ mod tests {
         let of = |frames: &FrameSequence| Grey::new(EXTENT, &frames.meta, &sensor).unwrap();
         let (mosaic, cells) = (frames(1, "bayer_rggb", &[5.0, 7.0]), frames(2, "bayer_rggb", &[1.0; 8]));
         assert_eq!(grey(&mosaic, &sensor), [5.0, 7.0]);
-        assert!(of(&mosaic).is_behind_filters() && !of(&cells).is_behind_filters() && !of(&finer).is_behind_filters());
+        assert!(
+            of(&mosaic).is_behind_filters()
+                && !of(&cells).is_behind_filters()
+                && !of(&finer).is_behind_filters()
+        );
         assert!(of(&frames(1, "mono", &[1.0, 2.0])).is_plain() && !of(&mosaic).is_plain());
         let other = FramesMeta { extent: Extent { width: 3, height: 1 }, ..(*finer.meta).clone() };
         assert!(Grey::new(EXTENT, &other, &sensor).unwrap_err().message.contains("whole number of times"));

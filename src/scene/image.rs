@@ -19,7 +19,10 @@ impl Image {
         if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
             return None;
         }
-        let (i, j) = (usize::min(x as usize, width.saturating_sub(2)), usize::min(y as usize, height.saturating_sub(2)));
+        let (i, j) = (
+            usize::min(x as usize, width.saturating_sub(2)),
+            usize::min(y as usize, height.saturating_sub(2)),
+        );
         let (dx, dy) = (x - i as f64, y - j as f64);
         // One row or column alone has no next one.
         let (right, below) = (usize::from(width > 1), if height > 1 { width } else { 0 });
@@ -82,7 +85,8 @@ impl Image {
 /// A picture smoothed by a Gaussian; beyond the border it goes on as at the border.
 pub fn smooth(picture: &[f32], width: usize, height: usize, sigma: f64) -> Vec<f32> {
     let reach = (2.5 * sigma).ceil() as usize;
-    let half: Vec<f64> = (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma))).collect();
+    let half: Vec<f64> =
+        (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma))).collect();
     let total = half[0] + 2.0 * half[1..].iter().sum::<f64>();
     let kernel: Vec<f32> = half.iter().map(|w| (w / total) as f32).collect();
     let mut across = vec![0.0; picture.len()];
@@ -100,7 +104,8 @@ pub fn smooth(picture: &[f32], width: usize, height: usize, sigma: f64) -> Vec<f
         for (k, w) in kernel.iter().enumerate() {
             let (above, below) = (y.saturating_sub(k) * width, usize::min(y + k, height - 1) * width);
             for (x, value) in out.iter_mut().enumerate() {
-                *value += if k == 0 { w * across[above + x] } else { w * (across[above + x] + across[below + x]) };
+                *value +=
+                    if k == 0 { w * across[above + x] } else { w * (across[above + x] + across[below + x]) };
             }
         }
     }
@@ -115,12 +120,16 @@ mod tests {
     fn a_plane_is_sampled_exactly_and_nothing_is_outside() {
         let plane = |x: f64, y: f64| 3.0 + 0.5 * x - 0.25 * y;
         for (width, height) in [(4, 3), (1, 3), (4, 1)] {
-            let values = (0..width * height).map(|k| plane((k % width) as f64, (k / width) as f64) as f32).collect();
+            let values =
+                (0..width * height).map(|k| plane((k % width) as f64, (k / width) as f64) as f32).collect();
             let image = Image { width, height, values };
             let (x, y) = (0.75 * (width - 1) as f64, 0.5 * (height - 1) as f64);
             let (value, by_x, by_y) = image.sample(x, y).unwrap();
             assert_eq!(value, plane(x, y));
-            assert_eq!((by_x, by_y), (if width > 1 { 0.5 } else { 0.0 }, if height > 1 { -0.25 } else { 0.0 }));
+            assert_eq!(
+                (by_x, by_y),
+                (if width > 1 { 0.5 } else { 0.0 }, if height > 1 { -0.25 } else { 0.0 })
+            );
             assert!(image.sample(-0.01, 0.0).is_none() && image.sample(0.0, height as f64 - 0.9).is_none());
         }
     }

@@ -28,7 +28,12 @@ const BIN: usize = 64;
 impl KnownLight {
     /// Of a recording; `light` has all its pixels. Frame values count as in `setting`.
     pub fn new(case: &Case, nominal: &Nominal, light: Arc<[Knots]>, setting: &PictureSetting) -> KnownLight {
-        let mut known = KnownLight { light, residual: Vec::new(), misfit: 1.0, noise: (setting.frame_dn, setting.frame_share) };
+        let mut known = KnownLight {
+            light,
+            residual: Vec::new(),
+            misfit: 1.0,
+            noise: (setting.frame_dn, setting.frame_share),
+        };
         known.compare(case, nominal);
         known
     }
@@ -43,8 +48,11 @@ impl KnownLight {
         };
         self.residual = predicted.iter().enumerate().map(left).collect();
         // Noise is how values of like brightness differ; what they have in common is an effect.
-        let signal = |k: usize| case.dn(k / pixels, k % pixels) - f64::from(self.residual[k]) - nominal.number.black_level;
-        let mut order: Vec<usize> = (0..self.residual.len()).filter(|&k| self.residual[k].is_finite()).collect();
+        let signal = |k: usize| {
+            case.dn(k / pixels, k % pixels) - f64::from(self.residual[k]) - nominal.number.black_level
+        };
+        let mut order: Vec<usize> =
+            (0..self.residual.len()).filter(|&k| self.residual[k].is_finite()).collect();
         order.sort_by(|&a, &b| signal(a).total_cmp(&signal(b)).then(a.cmp(&b)));
         let mut shares: Vec<f64> = order
             .chunks(BIN)
@@ -74,7 +82,10 @@ impl Scene for KnownLight {
             if t.is_empty() {
                 return Vec::new();
             }
-            instants.iter().map(|&at_ns| ln(f64::max(at(t, photocurrent, at_ns), f64::MIN_POSITIVE)) as f32).collect()
+            instants
+                .iter()
+                .map(|&at_ns| ln(f64::max(at(t, photocurrent, at_ns), f64::MIN_POSITIVE)) as f32)
+                .collect()
         };
         pixels.iter().map(of).collect()
     }
@@ -96,12 +107,18 @@ impl Scene for KnownLight {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
-        let mut known = KnownLight { light: self.light.clone(), residual: Vec::new(), misfit: 1.0, noise: self.noise };
+        let mut known =
+            KnownLight { light: self.light.clone(), residual: Vec::new(), misfit: 1.0, noise: self.noise };
         known.compare(case, nominal);
         Ok(Box::new(known))
     }
 
-    fn posterior_sample(&self, _case: &Case, _nominal: &Nominal, _seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
+    fn posterior_sample(
+        &self,
+        _case: &Case,
+        _nominal: &Nominal,
+        _seed: u64,
+    ) -> Result<Option<Box<dyn Scene>>, String> {
         Ok(None)
     }
 

@@ -52,7 +52,10 @@ impl Light {
         let instants: Vec<i64> = (0..self.count).map(|k| self.instant(k)).collect();
         let of = |pixel: usize| -> Vec<f32> {
             let log: Vec<f64> = self.log[pixel].iter().map(|u| f64::from(*u)).collect();
-            let Some(times) = case.frames.as_ref().map(|frames| &frames.times).filter(|_| !log.is_empty()) else { return vec![f32::NAN; count] };
+            let Some(times) = case.frames.as_ref().map(|frames| &frames.times).filter(|_| !log.is_empty())
+            else {
+                return vec![f32::NAN; count];
+            };
             let track = Track::new(&instants, &log, self.step_ns);
             let row = case.place(pixel).1;
             (0..count).map(|l| nominal.number.of(track.collected_in(times.exposure(l, row))) as f32).collect()
@@ -83,7 +86,9 @@ mod tests {
         let nominal = case.nominal().unwrap();
         let mut light = Light::blank(&case, 100_000);
         // ln i = 4 + 9 (t - start), t in seconds, in every pixel but the first.
-        let ramp: Vec<f32> = (0..light.count).map(|k| (4.0 + 9.0 * (light.instant(k) - light.start_ns) as f64 * 1e-9) as f32).collect();
+        let ramp: Vec<f32> = (0..light.count)
+            .map(|k| (4.0 + 9.0 * (light.instant(k) - light.start_ns) as f64 * 1e-9) as f32)
+            .collect();
         light.log.iter_mut().skip(1).for_each(|log| log.clone_from(&ramp));
         let frames = light.frames(&case, &nominal);
         let times = &case.frames.as_ref().unwrap().times;
@@ -95,7 +100,8 @@ mod tests {
             }
             let exposure = times.exposure(l, (pixel / 8) as u32);
             let at = |t: i64| libm::exp(4.0 + 9.0 * (t - light.start_ns) as f64 * 1e-9);
-            let expected = nominal.number.black_level + nominal.number.gain * (at(exposure.end.0) - at(exposure.start.0)) / 9.0;
+            let expected = nominal.number.black_level
+                + nominal.number.gain * (at(exposure.end.0) - at(exposure.start.0)) / 9.0;
             assert!((f64::from(*dn) - expected).abs() < 1e-4 * expected, "{dn} is {expected}");
         }
     }

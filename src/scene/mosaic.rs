@@ -1,8 +1,8 @@
 //! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a
 //! few frames each where it does not.
 //!
-//! Whether a tile is better off with a picture of its own is selected of frame values alone: those that change
-//! and that either predicts within the noise.
+//! Whether a tile is better off with a picture of its own is selected of frame values alone: those that
+//! change and that either predicts within the noise.
 
 use crate::case::Case;
 use crate::light::Light;
@@ -49,8 +49,15 @@ pub struct MosaicSetting {
 
 impl Default for MosaicSetting {
     fn default() -> MosaicSetting {
-        let picture =
-            PictureSetting { rounds: (4, 4), steps: (30, 60), again: 3, again_steps: 40, draw_steps: 30, is_shaded: false, ..PictureSetting::default() };
+        let picture = PictureSetting {
+            rounds: (4, 4),
+            steps: (30, 60),
+            again: 3,
+            again_steps: 40,
+            draw_steps: 30,
+            is_shaded: false,
+            ..PictureSetting::default()
+        };
         MosaicSetting {
             patches: PatchSetting::default(),
             picture,
@@ -88,7 +95,12 @@ pub struct Mosaic {
 ///
 /// # Errors
 /// When neither predicts anything, with the reason of [`Picture::fit`].
-pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Scene>, String> {
+pub fn scene(
+    case: &Case,
+    nominal: &Nominal,
+    whole: &PictureSetting,
+    setting: &MosaicSetting,
+) -> Result<Box<dyn Scene>, String> {
     scene_where(case, nominal, whole, setting, None)
 }
 
@@ -111,7 +123,8 @@ pub fn scene_where(
     let tiles = setting.patches.tiles(case.extent);
     let noise = (setting.picture.frame_dn, setting.picture.frame_share);
     let mut still = ground(case, nominal, noise, setting.patches.moves, setting.agreed);
-    let is_there = still.iter().filter(|ground| ground.is_finite()).count() as f64 > setting.still * still.len() as f64;
+    let is_there =
+        still.iter().filter(|ground| ground.is_finite()).count() as f64 > setting.still * still.len() as f64;
     if !is_there {
         still.fill(f64::NAN);
     }
@@ -121,7 +134,11 @@ pub fn scene_where(
     }
     let ground = is_there.then(|| light_of_ground(case, nominal, &still));
     let everywhere = (0..case.extent.width, 0..case.extent.height);
-    let misses = |picture: &Picture| usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
+    let misses = |picture: &Picture| {
+        usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| {
+            of_picture(case, picture, l, x, y)
+        })
+    };
     let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
     if let Some(ground) = ground.as_ref().filter(|_| of_one > setting.well) {
         let before = before_ground(case, nominal, of_whole, &moves, (ground, selected), setting);
@@ -145,7 +162,18 @@ pub fn scene_where(
     let fit = |list: &[(usize, Range<usize>)]| -> Vec<(usize, Patch)> {
         let one = |(tile, frames): &(usize, Range<usize>)| {
             let part = Part::around(&found.tiles[*tile], frames.clone(), case.extent, &setting.patches);
-            Some((*tile, Patch::fit(case, nominal, &changes, ground.as_deref(), part, &setting.patches, &setting.picture)?))
+            Some((
+                *tile,
+                Patch::fit(
+                    case,
+                    nominal,
+                    &changes,
+                    ground.as_deref(),
+                    part,
+                    &setting.patches,
+                    &setting.picture,
+                )?,
+            ))
         };
         list.par_iter().filter_map(one).collect()
     };
@@ -168,8 +196,15 @@ pub fn scene_where(
 
 /// The photocurrent of a still ground from its values, DN.
 fn light_of_ground(case: &Case, nominal: &Nominal, ground: &[f64]) -> Vec<f32> {
-    let seconds = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).map_or(1.0, |ns| ns as f64 * 1e-9);
-    ground.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * seconds)) as f32).collect()
+    let seconds = case
+        .frames
+        .as_ref()
+        .and_then(|frames| frames.times.nominal_exposure_ns())
+        .map_or(1.0, |ns| ns as f64 * 1e-9);
+    ground
+        .iter()
+        .map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * seconds)) as f32)
+        .collect()
 }
 
 /// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting
@@ -184,13 +219,22 @@ fn before_ground(
 ) -> Picture {
     let count = case.frame_count();
     let images = images(case, nominal);
-    let pairs: Vec<Map> = (1..count).into_par_iter().map(|l| register(&images[l - 1], &images[l], &of_picture.search, None).0).collect();
+    let pairs: Vec<Map> = (1..count)
+        .into_par_iter()
+        .map(|l| register(&images[l - 1], &images[l], &of_picture.search, None).0)
+        .collect();
     let mut chained: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
     for pair in &pairs {
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
     let steady = follow(case, nominal, moves, &setting.patches);
-    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground), selected })
+    Picture::fit_from(
+        case,
+        nominal,
+        of_picture,
+        &[&chained, &steady],
+        Begin { counts: None, ground: Some(ground), selected },
+    )
 }
 
 impl Mosaic {
@@ -202,7 +246,11 @@ impl Mosaic {
         let middle = |l: usize, y: u32| middle_ns(case, l, y);
         for (n, tile) in self.tiles.iter().enumerate() {
             for window in &windows {
-                let misses = self.whole.as_ref().map(|whole| usual(case, nominal, changes, tile, window, |l, x, y| of_picture(case, &whole.picture, l, x, y)));
+                let misses = self.whole.as_ref().map(|whole| {
+                    usual(case, nominal, changes, tile, window, |l, x, y| {
+                        of_picture(case, &whole.picture, l, x, y)
+                    })
+                });
                 if misses.is_some_and(|misses| misses < self.setting.well) {
                     continue;
                 }
@@ -223,10 +271,20 @@ impl Mosaic {
     }
 
     /// Which patches predict enough of the moving values of their tiles, and more than the moving picture.
-    fn better(&self, case: &Case, nominal: &Nominal, changes: &[bool], fitted: &[(usize, Patch)]) -> Vec<bool> {
+    fn better(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        changes: &[bool],
+        fitted: &[(usize, Patch)],
+    ) -> Vec<bool> {
         let mut misses: Vec<f64> = fitted
             .iter()
-            .map(|(tile, patch)| usual(case, nominal, changes, &self.tiles[*tile], &patch.part.frames, |l, x, y| patch.residual(l, x, y)))
+            .map(|(tile, patch)| {
+                usual(case, nominal, changes, &self.tiles[*tile], &patch.part.frames, |l, x, y| {
+                    patch.residual(l, x, y)
+                })
+            })
             .filter(|misses| misses.is_finite())
             .collect();
         misses.sort_by(f64::total_cmp);
@@ -236,9 +294,13 @@ impl Mosaic {
         let predicted = |tile: usize, frames: &Range<usize>, of: &dyn Fn(usize, u32, u32) -> f32| -> f64 {
             let (mut good, mut all) = (0usize, 0usize);
             for_moving(case, changes, &self.tiles[tile], frames, |l, pixel, x, y| {
-                let sigma = nominal.frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), noise_dn);
+                let sigma = nominal
+                    .frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), noise_dn);
                 all += 1;
-                good += usize::from(f64::from(of(l, x, y)).abs() <= f64::max(self.least_dn, self.setting.spread * noise * sigma));
+                good += usize::from(
+                    f64::from(of(l, x, y)).abs()
+                        <= f64::max(self.least_dn, self.setting.spread * noise * sigma),
+                );
             });
             good as f64 / all.max(1) as f64
         };
@@ -246,7 +308,9 @@ impl Mosaic {
             .iter()
             .map(|(tile, patch)| {
                 let own = predicted(*tile, &patch.part.frames, &|l, x, y| patch.residual(l, x, y));
-                let other = self.whole.as_ref().map_or(0.0, |whole| predicted(*tile, &patch.part.frames, &|l, x, y| of_picture(case, &whole.picture, l, x, y)));
+                let other = self.whole.as_ref().map_or(0.0, |whole| {
+                    predicted(*tile, &patch.part.frames, &|l, x, y| of_picture(case, &whole.picture, l, x, y))
+                });
                 own >= self.setting.least_predicted && own > other + self.setting.better
             })
             .collect()
@@ -254,7 +318,8 @@ impl Mosaic {
 
     /// Patches of a tile, in order of time.
     fn of_tile(&self, tile: usize) -> Vec<(usize, &Patch)> {
-        let mut found: Vec<(usize, &Patch)> = self.patches.iter().enumerate().filter(|(n, _)| self.tile[*n] == tile).collect();
+        let mut found: Vec<(usize, &Patch)> =
+            self.patches.iter().enumerate().filter(|(n, _)| self.tile[*n] == tile).collect();
         found.sort_by_key(|(_, patch)| patch.part.frames.start);
         found
     }
@@ -270,7 +335,11 @@ impl Mosaic {
         for (n, tile) in self.tiles.iter().enumerate() {
             let patches = self.of_tile(n);
             for l in 0..count {
-                let here: Vec<&Patch> = patches.iter().filter(|(_, patch)| patch.part.frames.contains(&l)).map(|(_, patch)| *patch).collect();
+                let here: Vec<&Patch> = patches
+                    .iter()
+                    .filter(|(_, patch)| patch.part.frames.contains(&l))
+                    .map(|(_, patch)| *patch)
+                    .collect();
                 if here.is_empty() {
                     continue;
                 }
@@ -291,8 +360,13 @@ impl Mosaic {
             }
         }
         self.residual = residual;
-        let mut misfits: Vec<f64> = self.patches.iter().filter_map(|patch| patch.picture.report.misfit.last().copied()).collect();
-        self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Scene::misfit) } else { median(&mut misfits) };
+        let mut misfits: Vec<f64> =
+            self.patches.iter().filter_map(|patch| patch.picture.report.misfit.last().copied()).collect();
+        self.misfit = if misfits.is_empty() {
+            self.whole.as_ref().map_or(1.0, Scene::misfit)
+        } else {
+            median(&mut misfits)
+        };
     }
 
     /// The picture of most weight on a pixel at an instant: number of its patch, and of none the moving
@@ -346,7 +420,13 @@ fn of_picture(case: &Case, picture: &Picture, l: usize, x: u32, y: u32) -> f32 {
     picture.residual[l * case.extent.pixels() + (y * case.extent.width + x) as usize]
 }
 
-fn for_moving(case: &Case, changes: &[bool], tile: &(Range<u32>, Range<u32>), frames: &Range<usize>, mut with: impl FnMut(usize, usize, u32, u32)) {
+fn for_moving(
+    case: &Case,
+    changes: &[bool],
+    tile: &(Range<u32>, Range<u32>),
+    frames: &Range<usize>,
+    mut with: impl FnMut(usize, usize, u32, u32),
+) {
     let pixels = case.extent.pixels();
     for l in frames.clone() {
         for pixel in pixels_of(case, tile).filter(|pixel| changes[l * pixels + pixel]) {
@@ -358,10 +438,18 @@ fn for_moving(case: &Case, changes: &[bool], tile: &(Range<u32>, Range<u32>), fr
 
 /// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where
 /// most of them took no part.
-fn usual(case: &Case, nominal: &Nominal, changes: &[bool], tile: &(Range<u32>, Range<u32>), frames: &Range<usize>, of: impl Fn(usize, u32, u32) -> f32) -> f64 {
+fn usual(
+    case: &Case,
+    nominal: &Nominal,
+    changes: &[bool],
+    tile: &(Range<u32>, Range<u32>),
+    frames: &Range<usize>,
+    of: impl Fn(usize, u32, u32) -> f32,
+) -> f64 {
     let mut sizes: Vec<f64> = Vec::new();
     for_moving(case, changes, tile, frames, |l, pixel, x, y| {
-        let sigma = nominal.frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), (1.0, 0.005));
+        let sigma = nominal
+            .frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), (1.0, 0.005));
         let size = f64::from(of(l, x, y)).abs() / sigma;
         sizes.push(if size.is_finite() { size } else { f64::INFINITY });
     });
@@ -380,7 +468,9 @@ impl Scene for Mosaic {
 
     fn exposures_seen(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
         let of_whole = self.whole.as_ref().map(|whole| whole.exposures_seen(case, step_ns, pixels));
-        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_seen(x, y, maps)))
+        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| {
+            Some(picture.exposures_seen(x, y, maps))
+        })
     }
 
     fn residual(&self) -> &[f32] {
@@ -392,32 +482,53 @@ impl Scene for Mosaic {
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
-        self.misfit * nominal.frame_sigma_dn(signal, (self.setting.picture.frame_dn, self.setting.picture.frame_share))
+        self.misfit
+            * nominal
+                .frame_sigma_dn(signal, (self.setting.picture.frame_dn, self.setting.picture.frame_share))
     }
 
     fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
         let Some(n) = self.patch_at(case, pixel, t_ns) else {
-            return self.whole.as_ref().map_or((0, pixel as f64, 0.0), |whole| whole.place(case, pixel, t_ns));
+            return self
+                .whole
+                .as_ref()
+                .map_or((0, pixel as f64, 0.0), |whole| whole.place(case, pixel, t_ns));
         };
         let patch = &self.patches[n];
         let (x, y) = case.place(pixel);
         let extent = patch.part.extent();
         let centre = (0.5 * (f64::from(extent.width) - 1.0), 0.5 * (f64::from(extent.height) - 1.0));
-        let place = (f64::from(x - patch.part.columns.start) - centre.0, f64::from(y - patch.part.rows.start) - centre.1);
+        let place = (
+            f64::from(x - patch.part.columns.start) - centre.0,
+            f64::from(y - patch.part.rows.start) - centre.1,
+        );
         let (x, y) = apply(&patch.picture.motion.at(t_ns), place.0, place.1);
         (n as u32 + 1, x, y)
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
-        let whole = self.whole.as_ref().map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
-        let patches = self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
+        let whole = self
+            .whole
+            .as_ref()
+            .map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
+        let patches =
+            self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
         Ok(Box::new(self.with(case, whole, patches)))
     }
 
-    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
-        let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed).sharpened(whole.setting.sharpest);
+    fn posterior_sample(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        seed: u64,
+    ) -> Result<Option<Box<dyn Scene>>, String> {
+        let draw = |whole: &MovingPicture| {
+            whole.picture.drawn(case, nominal, &whole.setting, None, seed).sharpened(whole.setting.sharpest)
+        };
         let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
-        let one = |(n, patch): (usize, &Patch)| patch.posterior_sample(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
+        let one = |(n, patch): (usize, &Patch)| {
+            patch.posterior_sample(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64))
+        };
         let patches = self.patches.par_iter().enumerate().map(one).collect();
         Ok(Some(Box::new(self.with(case, whole, patches))))
     }
@@ -443,10 +554,18 @@ impl Mosaic {
         let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
         for (pixel, predicted) in pixels.iter().zip(&mut of_whole) {
             let (x, y) = case.place(*pixel);
-            let Some(here) = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y)) else { continue };
+            let Some(here) =
+                self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y))
+            else {
+                continue;
+            };
             if here != tile {
                 tile = here;
-                patches = self.of_tile(tile).into_iter().map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect())).collect();
+                patches = self
+                    .of_tile(tile)
+                    .into_iter()
+                    .map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect()))
+                    .collect();
             }
             if !patches.is_empty() {
                 *predicted = of_patches(case, *pixel, &patches, &instants, predicted, &of_patch);
@@ -491,14 +610,17 @@ fn of_patches(
         let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
         let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
         let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
-        let Some(predicted) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else { continue };
+        let Some(predicted) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else {
+            continue;
+        };
         for (k, predicted) in (first..=last).zip(predicted) {
             sum[k] += share[k] * predicted;
             weights[k] += share[k];
         }
     }
-    let known: Vec<Option<f32>> =
-        (0..instants.len()).map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { of_whole.get(k).copied() }).collect();
+    let known: Vec<Option<f32>> = (0..instants.len())
+        .map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { of_whole.get(k).copied() })
+        .collect();
     filled(&known)
 }
 

@@ -29,7 +29,12 @@ impl MovingPicture {
     }
 
     /// The same, to the values of selected pixels.
-    pub(crate) fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, selected: Option<&[bool]>) -> Result<MovingPicture, String> {
+    pub(crate) fn fit_where(
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        selected: Option<&[bool]>,
+    ) -> Result<MovingPicture, String> {
         Ok(MovingPicture::new(Picture::fit_where(case, nominal, setting, selected)?, setting, case, nominal))
     }
 
@@ -53,7 +58,9 @@ impl Scene for MovingPicture {
         let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
         let of = |&pixel: &usize| {
             let (x, y) = case.place(pixel);
-            self.picture.log_light(x as usize, y as usize, &maps).map_or_else(Vec::new, |log| log.iter().map(|u| *u as f32).collect())
+            self.picture
+                .log_light(x as usize, y as usize, &maps)
+                .map_or_else(Vec::new, |log| log.iter().map(|u| *u as f32).collect())
         };
         pixels.iter().map(of).collect()
     }
@@ -62,7 +69,11 @@ impl Scene for MovingPicture {
         let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
         let of = |&pixel: &usize| {
             let (x, y) = case.place(pixel);
-            self.picture.exposures_seen(x as usize, y as usize, &maps).into_iter().map(|seen| seen as f32).collect()
+            self.picture
+                .exposures_seen(x as usize, y as usize, &maps)
+                .into_iter()
+                .map(|seen| seen as f32)
+                .collect()
         };
         pixels.iter().map(of).collect()
     }
@@ -89,7 +100,12 @@ impl Scene for MovingPicture {
         Ok(Box::new(self.with(self.picture.refit(case, nominal, &self.setting, None))))
     }
 
-    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
+    fn posterior_sample(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        seed: u64,
+    ) -> Result<Option<Box<dyn Scene>>, String> {
         let drawn = self.picture.drawn(case, nominal, &self.setting, None, seed);
         Ok(Some(Box::new(self.with(drawn.sharpened(self.setting.sharpest)))))
     }

@@ -7,8 +7,9 @@ use photocurrent_sensor::exposure::DigitalNumber;
 pub use photocurrent_sensor::model::Model as Nominal;
 
 impl Case {
-    /// The stated sensor of the recording; the random part of its latency is as long as the recording's, the row time that of its frames. Without a front end it is the ideal
-    /// one, without a refractory period pixels are not blind.
+    /// The stated sensor of the recording; the random part of its latency is as long as the recording's, the
+    /// row time that of its frames. Without a front end it is the ideal one, without a refractory period
+    /// pixels are not blind.
     ///
     /// # Errors
     /// When the description does not state what the model needs, or its effects are not understood.
@@ -36,7 +37,12 @@ impl Case {
                 let add = error.hint.clone().unwrap_or_default();
                 error.hint(format!("{add}; `photocurrent init` writes one with values to begin with"))
             })?;
-        from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+        from_description(&sensor.effects).map_err(|why| {
+            NodeError::usage(why).hint(
+                "`photocurrent effects` \
+                                                            lists what there is",
+            )
+        })?;
         let mut nominal = Nominal::of(sensor);
         nominal.pixel.latency_spread_ns = latency_spread_ns(self, nominal.pixel.latency_ns);
         nominal.row_time_ns = self.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns);
@@ -58,6 +64,7 @@ fn latency_spread_ns(case: &Case, latency_ns: i64) -> f64 {
     if !case.has_t_in || case.events.is_empty() {
         return 0.0;
     }
-    let sum: f64 = case.events.iter().map(|event| (event.t_off_ns - event.t_in_ns - latency_ns).max(0) as f64).sum();
+    let sum: f64 =
+        case.events.iter().map(|event| (event.t_off_ns - event.t_in_ns - latency_ns).max(0) as f64).sum();
     sum / case.events.len() as f64
 }

@@ -1,4 +1,5 @@
-//! The events and the frames of a recording in memory, shared between copies: what a copy leaves out is a mask next to them.
+//! The events and the frames of a recording in memory, shared between copies: what a copy leaves out is a
+//! mask next to them.
 
 use photocurrent_core::FrameTimes;
 use std::ops::Range;
@@ -168,7 +169,12 @@ impl CaseFrames {
         let (pixels, frames) = &self.is_left_out;
         let frames = if frames.is_empty() { frames.clone() } else { Arc::new(frames[of.clone()].to_vec()) };
         let chosen: Vec<usize> = of.clone().collect();
-        CaseFrames { times: self.times.select(&chosen), first: self.first + of.start * self.pixels, is_left_out: (pixels.clone(), frames), ..self.clone() }
+        CaseFrames {
+            times: self.times.select(&chosen),
+            first: self.first + of.start * self.pixels,
+            is_left_out: (pixels.clone(), frames),
+            ..self.clone()
+        }
     }
 
     /// The same with the values of some pixels not known.
@@ -234,7 +240,11 @@ mod tests {
         assert_eq!(part.dn(3, 8), frames.dn(5, 8));
         assert!(part.every(5).map(f32::to_bits).eq(part.values().step_by(5).map(f32::to_bits)));
         let events = case.events.without(&[3, 50]);
-        assert!(Arc::ptr_eq(&events.all, &case.events.all) && events.of(3).is_empty() && events.of(4) == case.events.of(4));
+        assert!(
+            Arc::ptr_eq(&events.all, &case.events.all)
+                && events.of(3).is_empty()
+                && events.of(4) == case.events.of(4)
+        );
         assert_eq!(events.len(), case.events.len() - case.events.of(3).len() - case.events.of(50).len());
         assert_eq!((events.iter().count(), events.count(0..pixels)), (events.len(), events.len()));
     }

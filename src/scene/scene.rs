@@ -65,7 +65,12 @@ pub trait Scene: Sync {
     ///
     /// # Errors
     /// When the recording's frames cannot be fitted.
-    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String>;
+    fn posterior_sample(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        seed: u64,
+    ) -> Result<Option<Box<dyn Scene>>, String>;
 
     /// The target with free parameters that it is, if it is one.
     fn target(&self) -> Option<&Target> {
@@ -83,7 +88,8 @@ impl dyn Scene + '_ {
     pub fn light(&self, case: &Case, step_ns: i64) -> Light {
         let mut light = Light::blank(case, step_ns);
         let width = case.extent.width.max(1) as usize;
-        let rows: Vec<Vec<usize>> = (0..case.extent.pixels()).collect::<Vec<_>>().chunks(width).map(<[usize]>::to_vec).collect();
+        let rows: Vec<Vec<usize>> =
+            (0..case.extent.pixels()).collect::<Vec<_>>().chunks(width).map(<[usize]>::to_vec).collect();
         light.log = rows.par_iter().flat_map(|pixels| self.log_light(case, step_ns, pixels)).collect();
         light
     }
@@ -91,15 +97,17 @@ impl dyn Scene + '_ {
     /// The frames that this scene gives, DN as [frame][y][x]; NaN where it does not reach.
     pub fn frames(&self, case: &Case) -> Vec<f32> {
         let pixels = case.extent.pixels();
-        let of = |(n, residual): (usize, &f32)| (case.dn(n / pixels, n % pixels) - f64::from(*residual)) as f32;
+        let of =
+            |(n, residual): (usize, &f32)| (case.dn(n / pixels, n % pixels) - f64::from(*residual)) as f32;
         self.residual().iter().enumerate().map(of).collect()
     }
 
     /// Which events count: those whose frames it predicts to `least_dn`, or to so many median absolute
     /// deviations.
     pub fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        self.tolerance()
-            .map_or_else(Gate::open, |Tolerance { any_dn, alike_dn }| Gate::new(case, self.residual(), (f64::max(least_dn, any_dn), alike_dn), spread))
+        self.tolerance().map_or_else(Gate::open, |Tolerance { any_dn, alike_dn }| {
+            Gate::new(case, self.residual(), (f64::max(least_dn, any_dn), alike_dn), spread)
+        })
     }
 
     /// The cell of `side` pixels that lies on a pixel at an instant, ns: what is wrong with the scene is
@@ -117,7 +125,12 @@ pub const STEP: f64 = 0.15;
 
 /// What [`STEP`] of a threshold is of a usual frame value, DN.
 pub(crate) fn usual_step_dn(case: &Case, nominal: &Nominal) -> f64 {
-    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.every(7)).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
+    let mut signals: Vec<f64> = case
+        .frames
+        .iter()
+        .flat_map(|frames| frames.every(7))
+        .map(|dn| f64::from(dn) - nominal.number.black_level)
+        .collect();
     signals.retain(|signal| *signal > 0.0);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     if signals.is_empty() { 0.0 } else { STEP * threshold * median(&mut signals) }

@@ -132,7 +132,8 @@ impl Fit<'_> {
             let wanted = (length * scene.speed(one.x, one.y) / INSTANT_PX) as usize;
             let count = if is_rough { ROUGH } else { wanted.clamp(INSTANTS.0, INSTANTS.1) };
             let instant = |k: usize| one.start_ns + (length * (k as f64 + 0.5) / count as f64) as i64;
-            let mean = (0..count).map(|k| scene.photocurrent(one.x, one.y, instant(k))).sum::<f64>() / count as f64;
+            let mean =
+                (0..count).map(|k| scene.photocurrent(one.x, one.y, instant(k))).sum::<f64>() / count as f64;
             let signal = number.gain * mean * (1e-9 * length);
             (one.dn - number.black_level - signal) / self.nominal.frame_sigma_dn(signal, FRAME_NOISE)
         };
@@ -141,7 +142,9 @@ impl Fit<'_> {
 
     /// Minus the log density of Student's t.
     fn cost(&self, shares: &[f64], measured: &[Measured], is_rough: bool) -> f64 {
-        self.residuals(shares, measured, is_rough).map_or(f64::INFINITY, |left| left.iter().map(|z| 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)).sum())
+        self.residuals(shares, measured, is_rough).map_or(f64::INFINITY, |left| {
+            left.iter().map(|z| 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)).sum()
+        })
     }
 
     fn round(&self, at: &[f64], measured: &[Measured]) -> Option<Round> {
@@ -156,8 +159,13 @@ impl Fit<'_> {
             columns.push(then.iter().zip(&now).map(|(then, now)| (then - now) / by).collect::<Vec<f64>>());
         }
         let weights: Vec<f64> = now.iter().map(|z| (NU + 1.0) / (NU + z * z)).collect();
-        let sum = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).zip(&weights).map(|((a, b), w)| a * b * w).sum() };
-        Some(Round { normal: DMatrix::from_fn(n, n, |i, j| sum(&columns[i], &columns[j])), right: DVector::from_fn(n, |i, _| -sum(&columns[i], &now)) })
+        let sum = |a: &[f64], b: &[f64]| -> f64 {
+            a.iter().zip(b).zip(&weights).map(|((a, b), w)| a * b * w).sum()
+        };
+        Some(Round {
+            normal: DMatrix::from_fn(n, n, |i, j| sum(&columns[i], &columns[j])),
+            right: DVector::from_fn(n, |i, _| -sum(&columns[i], &now)),
+        })
     }
 
     /// Damped Gauss-Newton from a place.
@@ -173,7 +181,8 @@ impl Fit<'_> {
                 let mut damped = normal.clone();
                 (0..n).for_each(|k| damped[(k, k)] += damping * (normal[(k, k)] + 1e-9));
                 let Some(step) = damped.cholesky().map(|factor| factor.solve(&right)) else { break };
-                let next: Vec<f64> = at.iter().zip(step.iter()).map(|(at, step)| (at + step).clamp(0.0, 1.0)).collect();
+                let next: Vec<f64> =
+                    at.iter().zip(step.iter()).map(|(at, step)| (at + step).clamp(0.0, 1.0)).collect();
                 let other = self.cost(&next, measured, false);
                 if other < cost {
                     let gain = cost - other;
@@ -218,7 +227,8 @@ impl Fit<'_> {
     /// Triangular root of the covariance at a place, and the median residual.
     fn open(&self, at: &[f64]) -> (DMatrix<f64>, f64) {
         let n = at.len();
-        let mut left: Vec<f64> = self.residuals(at, &self.measured, false).unwrap_or_default().iter().map(|z| z.abs()).collect();
+        let mut left: Vec<f64> =
+            self.residuals(at, &self.measured, false).unwrap_or_default().iter().map(|z| z.abs()).collect();
         left.sort_by(f64::total_cmp);
         let median = left.get(left.len() / 2).copied().unwrap_or(f64::NAN);
         let scale = if median.is_finite() { median / 0.765 } else { 1.0 };
@@ -226,7 +236,9 @@ impl Fit<'_> {
         // A parameter that frames do not constrain is open to a third of its range.
         let least = 1.0 / (OPEN * OPEN);
         let root = round.and_then(|round| {
-            let curvature = DMatrix::from_fn(n, n, |i, j| round.normal[(i, j)] / (scale * scale) + if i == j { least } else { 0.0 });
+            let curvature = DMatrix::from_fn(n, n, |i, j| {
+                round.normal[(i, j)] / (scale * scale) + if i == j { least } else { 0.0 }
+            });
             curvature.try_inverse()?.cholesky().map(|factor| factor.l())
         });
         (root.unwrap_or_else(|| DMatrix::zeros(n, n)), median)
@@ -245,15 +257,29 @@ fn measured(case: &Case, nominal: &Nominal, values: usize) -> Vec<Measured> {
         let (x, y) = case.place(pixel);
         let (dn, exposure) = (case.dn(l, pixel), times.exposure(l, y));
         let counts = dn.is_finite() && dn < nominal.saturation_dn;
-        counts.then_some(Measured { x: x.into(), y: y.into(), start_ns: exposure.start.0, end_ns: exposure.end.0, dn })
+        counts.then_some(Measured {
+            x: x.into(),
+            y: y.into(),
+            start_ns: exposure.start.0,
+            end_ns: exposure.end.0,
+            dn,
+        })
     };
     let mut random = Random::new(1, &[0x5e]);
-    (0..all.div_ceil(step)).filter_map(|n| of((n * step + (random.uniform() * step as f64) as usize).min(all - 1))).collect()
+    (0..all.div_ceil(step))
+        .filter_map(|n| of((n * step + (random.uniform() * step as f64) as usize).min(all - 1)))
+        .collect()
 }
 
 impl Target {
     /// Fits one to a recording's frames, all of the ranges searched; none where its parameters make no scene.
-    pub fn fit(case: &Case, nominal: &Nominal, form: Arc<dyn Form>, setting: TargetSetting, picture: &PictureSetting) -> Option<Target> {
+    pub fn fit(
+        case: &Case,
+        nominal: &Nominal,
+        form: Arc<dyn Form>,
+        setting: TargetSetting,
+        picture: &PictureSetting,
+    ) -> Option<Target> {
         let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
         let from = fit.search(&setting);
         Target::from(&fit, case, nominal, &form, setting, picture, &from)
@@ -261,7 +287,14 @@ impl Target {
 
     /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make
     /// no scene.
-    pub fn near(case: &Case, nominal: &Nominal, form: Arc<dyn Form>, setting: TargetSetting, picture: &PictureSetting, from: &[f64]) -> Option<Target> {
+    pub fn near(
+        case: &Case,
+        nominal: &Nominal,
+        form: Arc<dyn Form>,
+        setting: TargetSetting,
+        picture: &PictureSetting,
+        from: &[f64],
+    ) -> Option<Target> {
         let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
         Target::from(&fit, case, nominal, &form, setting, picture, from)
     }
@@ -312,14 +345,17 @@ impl Target {
     /// of the range, away from the nearer end.
     pub fn free(&self) -> Vec<(f64, f64)> {
         // Wide enough to reach across the bends of an edge.
-        let step = |(share, error): (&f64, f64)| (*share, error.clamp(STEP, 0.02) * if *share > 0.5 { -1.0 } else { 1.0 });
+        let step = |(share, error): (&f64, f64)| {
+            (*share, error.clamp(STEP, 0.02) * if *share > 0.5 { -1.0 } else { 1.0 })
+        };
         self.shares.iter().zip(self.errors()).map(step).collect()
     }
 
     /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their
     /// ranges; none where they make no scene.
     pub fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
-        let shares: Vec<f64> = self.shares.iter().zip(by).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
+        let shares: Vec<f64> =
+            self.shares.iter().zip(by).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares)?;
         let mut light = Light::blank(case, step_ns);
         let instants: Vec<i64> = (0..light.count).map(|n| light.instant(n)).collect();
@@ -372,15 +408,22 @@ impl Scene for Target {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
-        let fitted = Target::near(case, nominal, self.form.clone(), self.setting, &self.picture, &self.shares);
+        let fitted =
+            Target::near(case, nominal, self.form.clone(), self.setting, &self.picture, &self.shares);
         Ok(Box::new(fitted.ok_or("the target's parameters make no scene")?))
     }
 
-    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
+    fn posterior_sample(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        seed: u64,
+    ) -> Result<Option<Box<dyn Scene>>, String> {
         let n = self.shares.len();
         let mut random = Random::new(seed, &[0x7b]);
         let draw = &self.root * DVector::from_fn(n, |_, _| random.normal());
-        let shares: Vec<f64> = self.shares.iter().zip(draw.iter()).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
+        let shares: Vec<f64> =
+            self.shares.iter().zip(draw.iter()).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares).ok_or("the target's parameters make no scene")?;
         let light = all_knots(&*scene, case);
         Ok(Some(Box::new(KnownLight::new(case, nominal, light.into(), &self.picture))))

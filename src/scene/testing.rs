@@ -34,7 +34,8 @@ pub fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
 /// 0.2, frames that collect it behind a rolling shutter.
 pub fn texture(extent: Extent, frames: usize) -> Case {
     let end_ns = PERIOD_NS * frames as i64;
-    let exposures: Vec<Exposure> = (0..frames as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + PERIOD_NS / 2)).collect();
+    let exposures: Vec<Exposure> =
+        (0..frames as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + PERIOD_NS / 2)).collect();
     let times = FrameTimes::new(exposures, ROW_NS).expect("exposures are in order");
     let pixels = || (0..extent.height).flat_map(|y| (0..extent.width).map(move |x| (x, y)));
     let at = |(x, y): (u32, u32), t_ns: i64| log_light(x.into(), y.into(), t_ns);
@@ -43,7 +44,11 @@ pub fn texture(extent: Extent, frames: usize) -> Case {
         for t_in_ns in (0..end_ns).step_by(STEP_NS as usize) {
             let moved = at(pixel, t_in_ns) - reference;
             if moved.abs() >= 0.2 {
-                events.push(Recorded { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity: if moved > 0.0 { 1 } else { -1 } });
+                events.push(Recorded {
+                    t_in_ns,
+                    t_off_ns: t_in_ns + 1_000,
+                    polarity: if moved > 0.0 { 1 } else { -1 },
+                });
                 reference = at(pixel, t_in_ns);
             }
         }
@@ -54,7 +59,8 @@ pub fn texture(extent: Extent, frames: usize) -> Case {
         let middles = (start.0..end.0).step_by(STEP_NS as usize).map(|t| t + STEP_NS / 2);
         (1000.0 * middles.map(|t| libm::exp(at((x, y), t))).sum::<f64>() * (STEP_NS as f64 * 1e-9)) as f32
     };
-    let dn: Vec<f32> = (0..frames).flat_map(|l| pixels().map(move |pixel| (l, pixel))).map(collected).collect();
+    let dn: Vec<f32> =
+        (0..frames).flat_map(|l| pixels().map(move |pixel| (l, pixel))).map(collected).collect();
     Case {
         extent,
         span: (0, end_ns),

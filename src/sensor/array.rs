@@ -29,21 +29,44 @@ impl Array<'_> {
     /// Everything that the pixel fires in `seen`, the light of the event path: lost events, and those that
     /// leave after the end, too.
     pub fn fired(&self, site: &Site, seen: &LinearLight<'_>, random: Random) -> Vec<Fired> {
-        let chain = Chain { pixel: self.model.pixel, reset: self.model.reset, effects: self.effects, tolerance: self.tolerance };
+        let chain = Chain {
+            pixel: self.model.pixel,
+            reset: self.model.reset,
+            effects: self.effects,
+            tolerance: self.tolerance,
+        };
         let mut noise = Noise { random, sigma: self.model.threshold_noise };
         simulate(&chain, site, seen, self.span.0, self.span.1, &mut noise)
     }
 
     /// What is recorded of that: what leaves the array after the end is no part of the recording.
-    pub fn recorded(&self, site: &Site, seen: &LinearLight<'_>, random: Random) -> impl Iterator<Item = PixelEvent> + use<> {
+    pub fn recorded(
+        &self,
+        site: &Site,
+        seen: &LinearLight<'_>,
+        random: Random,
+    ) -> impl Iterator<Item = PixelEvent> + use<> {
         let end_ns = self.span.1;
-        self.fired(site, seen, random).into_iter().filter(move |fired| fired.left_ns < end_ns).filter_map(|fired| fired.recorded)
+        self.fired(site, seen, random)
+            .into_iter()
+            .filter(move |fired| fired.left_ns < end_ns)
+            .filter_map(|fired| fired.recorded)
     }
 
     /// Frame values of the pixel at these exposures of its row, exact, from the light on it
     /// ([`read_frames`]).
-    pub fn frame_values(&self, site: &Site, own: &LinearLight<'_>, number: DigitalNumber, exposures: &[Exposure]) -> Vec<f64> {
-        let readout = FrameReadout { number, saturation: self.model.saturation_dn, row_time_ns: self.model.row_time_ns };
+    pub fn frame_values(
+        &self,
+        site: &Site,
+        own: &LinearLight<'_>,
+        number: DigitalNumber,
+        exposures: &[Exposure],
+    ) -> Vec<f64> {
+        let readout = FrameReadout {
+            number,
+            saturation: self.model.saturation_dn,
+            row_time_ns: self.model.row_time_ns,
+        };
         read_frames(&readout, self.effects, site, own, exposures)
     }
 }

@@ -4,9 +4,11 @@
 //! contrast threshold, upwards (an ON event) or downwards (an OFF event).
 //!
 //! Source: Eq. (4). The paper's `c_down` is negative; here both thresholds are positive numbers and the
-//! polarity carries the sign. Limits: no noise, no comparator delay; noise is the caller's, added to a threshold.
+//! polarity carries the sign. Limits: no noise, no comparator delay; noise is the caller's, added to a
+//! threshold.
 
-/// The polarity, +1 or -1, of the event that fires now, or `None` while the voltage stays inside both thresholds.
+/// The polarity, +1 or -1, of the event that fires now, or `None` while the voltage stays inside both
+/// thresholds.
 ///
 /// All four arguments are in natural-log units. Both thresholds must be positive: then at most one side can
 /// fire. A voltage exactly on a threshold fires, as in Eq. (4). A NaN voltage never fires.
@@ -16,7 +18,12 @@
 /// assert_eq!(fired_polarity(0.25, 0.0, 0.2, 0.3), Some(1));
 /// assert_eq!(fired_polarity(-0.25, 0.0, 0.2, 0.3), None);
 /// ```
-pub fn fired_polarity(front_end_voltage: f64, reference_voltage: f64, threshold_on: f64, threshold_off: f64) -> Option<i8> {
+pub fn fired_polarity(
+    front_end_voltage: f64,
+    reference_voltage: f64,
+    threshold_on: f64,
+    threshold_off: f64,
+) -> Option<i8> {
     let change = front_end_voltage - reference_voltage;
     if change >= threshold_on {
         Some(1)

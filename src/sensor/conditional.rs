@@ -1,18 +1,21 @@
 //! The recorded events and frames of one pixel, seen through any set of effects, when its light is given.
 //!
-//! Nothing is simulated: events stand where they were recorded, and the question is by how much voltage less reference missed the threshold at each. So a pixel whose events
-//! an effect explains has residuals of nothing when it is seen through that effect. The hooks of an effect are asked as the simulator asks them; only what is
-//! random about them is left away.
+//! Nothing is simulated: events stand where they were recorded, and the question is by how much voltage less
+//! reference missed the threshold at each. So a pixel whose events an effect explains has residuals of
+//! nothing when it is seen through that effect. The hooks of an effect are asked as the simulator asks them;
+//! only what is random about them is left away.
 //!
-//! The voltage follows log-linear light in short steps with the time constant of their middle: exact for low-pass, second pole and the exponential
-//! transistor at constant time constants, and to the step where a slew limit cuts it.
+//! The voltage follows log-linear light in short steps with the time constant of their middle: exact for
+//! low-pass, second pole and the exponential transistor at constant time constants, and to the step where a
+//! slew limit cuts it.
 //!
-//! Limits: a stamp is undone to first order; events that come without a crossing and lost ones have no place here; a pixel that an effect blinds beyond its next event
-//! takes its reference at that event.
+//! Limits: a stamp is undone to first order; events that come without a crossing and lost ones have no place
+//! here; a pixel that an effect blinds beyond its next event takes its reference at that event.
 
 use crate::comparator::signed_step;
 use crate::effects::{
-    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds,
+    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent,
+    Reading, RowSite, Site, Thresholds,
 };
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
@@ -54,7 +57,10 @@ impl Track {
                 let share = piece as f64 / pieces as f64;
                 let at = if piece == pieces { t_ns[k] } else { t_ns[k - 1] + (length as f64 * share) as i64 };
                 track.t_ns.push(at);
-                track.log_light.push(log_light[k - 1] + (log_light[k] - log_light[k - 1]) * (at - t_ns[k - 1]) as f64 / length as f64);
+                track.log_light.push(
+                    log_light[k - 1]
+                        + (log_light[k] - log_light[k - 1]) * (at - t_ns[k - 1]) as f64 / length as f64,
+                );
             }
         }
         track
@@ -80,7 +86,8 @@ impl Track {
         self.collected_until(exposure.end.0) - self.collected_until(exposure.start.0)
     }
 
-    /// Light collected from the first instant to `t_ns`, photocurrent times seconds; constant light beyond either end.
+    /// Light collected from the first instant to `t_ns`, photocurrent times seconds; constant light beyond
+    /// either end.
     fn collected_until(&self, t_ns: i64) -> f64 {
         let collected = self.collected();
         let (last, after) = (self.t_ns.len() - 1, self.t_ns.partition_point(|&t| t <= t_ns));
@@ -92,7 +99,8 @@ impl Track {
         }
         let share = (t_ns - self.t_ns[after - 1]) as f64 / (self.t_ns[after] - self.t_ns[after - 1]) as f64;
         let (from, to) = (self.log_light[after - 1], self.log_light[after]);
-        collected[after - 1] + log_linear_mean(from, from + (to - from) * share) * (t_ns - self.t_ns[after - 1]) as f64 * 1e-9
+        collected[after - 1]
+            + log_linear_mean(from, from + (to - from) * share) * (t_ns - self.t_ns[after - 1]) as f64 * 1e-9
     }
 }
 
@@ -157,7 +165,13 @@ impl Settling {
 
 /// Time constants and shares made up for of whole steps.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-fn settle((tau_0_s, alpha_s): (f64, f64), t_ns: &[i64], seen: &[f64], tau_s: &mut [f64], settled: &mut [f64]) {
+fn settle(
+    (tau_0_s, alpha_s): (f64, f64),
+    t_ns: &[i64],
+    seen: &[f64],
+    tau_s: &mut [f64],
+    settled: &mut [f64],
+) {
     let steps = tau_s.len();
     let (t_ns, seen, settled) = (&t_ns[..=steps], &seen[..=steps], &mut settled[..steps]);
     for k in 0..steps {
@@ -199,7 +213,8 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     }
     impulses.retain(|impulse| impulse.t_ns >= start_ns && impulse.t_ns < end_ns);
     let times = times(model, effects, look, seen, &mut random);
-    let mut marks: Vec<(i64, u8, Mark)> = impulses.iter().enumerate().map(|(n, impulse)| (impulse.t_ns, 1, Mark::Impulse(n))).collect();
+    let mut marks: Vec<(i64, u8, Mark)> =
+        impulses.iter().enumerate().map(|(n, impulse)| (impulse.t_ns, 1, Mark::Impulse(n))).collect();
     for (k, time) in times.iter().enumerate() {
         marks.push((time.fired_ns, 3, Mark::Fire(k)));
         if model.reset == Reset::Resample {
@@ -248,14 +263,18 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
         if let Some(last) = &mut history.last_event {
             last.overshoot = ideal - fired_value;
         }
-        let reference = effects.iter().fold(ideal, |reference, effect| effect.reference(site, history, &mut random, reference, before));
+        let reference = effects
+            .iter()
+            .fold(ideal, |reference, effect| effect.reference(site, history, &mut random, reference, before));
         (reference, draw(history, t_ns, &mut random))
     };
     for (t_ns, _, mark) in marks {
         walk.go_to(t_ns);
         match mark {
             Mark::Impulse(n) => walk.impulse(&impulses[n]),
-            Mark::Latch(_) => (reference, thresholds) = reset(walk.input(), fired_value, t_ns, before, &mut history),
+            Mark::Latch(_) => {
+                (reference, thresholds) = reset(walk.input(), fired_value, t_ns, before, &mut history)
+            }
             Mark::Fire(k) => {
                 let (event, time) = (&look.events[k], &times[k]);
                 let step = signed_step(event.polarity, thresholds.on, thresholds.off);
@@ -266,11 +285,17 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
                     Some(last) if t_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
                     _ => 1,
                 };
-                let last_event = Some(LastEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity, overshoot: 0.0 });
+                let last_event = Some(LastEvent {
+                    t_in_ns: t_ns,
+                    t_off_ns: time.left_ns,
+                    polarity: event.polarity,
+                    overshoot: 0.0,
+                });
                 history = History { last_event, events: history.events + 1, burst_index };
                 (before, fired_value) = (reference, value);
                 if model.reset != Reset::Resample {
-                    // A reference that moves by one threshold is the voltage of the event, unless the event was held back.
+                    // A reference that moves by one threshold is the voltage of the event, unless the event
+                    // was held back.
                     let moved = if time.is_armed { value } else { reference + step };
                     (reference, thresholds) = reset(moved, moved, t_ns, before, &mut history);
                 }
@@ -290,7 +315,13 @@ pub fn frame_values(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>,
         let exposed = effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
         let collected = track.collected_in(exposed);
         let number = model.number;
-        let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: model.saturation_dn };
+        let reading = Reading {
+            frame,
+            previous_charge,
+            gain: number.gain,
+            black_level: number.black_level,
+            saturation: model.saturation_dn,
+        };
         previous_charge = collected;
         let charge = effects.iter().fold(collected, |charge, effect| effect.charge(site, &reading, charge));
         out.dn.push(effects.iter().fold(number.of(charge), |dn, effect| effect.dn(site, &reading, dn)));
@@ -300,15 +331,22 @@ pub fn frame_values(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>,
 /// Log light of the event path where effects change it pixel by pixel; none where they do not.
 fn seen_light(effects: &[Box<dyn Effect>], look: &Look<'_>) -> Option<Vec<f64>> {
     let track = look.track;
-    let through = |t_ns: i64, i: f64| effects.iter().fold(i, |i, effect| effect.event_light(&look.site, t_ns, i));
-    // Such a change is linear and constant in time, or it says how finely it must be asked: two lights show it.
+    let through =
+        |t_ns: i64, i: f64| effects.iter().fold(i, |i, effect| effect.event_light(&look.site, t_ns, i));
+    // Such a change is linear and constant in time, or it says how finely it must be asked: two lights show
+    // it.
     let start_ns = track.t_ns[0];
-    let is_none = effects.iter().all(|effect| effect.light_step_ns().is_none()) && [1.0, 2.0].iter().all(|&i| through(start_ns, i) == i);
+    let is_none = effects.iter().all(|effect| effect.light_step_ns().is_none())
+        && [1.0, 2.0].iter().all(|&i| through(start_ns, i) == i);
     let of = |k: usize| match look.seen {
         Some(seen) => exp(seen[k]),
         None => track.light()[k],
     };
-    (!is_none).then(|| (0..track.t_ns.len()).map(|k| ln(f64::max(through(track.t_ns[k], of(k)), f64::MIN_POSITIVE))).collect())
+    (!is_none).then(|| {
+        (0..track.t_ns.len())
+            .map(|k| ln(f64::max(through(track.t_ns[k], of(k)), f64::MIN_POSITIVE)))
+            .collect()
+    })
 }
 
 /// When an event really happened, under a trial.
@@ -321,7 +359,13 @@ struct Times {
     is_armed: bool,
 }
 
-fn times(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f64], random: &mut Random) -> Vec<Times> {
+fn times(
+    model: &Model,
+    effects: &[Box<dyn Effect>],
+    look: &Look<'_>,
+    seen: &[f64],
+    random: &mut Random,
+) -> Vec<Times> {
     let (site, track) = (&look.site, look.track);
     let (first_ns, last_ns) = (track.t_ns[0], track.t_ns[track.t_ns.len() - 1]);
     let mut all: Vec<Times> = Vec::with_capacity(look.events.len());
@@ -332,21 +376,26 @@ fn times(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f6
             Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
             Reset::Advance | Reset::AdvanceLossy => {
                 let is_last = look.events.get(k + 1).is_none_or(|next| next.t_in_ns != event.t_in_ns);
-                is_last && (model.pixel.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
+                is_last
+                    && (model.pixel.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
             }
         };
         blind_until = i64::max(blind_until, event.t_off_ns + model.pixel.refractory_ns);
         before = event.t_in_ns;
-        let mut recorded = PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
+        let mut recorded =
+            PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
         let stamp = recorded;
         for effect in effects {
             effect.stamp(site, random, &mut recorded);
         }
         let fired_ns = (2 * stamp.t_in_ns - recorded.t_in_ns).clamp(first_ns, last_ns);
-        let hidden_ns: i64 = effects.iter().map(|effect| effect.latency(site, random, fired_ns).hidden_ns).sum();
+        let hidden_ns: i64 =
+            effects.iter().map(|effect| effect.latency(site, random, fired_ns).hidden_ns).sum();
         let left_ns = i64::max(2 * stamp.t_off_ns - recorded.t_off_ns + hidden_ns, fired_ns);
         let light = exp(at(&track.t_ns, seen, left_ns));
-        let refractory_ns = effects.iter().fold(model.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(site, light, refractory_ns));
+        let refractory_ns = effects.iter().fold(model.pixel.refractory_ns, |refractory_ns, effect| {
+            effect.refractory_ns(site, light, refractory_ns)
+        });
         if let Some(last) = all.last_mut()
             && is_armed
         {
@@ -370,11 +419,14 @@ fn between(t_ns: &[i64], values: &[f64], after: usize, instant: i64) -> f64 {
     match (after.checked_sub(1), t_ns.get(after)) {
         (None, _) => values[0],
         (Some(last), None) => values[last],
-        (Some(k), Some(&next)) => values[k] + (values[after] - values[k]) * (instant - t_ns[k]) as f64 / (next - t_ns[k]) as f64,
+        (Some(k), Some(&next)) => {
+            values[k] + (values[after] - values[k]) * (instant - t_ns[k]) as f64 / (next - t_ns[k]) as f64
+        }
     }
 }
 
-/// Appends the values at rising instants of what is linear between rising `t_ns`: [`at`] for each, in one pass.
+/// Appends the values at rising instants of what is linear between rising `t_ns`: [`at`] for each, in one
+/// pass.
 pub fn at_each(t_ns: &[i64], values: &[f64], instants: &[i64], out: &mut Vec<f64>) {
     let mut after = 0;
     out.extend(instants.iter().map(|&instant| {
@@ -413,10 +465,16 @@ impl Walk<'_> {
             let (to_ns, to) = if next <= t_ns {
                 (next, self.seen[self.at + 1])
             } else {
-                (t_ns, self.now + (self.seen[self.at + 1] - self.now) * (t_ns - self.t_ns) as f64 / (next - self.t_ns) as f64)
+                (
+                    t_ns,
+                    self.now
+                        + (self.seen[self.at + 1] - self.now) * (t_ns - self.t_ns) as f64
+                            / (next - self.t_ns) as f64,
+                )
             };
             let is_whole = to_ns == next && self.t_ns == self.track.t_ns[self.at];
-            let known = self.settling.tau_s.get(self.at).zip(self.settling.settled.get(self.at)).filter(|_| is_whole);
+            let known =
+                self.settling.tau_s.get(self.at).zip(self.settling.settled.get(self.at)).filter(|_| is_whole);
             self.step((to_ns - self.t_ns) as f64 * 1e-9, to, known.map(|(tau, settled)| (*tau, *settled)));
             (self.t_ns, self.now) = (to_ns, to);
             if to_ns == next {
@@ -430,7 +488,8 @@ impl Walk<'_> {
     }
 
     fn input(&self) -> f64 {
-        self.before_high_pass() + self.drift - if self.model.high_pass_s.is_finite() { self.level } else { 0.0 }
+        self.before_high_pass() + self.drift
+            - if self.model.high_pass_s.is_finite() { self.level } else { 0.0 }
     }
 
     fn impulse(&mut self, impulse: &Impulse) {
@@ -452,7 +511,10 @@ impl Walk<'_> {
         let low = drive / f64::max(low_pass.tau_0_s + low_pass.alpha_s * one_over_light, TAU_LEAST_S);
         let low = low.clamp(-self.model.slew_down_per_s, self.model.slew_up_per_s);
         match self.model.second_pole {
-            Some(pole) => (self.low - self.second) / f64::max(pole.tau_s + pole.tau_light_s * one_over_light, TAU_LEAST_S),
+            Some(pole) => {
+                (self.low - self.second)
+                    / f64::max(pole.tau_s + pole.tau_light_s * one_over_light, TAU_LEAST_S)
+            }
             None => low,
         }
     }
@@ -474,11 +536,13 @@ impl Walk<'_> {
                 // With x = L - V, exp(x) - 1 obeys a linear equation on a ramp.
                 let rate = 1.0 / tau - slope;
                 let gone = -exp_m1(-rate * h);
-                let rest = exp_m1(from - self.low) * (1.0 - gone) + slope * if (rate * h).abs() < 1e-9 { h } else { gone / rate };
+                let rest = exp_m1(from - self.low) * (1.0 - gone)
+                    + slope * if (rate * h).abs() < 1e-9 { h } else { gone / rate };
                 to - ln(f64::max(1.0 + rest, 1e-12))
             }
         };
-        self.low = end.clamp(self.low - self.model.slew_down_per_s * h, self.low + self.model.slew_up_per_s * h);
+        self.low =
+            end.clamp(self.low - self.model.slew_down_per_s * h, self.low + self.model.slew_up_per_s * h);
         if let Some(pole) = self.model.second_pole {
             let mut tau_2 = f64::max(pole.tau_s + pole.tau_light_s * one_over_light(), TAU_LEAST_S);
             let is_plain = self.model.drive == Drive::SmallSignal && self.low == end;
@@ -494,7 +558,8 @@ impl Walk<'_> {
                 self.second = begin + rise + shared * (1.0 - settled) + own * exp(-h / tau_2);
             } else {
                 let settled_2 = -exp_m1(-h / tau_2);
-                self.second += settled_2 * (was.0 - self.second) + (1.0 - settled_2 * tau_2 / h) * (self.low - was.0);
+                self.second +=
+                    settled_2 * (was.0 - self.second) + (1.0 - settled_2 * tau_2 / h) * (self.low - was.0);
             }
         }
         if self.model.high_pass_s.is_finite() {

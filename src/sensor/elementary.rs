@@ -1,10 +1,12 @@
 //! Exponential and logarithm of `f64` without branches, so that a loop over them becomes vector instructions.
 //!
-//! Plain additions, multiplications and divisions in a fixed order: the same bits on every machine and at every vector width. Accurate to
-//! about one unit in the last place (tests compare with `libm`), several times faster than it in a loop.
+//! Plain additions, multiplications and divisions in a fixed order: the same bits on every machine and at
+//! every vector width. Accurate to about one unit in the last place (tests compare with `libm`), several
+//! times faster than it in a loop.
 //!
-//! Source: range reduction and the polynomial of the logarithm as in FDLIBM's `e_log.c`; the exponential is its Taylor series after reduction to |r| < 0.35.
-//! Limits: the logarithm takes normal positive numbers; the exponential is flat beyond the range of normal numbers.
+//! Source: range reduction and the polynomial of the logarithm as in FDLIBM's `e_log.c`; the exponential is
+//! its Taylor series after reduction to |r| < 0.35. Limits: the logarithm takes normal positive numbers; the
+//! exponential is flat beyond the range of normal numbers.
 
 /// ln 2 in two parts; the first has trailing zeros, so that a whole multiple of it is exact.
 const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
@@ -41,7 +43,8 @@ pub fn nearest(x: f64) -> f64 {
 /// A power of two and the rest: x = k ln 2 + r with |r| < 0.35; gives (2^k, r).
 #[inline(always)]
 fn reduced(x: f64) -> (f64, f64) {
-    // Beyond the range of normal numbers the answer stays at its end. Not `clamp`: a comparison and a choice are one instruction each.
+    // Beyond the range of normal numbers the answer stays at its end. Not `clamp`: a comparison and a choice
+    // are one instruction each.
     let x = if x < -708.0 { -708.0 } else { x };
     let x = if x > 709.0 { 709.0 } else { x };
     let rounded = x * std::f64::consts::LOG2_E + ROUNDER;
@@ -76,7 +79,8 @@ pub fn exp_m1(x: f64) -> f64 {
     power * small_exp_m1(r) + (power - 1.0)
 }
 
-/// Natural logarithm of a normal positive number; NaN for anything that is not above zero, infinity for infinity.
+/// Natural logarithm of a normal positive number; NaN for anything that is not above zero, infinity for
+/// infinity.
 #[inline(always)]
 pub fn ln(x: f64) -> f64 {
     const SQRT_HALF: u64 = 0x3FE6_A09E_0000_0000;
@@ -88,8 +92,12 @@ pub fn ln(x: f64) -> f64 {
     let f = m - 1.0;
     let s = f / (2.0 + f);
     let (z, w) = (s * s, (s * s) * (s * s));
-    let even = w * (3.999_999_999_940_942e-1 + w * (2.222_219_843_214_978_4e-1 + w * 1.531_383_769_920_937_3e-1));
-    let odd = z * (6.666_666_666_666_735e-1 + w * (2.857_142_874_366_239e-1 + w * (1.818_357_216_161_805e-1 + w * 1.479_819_860_511_658_6e-1)));
+    let even =
+        w * (3.999_999_999_940_942e-1 + w * (2.222_219_843_214_978_4e-1 + w * 1.531_383_769_920_937_3e-1));
+    let odd = z
+        * (6.666_666_666_666_735e-1
+            + w * (2.857_142_874_366_239e-1
+                + w * (1.818_357_216_161_805e-1 + w * 1.479_819_860_511_658_6e-1)));
     let half_square = 0.5 * f * f;
     let value = k * LN_2_HIGH - ((half_square - (s * (half_square + (even + odd)) + k * LN_2_LOW)) - f);
     let value = if x == f64::INFINITY { x } else { value };
@@ -128,7 +136,12 @@ mod tests {
             assert!(ulps(exp(x), libm::exp(x)) < 2.0, "{x}: {} {}", exp(x), libm::exp(x));
             let x = -3.0 + 3e-5 * f64::from(n);
             assert!(ulps(exp(x), libm::exp(x)) < 2.0, "{x}");
-            assert!(n == 100_000 || ulps(exp_m1(x), libm::expm1(x)) < 3.0, "{x}: {} {}", exp_m1(x), libm::expm1(x));
+            assert!(
+                n == 100_000 || ulps(exp_m1(x), libm::expm1(x)) < 3.0,
+                "{x}: {} {}",
+                exp_m1(x),
+                libm::expm1(x)
+            );
         }
         for n in 1..300 {
             let x = libm::exp(-f64::from(n) / 3.0);
@@ -139,7 +152,9 @@ mod tests {
 
     #[test]
     fn nearest_rounds_halves_to_even() {
-        for (x, whole) in [(0.4, 0.0), (0.5, 0.0), (1.5, 2.0), (-0.6, -1.0), (-2.5, -2.0), (1e14 + 0.7, 1e14 + 1.0)] {
+        for (x, whole) in
+            [(0.4, 0.0), (0.5, 0.0), (1.5, 2.0), (-0.6, -1.0), (-2.5, -2.0), (1e14 + 0.7, 1e14 + 1.0)]
+        {
             assert_eq!(nearest(x), whole);
         }
     }

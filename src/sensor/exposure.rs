@@ -5,8 +5,8 @@
 //! rolling-shutter correction here.
 //!
 //! Source: Eq. (5) and Section 4.1 ("Rolling Shutter (RS) Effect Correction"). The photocurrent of a solved
-//! pixel is a zero-order hold ([`HeldTrack`]): `i[k]` from knot `k` to knot `k + 1`, `i[0]` before the first, the last for ever; or
-//! its logarithm is linear between knots ([`LogLinearTrack`]), with the same ends.
+//! pixel is a zero-order hold ([`HeldTrack`]): `i[k]` from knot `k` to knot `k + 1`, `i[0]` before the first,
+//! the last for ever; or its logarithm is linear between knots ([`LogLinearTrack`]), with the same ends.
 //!
 //! Times are whole nanoseconds, so limits and overlaps are exact; only the photocurrent is `f64`. An overlap
 //! becomes an `f64` exactly up to 2^53 ns (104 days). Rendering thousands of frames per second from one track
@@ -32,13 +32,15 @@ impl DigitalNumber {
         self.black_level + self.gain * integral
     }
 
-    /// The integral, photocurrent times seconds, whose DN is `dn`: the inverse of [`DigitalNumber::of`], negative below the black level.
+    /// The integral, photocurrent times seconds, whose DN is `dn`: the inverse of [`DigitalNumber::of`],
+    /// negative below the black level.
     pub fn integral(&self, dn: f64) -> f64 {
         (dn - self.black_level) / self.gain
     }
 }
 
-/// A pixel's photocurrent over time as a zero-order hold. Photocurrents may be `f32` or `f64`; sums are taken in `f64`.
+/// A pixel's photocurrent over time as a zero-order hold. Photocurrents may be `f32` or `f64`; sums are taken
+/// in `f64`.
 #[derive(Clone, Copy, Debug)]
 pub struct HeldTrack<'a, P = f64> {
     knots_ns: &'a [i64],
@@ -50,8 +52,8 @@ impl<'a, P: Copy + Into<f64>> HeldTrack<'a, P> {
     ///
     /// # Panics
     ///
-    /// When the slices are empty, differ in length, or the knots go back in time: the integral below relies on
-    /// order. Equal knots are allowed (the earlier one then holds for no time).
+    /// When the slices are empty, differ in length, or the knots go back in time: the integral below relies
+    /// on order. Equal knots are allowed (the earlier one then holds for no time).
     pub fn new(knots_ns: &'a [i64], photocurrent: &'a [P]) -> Self {
         assert!(!knots_ns.is_empty(), "a track has at least one knot");
         assert_eq!(knots_ns.len(), photocurrent.len(), "a track has one photocurrent per knot");
@@ -59,7 +61,8 @@ impl<'a, P: Copy + Into<f64>> HeldTrack<'a, P> {
         HeldTrack { knots_ns, photocurrent }
     }
 
-    /// The integral of the photocurrent over `exposure`, in photocurrent times seconds: Eq. (5) without its gain.
+    /// The integral of the photocurrent over `exposure`, in photocurrent times seconds: Eq. (5) without its
+    /// gain.
     pub fn integral(&self, exposure: Exposure) -> f64 {
         let after = self.knots_ns.partition_point(|&knot| knot <= exposure.start.0);
         self.integral_from(after.saturating_sub(1), exposure)
@@ -71,8 +74,8 @@ pub trait Track {
     /// Its knots, in order of time, at least one.
     fn knots_ns(&self) -> &[i64];
 
-    /// The integral over `exposure`, photocurrent times seconds; `first` is the last knot not after the exposure's start, or 0.
-    /// All ways to an integral end here, so they round alike.
+    /// The integral over `exposure`, photocurrent times seconds; `first` is the last knot not after the
+    /// exposure's start, or 0. All ways to an integral end here, so they round alike.
     fn integral_from(&self, first: usize, exposure: Exposure) -> f64;
 }
 
@@ -96,7 +99,8 @@ impl<P: Copy + Into<f64>> Track for HeldTrack<'_, P> {
     }
 }
 
-/// A pixel's photocurrent over time whose logarithm is linear between knots; the first value holds before, the last one for ever.
+/// A pixel's photocurrent over time whose logarithm is linear between knots; the first value holds before,
+/// the last one for ever.
 #[derive(Clone, Copy, Debug)]
 pub struct LogLinearTrack<'a, P = f64> {
     knots_ns: &'a [i64],
@@ -111,7 +115,8 @@ impl<'a, P: Copy + Into<f64>> LogLinearTrack<'a, P> {
     ///
     /// # Panics
     ///
-    /// When the slices are empty, differ in length, or the knots go back in time. Equal knots are allowed: a jump.
+    /// When the slices are empty, differ in length, or the knots go back in time. Equal knots are allowed: a
+    /// jump.
     pub fn new(knots_ns: &'a [i64], photocurrent: &'a [P]) -> Self {
         let HeldTrack { knots_ns, photocurrent } = HeldTrack::new(knots_ns, photocurrent);
         LogLinearTrack { knots_ns, photocurrent }
@@ -175,7 +180,8 @@ impl<P: Copy + Into<f64>> Track for LogLinearTrack<'_, P> {
     }
 }
 
-/// The mean of a photocurrent whose logarithm goes linearly from `first` to `last`: `(e^last - e^first) / (last - first)`.
+/// The mean of a photocurrent whose logarithm goes linearly from `first` to `last`:
+/// `(e^last - e^first) / (last - first)`.
 pub(crate) fn log_linear_mean(first: f64, last: f64) -> f64 {
     let rise = last - first;
     let ratio = if rise.abs() < 0.02 {
@@ -238,7 +244,9 @@ mod tests {
     #[test]
     fn a_digital_number_gives_its_integral() {
         let number = DigitalNumber { black_level: 20.0, gain: 800.0 };
-        assert!((number.integral(140.0) - 0.15).abs() < 1e-15 && (number.integral(12.0) + 0.01).abs() < 1e-15);
+        assert!(
+            (number.integral(140.0) - 0.15).abs() < 1e-15 && (number.integral(12.0) + 0.01).abs() < 1e-15
+        );
         assert!((number.of(number.integral(731.5)) - 731.5).abs() < 1e-12);
     }
 
@@ -300,7 +308,10 @@ mod tests {
             let share = (t - knots[k - 1] as f64) / (knots[k] - knots[k - 1]) as f64;
             libm::pow(current[k - 1], 1.0 - share) * libm::pow(current[k], share)
         };
-        (0..steps).map(|n| value(exposure.start.0 as f64 + (f64::from(n) + 0.5) * length) * length).sum::<f64>() / 1e9
+        (0..steps)
+            .map(|n| value(exposure.start.0 as f64 + (f64::from(n) + 0.5) * length) * length)
+            .sum::<f64>()
+            / 1e9
     }
 
     #[test]
@@ -309,14 +320,17 @@ mod tests {
         for (start, end) in [(0, 50), (0, 150), (110, 190), (150, 350), (0, 900), (350, 450), (500, 501)] {
             let exposure = Exposure::new(start, end);
             let (exact, steps) = (track.integral(exposure), stepped(&KNOTS, &CURRENT, exposure));
-            // The midpoint rule errs by (length / steps)^2 times the curvature, and by one step at each corner.
+            // The midpoint rule errs by (length / steps)^2 times the curvature, and by one step at each
+            // corner.
             assert!((exact / steps - 1.0).abs() < 1e-5, "{start} to {end}: {exact} against {steps}");
         }
     }
 
     #[test]
     fn equal_values_and_jumps_and_darkness_are_no_trouble() {
-        let at = |knots: &[i64], current: &[f32]| LogLinearTrack::new(knots, current).integral(Exposure::new(0, 20));
+        let at = |knots: &[i64], current: &[f32]| {
+            LogLinearTrack::new(knots, current).integral(Exposure::new(0, 20))
+        };
         assert!((at(&[0, 10, 20], &[2.0, 2.0, 2.0]) - 40e-9).abs() < 1e-20);
         assert!((at(&[0, 10, 10, 20], &[1.0, 1.0, 3.0, 3.0]) - 40e-9).abs() < 1e-20);
         assert!(at(&[0, 20], &[0.0, 0.0]) < 1e-40);

@@ -9,12 +9,13 @@
 //! that Eq. (1) has; the printed form would forget the voltage at every event. This crate follows Eq. (1).
 //!
 //! Limits: one pole; the time constant is held over an interval, and [`TauRule`] says at which end of the
-//! interval it is taken. With [`TauRule::End`] the fall that an interval
-//! can make has a largest value: a darker target is further away, but also slower to approach (see `inverse`).
+//! interval it is taken. With [`TauRule::End`] the fall that an interval can make has a largest value: a
+//! darker target is further away, but also slower to approach (see `inverse`).
 
 use crate::scalar::Scalar;
 
-/// The shortest time constant, in seconds, that division by it can take: stands for the ideal front end's zero.
+/// The shortest time constant, in seconds, that division by it can take: stands for the ideal front end's
+/// zero.
 const TAU_FLOOR_S: f64 = 1e-30;
 
 /// The two parameters of the low-pass: `tau(i) = tau_0 + alpha / i`, Eq. (3).
@@ -78,10 +79,12 @@ pub fn time_constant<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
     front_end.tau_0_s + front_end.alpha_s / photocurrent
 }
 
-/// One over [`time_constant`], 1/s, with one division less: `i / (tau_0 i + alpha)`. `photocurrent` is positive; the ideal front end's rate is finite, 1e30/s.
+/// One over [`time_constant`], 1/s, with one division less: `i / (tau_0 i + alpha)`. `photocurrent` is
+/// positive; the ideal front end's rate is finite, 1e30/s.
 #[inline(always)]
 pub(crate) fn settling_rate<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
-    photocurrent / (front_end.tau_0_s * photocurrent + front_end.alpha_s).max(S::from_f64(TAU_FLOOR_S) * photocurrent)
+    photocurrent
+        / (front_end.tau_0_s * photocurrent + front_end.alpha_s).max(S::from_f64(TAU_FLOOR_S) * photocurrent)
 }
 
 /// The fraction gamma, 0 to 1, of the way to the settled voltage covered in `dt_s`: Eq. (2).
@@ -161,7 +164,8 @@ mod tests {
     fn ideal_front_end_has_finite_derivatives() {
         let ideal = FrontEnd::IDEAL.lift::<Dual<f64>>();
         let i = Dual::variable(0.3);
-        let v = settle(Dual::constant(0.1), settled_voltage(i), Dual::constant(1e-3), time_constant(&ideal, i));
+        let v =
+            settle(Dual::constant(0.1), settled_voltage(i), Dual::constant(1e-3), time_constant(&ideal, i));
         assert!((v.tangent - 1.0 / 0.3).abs() < 1e-12);
     }
 
@@ -171,7 +175,8 @@ mod tests {
         let at = |i: f64| settle(0.1, settled_voltage(i), 3e-4, time_constant(&front_end, i));
         let i = Dual::variable(0.3);
         let lifted = front_end.lift();
-        let dual = settle(Dual::constant(0.1), settled_voltage(i), Dual::constant(3e-4), time_constant(&lifted, i));
+        let dual =
+            settle(Dual::constant(0.1), settled_voltage(i), Dual::constant(3e-4), time_constant(&lifted, i));
         let numeric = (at(0.3 + 1e-6) - at(0.3 - 1e-6)) / 2e-6;
         assert!((dual.tangent - numeric).abs() < 1e-8);
     }

@@ -1,11 +1,12 @@
-//! Sixteen pixels side by side: a [`Scalar`] whose operations work on every lane, so that the equations become vector instructions.
+//! Sixteen pixels side by side: a [`Scalar`] whose operations work on every lane, so that the equations
+//! become vector instructions.
 //!
-//! Single precision, with exponential and logarithm of its own that have no branches. Lanes never mix, every operation rounds as the scalar one
-//! does, and nothing is fused: a pixel's result does not depend on its neighbours in the vector, on the vector's width in the
-//! machine, or on the machine.
+//! Single precision, with exponential and logarithm of its own that have no branches. Lanes never mix, every
+//! operation rounds as the scalar one does, and nothing is fused: a pixel's result does not depend on its
+//! neighbours in the vector, on the vector's width in the machine, or on the machine.
 //!
-//! Source: range reduction and polynomials of the Cephes library (`expf`, `logf`). Limits: about two units in the last place; the
-//! exponential is flat beyond -87 and 88, the logarithm takes normal positive numbers.
+//! Source: range reduction and polynomials of the Cephes library (`expf`, `logf`). Limits: about two units in
+//! the last place; the exponential is flat beyond -87 and 88, the logarithm takes normal positive numbers.
 
 use crate::scalar::Scalar;
 
@@ -186,7 +187,11 @@ mod tests {
     use crate::front_end::{FrontEnd, settle, settled_voltage, time_constant};
 
     fn ulps(got: f32, expected: f64) -> f64 {
-        if f64::from(got) == expected { 0.0 } else { (f64::from(got) - expected).abs() / (expected.abs() * f64::from(f32::EPSILON)) }
+        if f64::from(got) == expected {
+            0.0
+        } else {
+            (f64::from(got) - expected).abs() / (expected.abs() * f64::from(f32::EPSILON))
+        }
     }
 
     #[test]
@@ -199,9 +204,19 @@ mod tests {
             let x = libm::exp(-50.0 + 1e-3 * f64::from(n)) as f32;
             assert!(ulps(ln(x), libm::log(x.into())) < 2.0, "ln {x}: {} {}", ln(x), libm::log(x.into()));
             let x = 1e-7 + 2e-5 * n as f32;
-            assert!(ulps(ln(x), libm::log(x.into())) < 2.0 || (f64::from(ln(x)) - libm::log(x.into())).abs() < 1e-7, "ln {x}");
+            assert!(
+                ulps(ln(x), libm::log(x.into())) < 2.0
+                    || (f64::from(ln(x)) - libm::log(x.into())).abs() < 1e-7,
+                "ln {x}"
+            );
         }
-        assert!(exp(-1e9) < 1e-37 && exp(1e9) > 1e38 && exp_m1(-1e9) == -1.0 && exp_m1(0.0) == 0.0 && ln(1.0) == 0.0);
+        assert!(
+            exp(-1e9) < 1e-37
+                && exp(1e9) > 1e38
+                && exp_m1(-1e9) == -1.0
+                && exp_m1(0.0) == 0.0
+                && ln(1.0) == 0.0
+        );
         assert!(ln(0.0) == f32::NEG_INFINITY && ln(-1.0).is_nan());
     }
 
@@ -210,7 +225,12 @@ mod tests {
         let front_end = FrontEnd { tau_0_s: 30e-6, alpha_s: 1e-4 };
         let photocurrent = std::array::from_fn(|n| 0.05 + 0.4 * n as f32);
         let lit = Lanes(photocurrent);
-        let lanes = settle(Lanes::splat(-1.0), settled_voltage(lit), Lanes::splat(3e-4), time_constant(&front_end.lift(), lit));
+        let lanes = settle(
+            Lanes::splat(-1.0),
+            settled_voltage(lit),
+            Lanes::splat(3e-4),
+            time_constant(&front_end.lift(), lit),
+        );
         for (n, i) in photocurrent.into_iter().map(f64::from).enumerate() {
             let expected = settle(-1.0, settled_voltage(i), 3e-4, time_constant(&front_end, i));
             assert!((f64::from(lanes.0[n]) - expected).abs() < 1e-6, "{n}");

@@ -1,8 +1,8 @@
 //! The physics of a hybrid sensor that takes frames (CIS) and events (EVS) with one photodiode array.
 //!
-//! Every equation of the model is written once, here, and the simulator, the solver and the diagnosis all call it.
-//! The crate knows no files, no graphs and no image layout: it sees one pixel (or one pixel row) at a time,
-//! as plain slices of seconds, nanoseconds, photocurrents and natural-log voltages.
+//! Every equation of the model is written once, here, and the simulator, the solver and the diagnosis all
+//! call it. The crate knows no files, no graphs and no image layout: it sees one pixel (or one pixel row) at
+//! a time, as plain slices of seconds, nanoseconds, photocurrents and natural-log voltages.
 //!
 //! The equations follow "Sensor inverse modeling" (Eqs. 1-13); deviations are said where they happen.
 //!
@@ -25,11 +25,13 @@
 //! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
 //! - [`map`]: the same with knots that are fine, the exact reset and a prior: the MAP estimate.
 //! - [`mixing`]: whose photocurrent an event pixel sees; [`undo`]: what effects did to measurements, undone.
-//! - [`estimate`]: what a file does not say and its own events and frames do: offset, exposure, row time, thresholds.
+//! - [`estimate`]: what a file does not say and its own events and frames do: offset, exposure, row time,
+//!   thresholds.
 //! - [`effects`]: non-idealities beyond the model above, one file each.
 //!
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
-//! ([`elementary`] and the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is the platform's.
+//! ([`elementary`] and the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is
+//! the platform's.
 
 #![warn(unreachable_pub)]
 

@@ -1,15 +1,19 @@
 //! Whose photocurrent an event pixel sees where effects mix that of neighbours, as the solver needs it.
 //!
-//! The kernels of all effects are joined into one ([`crate::forward::neighbours::joined`]). A frame pixel and an event pixel at the same place need not see the same thing: with a shift by
-//! three pixels none of the light of a frame pixel reaches the event pixel there. So a frame pixel is solved with the events of that event pixel which sees it with the largest weight
-//! ([`Mixing::columns_right`], [`Mixing::rows_down`]), and the rest of the kernel, around that weight, is what has to be corrected for.
+//! The kernels of all effects are joined into one ([`crate::forward::neighbours::joined`]). A frame pixel and
+//! an event pixel at the same place need not see the same thing: with a shift by three pixels none of the
+//! light of a frame pixel reaches the event pixel there. So a frame pixel is solved with the events of that
+//! event pixel which sees it with the largest weight ([`Mixing::columns_right`], [`Mixing::rows_down`]), and
+//! the rest of the kernel, around that weight, is what has to be corrected for.
 //!
-//! Limits: one domain for all kernels; taps that together weigh less than [`LEAST_PART`] are left out; a frame pixel whose event pixel would lie beyond the array has no events.
+//! Limits: one domain for all kernels; taps that together weigh less than [`LEAST_PART`] are left out; a
+//! frame pixel whose event pixel would lie beyond the array has no events.
 
 use crate::effects::{Effect, Kernel, Tap};
 use crate::forward::neighbours::{TwoDomains, joined, mixed_log, stand_in};
 
-/// Taps are left out while their weights sum to less than this part of all: a blur's far taps are many, and even next to pixels a hundred times as bright their photocurrent is a percent.
+/// Taps are left out while their weights sum to less than this part of all: a blur's far taps are many, and
+/// even next to pixels a hundred times as bright their photocurrent is a percent.
 const LEAST_PART: f64 = 1e-4;
 
 /// The joined kernel of some effects.
@@ -31,9 +35,13 @@ impl Mixing {
 
     fn of(mut kernel: Kernel) -> Option<Mixing> {
         let distance = |tap: &Tap| i64::from(tap.dx).pow(2) + i64::from(tap.dy).pow(2);
-        // Stable sorts of numbers that are the same everywhere: heaviest first, the nearest of equal ones first.
-        kernel.taps.sort_by(|a, b| b.weight.abs().total_cmp(&a.weight.abs()).then(distance(a).cmp(&distance(b))));
-        let (sum, all): (f64, f64) = kernel.taps.iter().fold((0.0, 0.0), |(sum, all), tap| (sum + tap.weight, all + tap.weight.abs()));
+        // Stable sorts of numbers that are the same everywhere: heaviest first, the nearest of equal ones
+        // first.
+        kernel
+            .taps
+            .sort_by(|a, b| b.weight.abs().total_cmp(&a.weight.abs()).then(distance(a).cmp(&distance(b))));
+        let (sum, all): (f64, f64) =
+            kernel.taps.iter().fold((0.0, 0.0), |(sum, all), tap| (sum + tap.weight, all + tap.weight.abs()));
         let mut left = 0.0;
         while let Some(last) = kernel.taps.last()
             && kernel.taps.len() > 1
@@ -65,10 +73,21 @@ impl Mixing {
         self.kernel.taps.iter().map(|tap| tap.dy.abs_diff(self.centre.1)).max().unwrap_or(0)
     }
 
-    /// Log photocurrent that event pixel (x, y) sees at `count` instants; `log_light` gives that of another pixel, by column and row: beyond the edge the nearest one stands in.
-    pub fn seen(&self, (x, y): (u32, u32), (width, height): (u32, u32), count: usize, mut log_light: impl FnMut(u32, u32, &mut Vec<f64>)) -> Vec<f64> {
+    /// Log photocurrent that event pixel (x, y) sees at `count` instants; `log_light` gives that of another
+    /// pixel, by column and row: beyond the edge the nearest one stands in.
+    pub fn seen(
+        &self,
+        (x, y): (u32, u32),
+        (width, height): (u32, u32),
+        count: usize,
+        mut log_light: impl FnMut(u32, u32, &mut Vec<f64>),
+    ) -> Vec<f64> {
         mixed_log(&self.kernel, count, |tap, out| {
-            log_light(stand_in(x as usize, tap.dx, width as usize) as u32, stand_in(y as usize, tap.dy, height as usize) as u32, out);
+            log_light(
+                stand_in(x as usize, tap.dx, width as usize) as u32,
+                stand_in(y as usize, tap.dy, height as usize) as u32,
+                out,
+            );
         })
     }
 }
@@ -95,7 +114,9 @@ mod tests {
             let expected = event_plane(&effects, width as usize, height as usize, &plane).unwrap();
             let mixing = mixing(effects);
             for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-                let found = mixing.seen((x, y), (width, height), 1, |x, y, out| out.push(libm::log(plane[(y * width + x) as usize])));
+                let found = mixing.seen((x, y), (width, height), 1, |x, y, out| {
+                    out.push(libm::log(plane[(y * width + x) as usize]))
+                });
                 let expected = libm::log(expected[(y * width + x) as usize]);
                 // What is left out weighs a ten-thousandth, of neighbours at most five times as bright.
                 assert!((found[0] - expected).abs() < 1e-3, "({x}, {y}): {} {expected}", found[0]);
@@ -127,7 +148,8 @@ mod tests {
 
     #[test]
     fn two_domains_are_refused_and_no_kernel_is_no_mixing() {
-        let both: Vec<Box<dyn Effect>> = vec![Box::new(Crosstalk { fraction: 0.2 }), Box::new(LateralInhibition { fraction: 0.4 })];
+        let both: Vec<Box<dyn Effect>> =
+            vec![Box::new(Crosstalk { fraction: 0.2 }), Box::new(LateralInhibition { fraction: 0.4 })];
         assert!(Mixing::new(&both).is_err());
         assert_eq!(Mixing::new(&[]), Ok(None));
     }

@@ -1,7 +1,8 @@
 //! The sensor as its description states it, in numbers that a simulation, a solution and a diagnosis share.
 //!
-//! The fields that the equations need stand here once, `[effects]` aside ([`crate::effects::from_description`]). What a description leaves out is NaN where no number can
-//! stand for it; each user asks for what it needs beforehand ([`photocurrent_core::Sensor::need_all`]).
+//! The fields that the equations need stand here once, `[effects]` aside
+//! ([`crate::effects::from_description`]). What a description leaves out is NaN where no number can stand for
+//! it; each user asks for what it needs beforehand ([`photocurrent_core::Sensor::need_all`]).
 
 use crate::exposure::DigitalNumber;
 use crate::forward::{LOG_STEP, Pixel};
@@ -33,17 +34,25 @@ pub struct Model {
 }
 
 impl Model {
-    /// Reads a description. Time constants, refractory period and row time that are not stated are 0, thresholds and gain NaN; the random part of the latency is 0.
+    /// Reads a description. Time constants, refractory period and row time that are not stated are 0,
+    /// thresholds and gain NaN; the random part of the latency is 0.
     pub fn of(sensor: &Sensor) -> Model {
         let seconds = |duration: Option<Duration>| duration.map_or(0.0, |duration| duration.seconds());
         let ns = |duration: Option<Duration>| duration.map_or(0, Duration::ns);
         let black_level = sensor.frames.black_level_dn.unwrap_or(0.0);
         let saturation_dn = sensor.frames.saturation_dn.unwrap_or(f64::INFINITY);
         let electrons = sensor.frames.full_well_e.unwrap_or(0.0);
-        let dn_per_electron = if electrons > 0.0 && saturation_dn.is_finite() { (saturation_dn - black_level) / electrons } else { 0.0 };
+        let dn_per_electron = if electrons > 0.0 && saturation_dn.is_finite() {
+            (saturation_dn - black_level) / electrons
+        } else {
+            0.0
+        };
         Model {
             pixel: Pixel {
-                front_end: FrontEnd { tau_0_s: seconds(sensor.front_end.tau_0), alpha_s: seconds(sensor.front_end.alpha) },
+                front_end: FrontEnd {
+                    tau_0_s: seconds(sensor.front_end.tau_0),
+                    alpha_s: seconds(sensor.front_end.alpha),
+                },
                 threshold_on: sensor.comparator.threshold_on.unwrap_or(f64::NAN),
                 threshold_off: sensor.comparator.threshold_off.unwrap_or(f64::NAN),
                 latency_ns: ns(sensor.readout.latency_min),
@@ -80,10 +89,13 @@ impl Model {
     /// that it does not state: of standard deviations `unstated_dn`, DN, and of a `share` of the signal. A
     /// value below black has the noise of black.
     ///
-    /// Source: the photon transfer relation (Janesick, Photon Transfer, 2007): the number of electrons has a Poisson distribution, and read noise adds in squares.
+    /// Source: the photon transfer relation (Janesick, Photon Transfer, 2007): the number of electrons has a
+    /// Poisson distribution, and read noise adds in squares.
     pub fn frame_sigma_of_dn<const N: usize>(&self, signal: f64, unstated_dn: [f64; N], share: f64) -> f64 {
         let signal = f64::max(signal, 0.0);
-        let dark = unstated_dn.iter().fold(self.read_noise_dn * self.read_noise_dn, |variance, sigma| variance + sigma * sigma);
+        let dark = unstated_dn
+            .iter()
+            .fold(self.read_noise_dn * self.read_noise_dn, |variance, sigma| variance + sigma * sigma);
         let unstated = share * signal;
         libm::sqrt(dark + self.dn_per_electron * signal + unstated * unstated)
     }
@@ -109,12 +121,20 @@ mod tests {
         let text = "format = \"photocurrent-sensor/1\"\n[front_end]\nalpha = \"2 ms\"\n[comparator]\nthreshold_on = 0.2\n[readout]\nrefractory = \"1 ms\"\n\
                     [frames]\nblack_level_dn = 10\nsaturation_dn = 1010\nfull_well_e = 2000\nread_noise_dn = 3\n";
         let model = Model::of(&Sensor::parse(&Source::new("s.toml", "", text)).unwrap());
-        assert_eq!((model.pixel.front_end.tau_0_s, model.pixel.front_end.alpha_s, model.pixel.refractory_ns), (0.0, 2e-3, 1_000_000));
+        assert_eq!(
+            (model.pixel.front_end.tau_0_s, model.pixel.front_end.alpha_s, model.pixel.refractory_ns),
+            (0.0, 2e-3, 1_000_000)
+        );
         assert!(model.pixel.threshold_off.is_nan() && model.number.gain.is_nan());
         // 0.5 DN an electron: 200 DN of light have a variance of 100.
         assert!((model.frame_sigma_with_dn(210.0, []) - libm::sqrt(9.0 + 100.0)).abs() < 1e-12);
         let signal = 210.0 - model.number.black_level;
-        assert!((model.frame_sigma_dn(signal, (4.0, 0.1)) - libm::sqrt(9.0 + 100.0 + 16.0 + 0.01 * signal * signal)).abs() < 1e-12);
+        assert!(
+            (model.frame_sigma_dn(signal, (4.0, 0.1))
+                - libm::sqrt(9.0 + 100.0 + 16.0 + 0.01 * signal * signal))
+            .abs()
+                < 1e-12
+        );
     }
 
     #[test]
@@ -123,7 +143,10 @@ mod tests {
         let model = Model::of(&Sensor::parse(&Source::new("s.toml", "", text)).unwrap());
         // 3^2 + 4^2 = 5^2 and 5^2 + 12^2 = 13^2, whatever the value where photon noise is not stated.
         assert_eq!([5.0, 10.0, 900.0].map(|dn| model.frame_sigma_with_dn(dn, [4.0, 12.0])), [13.0; 3]);
-        assert_eq!([model.frame_sigma_with_dn(900.0, []), model.frame_sigma_with_dn(900.0, [-4.0])], [3.0, 5.0]);
+        assert_eq!(
+            [model.frame_sigma_with_dn(900.0, []), model.frame_sigma_with_dn(900.0, [-4.0])],
+            [3.0, 5.0]
+        );
         assert_eq!(model.frame_sigma_dn(120.0, (4.0, 0.1)), 13.0);
     }
 }

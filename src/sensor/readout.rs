@@ -1,8 +1,8 @@
 //! What the pixel misses while it is being read out, and how to add it back.
 //!
 //! After an event fires (at `t_in`) the pixel waits for its turn on the readout bus (until `t_off`) and then
-//! rests for the refractory period `t_rp`. All that time the front-end voltage keeps moving, and the reference
-//! is taken from it only at the end. So two events lie further apart in voltage than one threshold.
+//! rests for the refractory period `t_rp`. All that time the front-end voltage keeps moving, and the
+//! reference is taken from it only at the end. So two events lie further apart in voltage than one threshold.
 //!
 //! Idea: assume the voltage moves with one slope from the previous event to this one. The comparator saw the
 //! slope only while it was armed, from `t_off(k) + t_rp` to `t_in(k+1)`, and there it moved by exactly one
@@ -17,8 +17,8 @@ use crate::scalar::Scalar;
 
 /// The largest blind-to-armed ratio that is used.
 ///
-/// An event that fires right after the reference was taken implies an almost vertical slope; Eq. (9) would turn
-/// one threshold into hundreds. Beyond this ratio the local slope does not constrain the blind time.
+/// An event that fires right after the reference was taken implies an almost vertical slope; Eq. (9) would
+/// turn one threshold into hundreds. Beyond this ratio the local slope does not constrain the blind time.
 pub const RATIO_LIMIT: f64 = 20.0;
 
 /// The shortest armed time, in seconds, that is divided by.
@@ -29,8 +29,8 @@ pub(crate) const ARMED_FLOOR_S: f64 = 5e-6;
 
 /// The signed log step from event `k` to event `k+1`, blind time included: Eqs. (9)-(12).
 ///
-/// `step` is the plain step `c(k+1)` (signed, natural-log units). Times are seconds on one clock:
-/// `t_in_s` and `t_off_s` of event `k`, `next_t_in_s` of event `k+1`. The result has the sign of `step` and lies
+/// `step` is the plain step `c(k+1)` (signed, natural-log units). Times are seconds on one clock: `t_in_s`
+/// and `t_off_s` of event `k`, `next_t_in_s` of event `k+1`. The result has the sign of `step` and lies
 /// between `step` and `step * (1 + RATIO_LIMIT)` when `t_off_s >= t_in_s` and `refractory_s >= 0`.
 ///
 /// Two guards, both absent from the paper: the armed time is at least [`ARMED_FLOOR_S`], the ratio at most

@@ -1,18 +1,21 @@
 //! Residuals: measured minus predicted, for a candidate photocurrent of one pixel.
 //!
-//! The rows of Eq. (13) in one plain function over any number type: first the N - 1 EVS rows (Eq. 8 or 12), then
-//! the M CIS rows (Eq. 5). The solver does not run on it (it eliminates the EVS rows first); it is the
+//! The rows of Eq. (13) in one plain function over any number type: first the N - 1 EVS rows (Eq. 8 or 12),
+//! then the M CIS rows (Eq. 5). The solver does not run on it (it eliminates the EVS rows first); it is the
 //! independent statement that the solver's gradients are checked against, and what a diagnosis looks at.
 //!
-//! Residuals are raw, in natural-log units (EVS) and DN (CIS). Times the square root of its weight, a row is whitened.
+//! Residuals are raw, in natural-log units (EVS) and DN (CIS). Times the square root of its weight, a row is
+//! whitened.
 
 use crate::front_end::{FrontEnd, settle, settled_photocurrent, time_constant};
 use crate::inverse::PixelProblem;
 use crate::scalar::Scalar;
 
-/// How far one pixel's measurements are from what its solution predicts: sums of squares of whitened residuals, apart for events and frames.
+/// How far one pixel's measurements are from what its solution predicts: sums of squares of whitened
+/// residuals, apart for events and frames.
 ///
-/// Where noise is as large as assumed, the root mean squares are near 1, and smaller by what the solution has taken up of it.
+/// Where noise is as large as assumed, the root mean squares are near 1, and smaller by what the solution has
+/// taken up of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Misfit {
     /// Of events: the sum of squares, each over its variance.
@@ -62,7 +65,12 @@ pub(crate) fn row_count(problem: &PixelProblem<'_>) -> usize {
 /// # Panics
 ///
 /// When the problem has no knot or the lengths do not fit.
-pub fn residuals<S: Scalar>(problem: &PixelProblem<'_>, front_end: &FrontEnd<S>, log_photocurrent: &[S], out: &mut Vec<S>) {
+pub fn residuals<S: Scalar>(
+    problem: &PixelProblem<'_>,
+    front_end: &FrontEnd<S>,
+    log_photocurrent: &[S],
+    out: &mut Vec<S>,
+) {
     let knots = problem.t_s.len();
     assert!(knots > 0 && log_photocurrent.len() == knots, "one log photocurrent per knot");
     out.clear();
@@ -78,14 +86,16 @@ pub fn residuals<S: Scalar>(problem: &PixelProblem<'_>, front_end: &FrontEnd<S>,
     for frame in problem.frames {
         let mut integral = S::from_f64(0.0);
         for (k, &u) in log_photocurrent.iter().enumerate() {
-            integral = integral + S::from_f64(held_s(problem.t_s, k, frame.start_s, frame.end_s)) * settled_photocurrent(u);
+            integral = integral
+                + S::from_f64(held_s(problem.t_s, k, frame.start_s, frame.end_s)) * settled_photocurrent(u);
         }
         let dn = S::from_f64(problem.black_level) + S::from_f64(problem.gain) * integral;
         out.push(S::from_f64(frame.dn) - dn);
     }
 }
 
-/// The cost of Eq. (13) at `log_photocurrent`: the weighted sum of squared [`residuals`], without a factor 1/2.
+/// The cost of Eq. (13) at `log_photocurrent`: the weighted sum of squared [`residuals`], without a factor
+/// 1/2.
 pub fn cost(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> f64 {
     let mut rows = Vec::with_capacity(row_count(problem));
     residuals(problem, &problem.front_end, log_photocurrent, &mut rows);
@@ -129,8 +139,10 @@ mod tests {
     use crate::inverse::FrameSample;
     use crate::scalar::Dual;
 
-    const FRAMES: [FrameSample; 2] =
-        [FrameSample { start_s: -1e-3, end_s: 3e-3, dn: 300.0, weight: 0.04 }, FrameSample { start_s: 3.5e-3, end_s: 7e-3, dn: 210.0, weight: 0.04 }];
+    const FRAMES: [FrameSample; 2] = [
+        FrameSample { start_s: -1e-3, end_s: 3e-3, dn: 300.0, weight: 0.04 },
+        FrameSample { start_s: 3.5e-3, end_s: 7e-3, dn: 210.0, weight: 0.04 },
+    ];
     const T_S: [f64; 5] = [0.0, 6e-4, 2e-3, 4.1e-3, 4.2e-3];
     const U: [f64; 5] = [-1.0, -0.7, -1.4, -2.3, -1.9];
 

@@ -7,7 +7,8 @@
 //! one direction; nesting `Dual<Dual<f64>>` gives second derivatives.
 //!
 //! Limits: functions over `Scalar` must not branch on [`Scalar::value`], only use [`Scalar::min`] and
-//! [`Scalar::max`]: lanes ([`crate::lanes`]), each of which would branch differently, are a `Scalar` too, and their `value` is lane 0.
+//! [`Scalar::max`]: lanes ([`crate::lanes`]), each of which would branch differently, are a `Scalar` too, and
+//! their `value` is lane 0.
 
 use crate::elementary;
 use std::fmt::Debug;
@@ -17,7 +18,15 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 ///
 /// Implementations must give the same bits on every machine: no fused multiply-add, no platform
 /// transcendental functions.
-pub trait Scalar: Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self> {
+pub trait Scalar:
+    Copy
+    + Debug
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
     /// The constant `value`, with zero derivative where the type carries one.
     fn from_f64(value: f64) -> Self;
     /// The number without its derivative. For tests and messages, not for branches.
@@ -116,7 +125,10 @@ impl<S: Scalar> Sub for Dual<S> {
 impl<S: Scalar> Mul for Dual<S> {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
-        Dual { primal: self.primal * other.primal, tangent: self.tangent * other.primal + self.primal * other.tangent }
+        Dual {
+            primal: self.primal * other.primal,
+            tangent: self.tangent * other.primal + self.primal * other.tangent,
+        }
     }
 }
 
@@ -185,7 +197,11 @@ mod tests {
             let expected = (mixture(x + step) - mixture(x - step)) / (2.0 * step);
             let got = mixture(Dual::variable(x)).tangent;
             // Central differences lose about 1e-10 to rounding and 1e-11 to the third derivative here.
-            assert!((got - expected).abs() < 1e-7 * expected.abs().max(1.0), "at {x}: {got} against {expected}");
+            assert!(
+                (got - expected).abs() < 1e-7 * expected.abs().max(1.0),
+                "at {x}: {got} against \
+                                                            {expected}"
+            );
         }
     }
 

@@ -1,4 +1,5 @@
-//! Every effect that can be undone is: the forward model records a pixel with it, and the light is solved with and without knowing of it.
+//! Every effect that can be undone is: the forward model records a pixel with it, and the light is solved
+//! with and without knowing of it.
 
 use super::*;
 use crate::effects::from_description;
@@ -50,11 +51,21 @@ fn recorded(model: &Model, effects: &[Box<dyn Effect>]) -> (Vec<MapEvent>, Vec<f
     let t_ns: Vec<i64> = (0..=END_NS / 20_000).map(|n| n * 20_000).collect();
     let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log_light(t))).collect();
     let light = LinearLight::new(&t_ns, &current);
-    let chain = Chain { pixel: model.pixel, reset: model.reset, effects, tolerance: crate::forward::TOLERANCE };
+    let chain =
+        Chain { pixel: model.pixel, reset: model.reset, effects, tolerance: crate::forward::TOLERANCE };
     let fired = simulate(&chain, &SITE, &light, 0, END_NS, &mut Noiseless);
-    let event = |event: PixelEvent| MapEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity, is_lone: false };
+    let event = |event: PixelEvent| MapEvent {
+        t_in_ns: event.t_in_ns,
+        t_off_ns: event.t_off_ns,
+        polarity: event.polarity,
+        is_lone: false,
+    };
     let events = fired.into_iter().filter_map(|fired| fired.recorded).map(event).collect();
-    let readout = FrameReadout { number: model.number, saturation: model.saturation_dn, row_time_ns: model.row_time_ns };
+    let readout = FrameReadout {
+        number: model.number,
+        saturation: model.saturation_dn,
+        row_time_ns: model.row_time_ns,
+    };
     let exposures: Vec<Exposure> = (0..30).map(stated).collect();
     (events, read_frames(&readout, effects, &SITE, &light, &exposures))
 }
@@ -69,23 +80,46 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
     undo.frames(model, &SITE, &mut frames);
     frames.iter_mut().for_each(|frame| undo.raise(model, frame));
     let events: Vec<MapEvent> = recorded.iter().map(|event| undo.event(&SITE, event)).collect();
-    let (mut known, mut memory, mut group) = (Known { events: events.clone(), ..Known::default() }, Memory::default(), MapGroup::default());
+    let (mut known, mut memory, mut group) =
+        (Known { events: events.clone(), ..Known::default() }, Memory::default(), MapGroup::default());
     let mut rms = f64::NAN;
     for _ in 0..=rounds {
-        let problem = MapProblem { no_event_sigma: 0.03, beyond: &known.beyond, ..MapProblem::new(model.map_sensor(), &known.events, &frames, (0, END_NS)) };
-        // One start, so that what is left is of the effect and not of another way that the iteration took: with the usual second one a leak of 60 Hz keeps 0.48 of its harm instead of 0.32.
-        let found = solve(&problem, &MapOptions { max_iterations: 5, second: None, ..MapOptions::default() }, &mut group);
+        let problem = MapProblem {
+            no_event_sigma: 0.03,
+            beyond: &known.beyond,
+            ..MapProblem::new(model.map_sensor(), &known.events, &frames, (0, END_NS))
+        };
+        // One start, so that what is left is of the effect and not of another way that the iteration took:
+        // with the usual second one a leak of 60 Hz keeps 0.48 of its harm instead of 0.32.
+        let found = solve(
+            &problem,
+            &MapOptions { max_iterations: 5, second: None, ..MapOptions::default() },
+            &mut group,
+        );
         let light = (found.t_ns.to_vec(), found.log_photocurrent.to_vec());
         let at = |t: i64| undo.own(crate::conditional::at(&light.0, &light.1, t)) - log_light(t);
         let squares: Vec<f64> = (20 * 20..220 * 20).map(|n| at(n * MS / 20)).map(|off| off * off).collect();
         rms = libm::sqrt(squares.iter().sum::<f64>() / squares.len() as f64);
-        undo.at_light(model, &SITE, Estimate { t_ns: &light.0, own: &light.1, seen: None }, recorded, &events, &mut known, &mut memory);
+        undo.at_light(
+            model,
+            &SITE,
+            Estimate { t_ns: &light.0, own: &light.1, seen: None },
+            recorded,
+            &events,
+            &mut known,
+            &mut memory,
+        );
     }
     rms
 }
 
 fn effects(described: Value) -> Vec<Box<dyn Effect>> {
-    let described = described.as_object().unwrap().iter().map(|(id, parameters)| (id.clone(), parameters.as_object().unwrap().clone())).collect();
+    let described = described
+        .as_object()
+        .unwrap()
+        .iter()
+        .map(|(id, parameters)| (id.clone(), parameters.as_object().unwrap().clone()))
+        .collect();
     from_description(&described).unwrap()
 }
 
@@ -122,7 +156,10 @@ fn each_effect_that_can_be_undone_is() {
         (json!({"frame_nonlinearity": {"fraction": 0.2}}), 0.35),
         (json!({"frame_nonlinearity": {"compression": 0.5}}), 0.35),
         (json!({"black_level": {"black_level_dn": 90}}), 0.35),
-        (json!({"second_pole": {"tau": "700 us"}, "leak_events": {"rate": "25 Hz"}, "image_lag": {"fraction": 0.2}}), 0.35),
+        (
+            json!({"second_pole": {"tau": "700 us"}, "leak_events": {"rate": "25 Hz"}, "image_lag": {"fraction": 0.2}}),
+            0.35,
+        ),
     ];
     let mut failed = Vec::new();
     for (described, left) in cases {
@@ -144,9 +181,16 @@ fn what_is_drawn_widens_and_what_mixes_neighbours_is_named() {
         "threshold_mismatch": {"sigma": 0.03}, "threshold_noise": {"sigma": 0.04}, "timestamp_jitter": {"sigma": "30 us"},
         "row_skew": {"per_row": "5 us", "sigma": "40 us"}, "blur": {"sigma": 0.7}, "readout_queue": {"service": "1 us"}, "event_loss": {"fraction": 0.1},
     })));
-    assert_eq!((undo.left_out.as_slice(), undo.couples(), undo.mixing().is_some()), (["readout_queue", "event_loss"].as_slice(), Some("readout_queue"), true));
-    let both = Undo::new(effects(json!({"crosstalk": {"fraction": 0.1}, "lateral_inhibition": {"fraction": 0.1}})));
-    assert_eq!((both.left_out.as_slice(), both.mixing()), (["crosstalk", "lateral_inhibition"].as_slice(), None));
+    assert_eq!(
+        (undo.left_out.as_slice(), undo.couples(), undo.mixing().is_some()),
+        (["readout_queue", "event_loss"].as_slice(), Some("readout_queue"), true)
+    );
+    let both =
+        Undo::new(effects(json!({"crosstalk": {"fraction": 0.1}, "lateral_inhibition": {"fraction": 0.1}})));
+    assert_eq!(
+        (both.left_out.as_slice(), both.mixing()),
+        (["crosstalk", "lateral_inhibition"].as_slice(), None)
+    );
     let chance = &undo.chance;
     assert_eq!((chance.of_pixels, chance.of_events), (0.03, 0.04));
     assert!((chance.of_stamps_s - 50e-6).abs() < 1e-12);
@@ -157,10 +201,19 @@ fn what_is_drawn_widens_and_what_mixes_neighbours_is_named() {
 
 #[test]
 fn waits_follow_from_the_load_without_what_effects_did_to_its_stamps() {
-    let mut undo = Undo::new(effects(json!({"readout_queue": {"service": "100 us"}, "row_skew": {"per_row": "60 us"}})));
+    let mut undo =
+        Undo::new(effects(json!({"readout_queue": {"service": "100 us"}, "row_skew": {"per_row": "60 us"}})));
     // Rows 0 to 2 fire at once and are recorded 60 us after each other.
     let event = |y: u32| {
-        (Site { y, ..SITE }, MapEvent { t_in_ns: MS + 60_000 * i64::from(y), t_off_ns: MS + 60_000 * i64::from(y) + 5_000, polarity: 1, is_lone: false })
+        (
+            Site { y, ..SITE },
+            MapEvent {
+                t_in_ns: MS + 60_000 * i64::from(y),
+                t_off_ns: MS + 60_000 * i64::from(y) + 5_000,
+                polarity: 1,
+                is_lone: false,
+            },
+        )
     };
     let off_ns = |undo: &Undo| [0, 1, 2].map(|y| undo.event(&event(y).0, &event(y).1).t_off_ns - MS);
     assert_eq!(off_ns(&undo), [5_000; 3]);
@@ -176,12 +229,28 @@ fn what_the_event_pixel_sees_beyond_the_pixels_own_light_is_known_of_its_steps()
     let own: Vec<f64> = (0..=400).map(|n| 6.0 + 0.004 * f64::from(n)).collect();
     // Neighbours that change alike leave three quarters of a change.
     let seen: Vec<f64> = own.iter().map(|u| 0.75 * u).collect();
-    let events: Vec<MapEvent> = (1..10).map(|k| MapEvent { t_in_ns: 8 * k * MS, t_off_ns: 8 * k * MS + 5_000, polarity: 1, is_lone: false }).collect();
+    let events: Vec<MapEvent> = (1..10)
+        .map(|k| MapEvent { t_in_ns: 8 * k * MS, t_off_ns: 8 * k * MS + 5_000, polarity: 1, is_lone: false })
+        .collect();
     let (mut known, mut memory) = (Known::default(), Memory::default());
-    undo.at_light(&model, &SITE, Estimate { t_ns: &t_ns, own: &own, seen: Some(&seen) }, &events, &events, &mut known, &mut memory);
-    // 8 ms are 0.128 of its own, of which a quarter is missing; blind for 25 us of them, and slower where it is dark.
-    assert!(known.beyond[1..].iter().all(|beyond| (beyond - 0.25 * 0.128).abs() < 1e-3), "{:?}", known.beyond);
-    // A ramp by 1.6, of which a quarter is missing, has a standard deviation of its length over the root of 12.
+    undo.at_light(
+        &model,
+        &SITE,
+        Estimate { t_ns: &t_ns, own: &own, seen: Some(&seen) },
+        &events,
+        &events,
+        &mut known,
+        &mut memory,
+    );
+    // 8 ms are 0.128 of its own, of which a quarter is missing; blind for 25 us of them, and slower where it
+    // is dark.
+    assert!(
+        known.beyond[1..].iter().all(|beyond| (beyond - 0.25 * 0.128).abs() < 1e-3),
+        "{:?}",
+        known.beyond
+    );
+    // A ramp by 1.6, of which a quarter is missing, has a standard deviation of its length over the root of
+    // 12.
     assert!((known.apart - 0.25 * 1.6 / libm::sqrt(12.0)).abs() < 1e-3, "{}", known.apart);
 }
 

@@ -1,8 +1,9 @@
-//! Eight pixels side by side in double precision: a [`Scalar`] whose operations work on every lane, so that a recursion that waits for its own
-//! results becomes vector instructions.
+//! Eight pixels side by side in double precision: a [`Scalar`] whose operations work on every lane, so that a
+//! recursion that waits for its own results becomes vector instructions.
 //!
-//! Lanes never mix, every operation rounds as that of `f64` does, and nothing is fused: a lane holds the bits that the same text gives for `f64`,
-//! whatever the other lanes hold and however wide the machine's vectors are. [`crate::lanes`] is the same in single precision.
+//! Lanes never mix, every operation rounds as that of `f64` does, and nothing is fused: a lane holds the bits
+//! that the same text gives for `f64`, whatever the other lanes hold and however wide the machine's vectors
+//! are. [`crate::lanes`] is the same in single precision.
 
 use crate::elementary;
 use crate::scalar::Scalar;
@@ -15,7 +16,8 @@ pub(crate) const WIDTH: usize = 8;
 #[repr(C, align(64))]
 pub(crate) struct Wide(pub [f64; WIDTH]);
 
-/// What lanes do, as bits of a number per lane: as wide as a number of [`Wide`], so that comparisons become vector instructions.
+/// What lanes do, as bits of a number per lane: as wide as a number of [`Wide`], so that comparisons become
+/// vector instructions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C, align(64))]
 pub(crate) struct Flags(pub [u64; WIDTH]);
@@ -94,12 +96,18 @@ impl Wide {
         self.map(|x| f64::from_bits(x.to_bits() & 0x7FFF_FFFF_FFFF_FFFF))
     }
 
-    /// Exponent and mantissa, 1 to 2, of normal positive numbers: each lane is two to the power of the first times the second.
+    /// Exponent and mantissa, 1 to 2, of normal positive numbers: each lane is two to the power of the first
+    /// times the second.
     #[inline(always)]
     pub(crate) fn parts(self) -> (Wide, Wide) {
         // The biased exponent as a number: below 2^52 the bits are the number.
-        let exponent = self.map(|x| f64::from_bits(0x4330_0000_0000_0000 | (x.to_bits() >> 52)) - (4_503_599_627_370_496.0 + 1023.0));
-        (exponent, self.map(|x| f64::from_bits((x.to_bits() & 0x000F_FFFF_FFFF_FFFF) | 0x3FF0_0000_0000_0000)))
+        let exponent = self.map(|x| {
+            f64::from_bits(0x4330_0000_0000_0000 | (x.to_bits() >> 52)) - (4_503_599_627_370_496.0 + 1023.0)
+        });
+        (
+            exponent,
+            self.map(|x| f64::from_bits((x.to_bits() & 0x000F_FFFF_FFFF_FFFF) | 0x3FF0_0000_0000_0000)),
+        )
     }
 
     /// The square root of each lane.
@@ -158,10 +166,14 @@ mod tests {
         let photocurrent: [f64; WIDTH] = std::array::from_fn(|n| 0.05 + 0.4 * n as f64);
         let voltage = Wide(std::array::from_fn(|n| -1.0 / (n as f64 + 3.0)));
         let lit = Wide(photocurrent);
-        let wide = settle(voltage, settled_voltage(lit), Wide::splat(3e-4), time_constant(&front_end.lift(), lit));
+        let wide =
+            settle(voltage, settled_voltage(lit), Wide::splat(3e-4), time_constant(&front_end.lift(), lit));
         for n in 0..WIDTH {
             let i = photocurrent[n];
-            assert_eq!(wide.0[n], settle(voltage.0[n], settled_voltage(i), 3e-4, time_constant(&front_end, i)));
+            assert_eq!(
+                wide.0[n],
+                settle(voltage.0[n], settled_voltage(i), 3e-4, time_constant(&front_end, i))
+            );
         }
     }
 
@@ -182,7 +194,10 @@ mod tests {
         assert_eq!(x.equal(2.0, Wide::ONE, Wide::ZERO).0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
         let flags = Flags(std::array::from_fn(|n| n as u64));
         assert_eq!(flags.choose(4, Wide::ONE, Wide::ZERO).0, [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
-        assert_eq!(flags.any(Flags([0, 0, 0, 0, 0, 0, 0, 2]), Wide::ONE, Wide::ZERO).0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(
+            flags.any(Flags([0, 0, 0, 0, 0, 0, 0, 2]), Wide::ONE, Wide::ZERO).0,
+            [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        );
         let nan = Wide::splat(f64::NAN);
         assert_eq!(nan.above(Wide::ZERO, nan, Wide::ZERO), Wide::ZERO);
         assert_eq!((x * x).sqrt(), x.abs());

@@ -1,11 +1,15 @@
 //! Events next to frames of more pixels or more colours: which events belong to which value of a frame.
 //!
-//! Frames may have a whole number of pixels along the side of each event pixel, and three values or a mosaic of filters instead of grey. Every value of a frame
-//! is a problem of its own, with the events of the event pixel that it lies on: so [`CoLocatedEvents`] gives the events of a row of frames as if every one of its
-//! values had fired them, at the column where the value stands in the row. Who works on values that way need not know of either.
+//! Frames may have a whole number of pixels along the side of each event pixel, and three values or a mosaic
+//! of filters instead of grey. Every value of a frame is a problem of its own, with the events of the event
+//! pixel that it lies on: so [`CoLocatedEvents`] gives the events of a row of frames as if every one of its
+//! values had fired them, at the column where the value stands in the row. Who works on values that way need
+//! not know of either.
 
 use photocurrent_core::events::EventRow;
-use photocurrent_core::{Colour, EventBand, EventStream, EventsMeta, Extent, FramesMeta, NodeError, Rows, Sensor};
+use photocurrent_core::{
+    Colour, EventBand, EventStream, EventsMeta, Extent, FramesMeta, NodeError, Rows, Sensor,
+};
 
 /// How the pixels of frames lie on those of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,14 +27,21 @@ impl CoLocated {
     /// Of events and frames.
     ///
     /// # Errors
-    /// When the frames' extent is no whole multiple of the events', or a row has more values than columns can count.
+    /// When the frames' extent is no whole multiple of the events', or a row has more values than columns can
+    /// count.
     pub fn new(events: &EventsMeta, frames: &FramesMeta) -> Result<CoLocated, NodeError> {
         let ratio = frames.extent.multiple_of(events.extent).ok_or_else(|| {
-            NodeError::usage(format!("events are {}, frames are {}", events.extent, frames.extent))
-                .hint("frames and events must come from the same pixels: frames have the events' extent or a whole multiple of it")
+            NodeError::usage(format!("events are {}, frames are {}", events.extent, frames.extent)).hint(
+                "frames and events must come from the same pixels: frames have the events' extent or \
+                       a whole multiple of it",
+            )
         })?;
         if frames.row_values() > MOST_VALUES {
-            return Err(NodeError::usage(format!("a row of the frames has {} values, and {MOST_VALUES} are the most", frames.row_values())));
+            return Err(NodeError::usage(format!(
+                "a row of the frames has {} values, and {MOST_VALUES} are \
+                                                 the most",
+                frames.row_values()
+            )));
         }
         Ok(CoLocated { ratio, colour: frames.colour })
     }
@@ -48,12 +59,26 @@ impl CoLocated {
         if self.is_plain() {
             return Ok(());
         }
-        Err(NodeError::usage(format!("{who} works on grey frames of the events' pixels, and these are {}", self.describe()))
-            .hint("solve/map, solve/paper, baseline/edi, baseline/cf and baseline/repeat take colour and more pixels"))
+        Err(NodeError::usage(format!(
+            "{who} works on grey frames of the events' pixels, and these are {}",
+            self.describe()
+        ))
+        .hint(
+            "solve/map, solve/paper, baseline/edi, baseline/cf and baseline/repeat take colour and \
+                   more pixels",
+        ))
     }
 
     fn describe(&self) -> String {
-        let pixels = if self.ratio == 1 { String::new() } else { format!(" with {0} x {0} pixels on each event pixel", self.ratio) };
+        let pixels = if self.ratio == 1 {
+            String::new()
+        } else {
+            format!(
+                " with {0} x {0} pixels on each \
+                                                            event pixel",
+                self.ratio
+            )
+        };
         format!("{}{pixels}", self.colour)
     }
 
@@ -78,8 +103,9 @@ pub struct CoLocatedEvents {
 }
 
 impl CoLocatedEvents {
-    /// What `work` makes of the events of row `y` of the frames: `x` counts the values of the row (`x * channels + channel`), and every event stands at each
-    /// value it belongs to. The copies live as long as the call.
+    /// What `work` makes of the events of row `y` of the frames: `x` counts the values of the row
+    /// (`x * channels + channel`), and every event stands at each value it belongs to. The copies live as
+    /// long as the call.
     ///
     /// # Errors
     /// When the events do not fit each other, a broken invariant of their source.
@@ -91,8 +117,10 @@ impl CoLocatedEvents {
         }
         let copies = ratio * colour.channels();
         let all = row.len() * copies as usize;
-        let (mut x, mut on, mut t) = (Vec::with_capacity(all), Vec::with_capacity(all), Vec::with_capacity(all));
-        let (mut t_in, mut step) = (row.t_in.map(|_| Vec::with_capacity(all)), row.step.map(|_| Vec::with_capacity(all)));
+        let (mut x, mut on, mut t) =
+            (Vec::with_capacity(all), Vec::with_capacity(all), Vec::with_capacity(all));
+        let (mut t_in, mut step) =
+            (row.t_in.map(|_| Vec::with_capacity(all)), row.step.map(|_| Vec::with_capacity(all)));
         for k in 0..row.len() {
             for copy in 0..copies {
                 // Below the limit that was checked.
@@ -123,19 +151,29 @@ pub fn channel_gains(sensor: &Sensor) -> Result<[f64; 3], NodeError> {
     if gains.iter().all(|gain| *gain > 0.0 && gain.is_finite()) {
         return Ok(gains);
     }
-    Err(NodeError::usage(format!("`frames.channel_gain` of \"{}\" is {gains:?}, and must be three positive numbers: red, green, blue", sensor.name)))
+    Err(NodeError::usage(format!(
+        "`frames.channel_gain` of \"{}\" is {gains:?}, and must be three positive \
+                                  numbers: red, green, blue",
+        sensor.name
+    )))
 }
 
-/// How strongly an event pixel sees red, green and blue: `optics.event_weights`; `None` when it is not stated.
+/// How strongly an event pixel sees red, green and blue: `optics.event_weights`; `None` when it is not
+/// stated.
 ///
 /// # Errors
 /// When one is negative, or all are zero.
 pub fn event_weights(sensor: &Sensor) -> Result<Option<[f64; 3]>, NodeError> {
     let Some(weights) = sensor.optics.event_weights else { return Ok(None) };
-    if weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite()) && weights.iter().sum::<f64>() > 0.0 {
+    if weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite()) && weights.iter().sum::<f64>() > 0.0
+    {
         return Ok(Some(weights));
     }
-    Err(NodeError::usage(format!("`optics.event_weights` of \"{}\" is {weights:?}, and must be three numbers, not negative and not all 0", sensor.name)))
+    Err(NodeError::usage(format!(
+        "`optics.event_weights` of \"{}\" is {weights:?}, and must be three \
+                                  numbers, not negative and not all 0",
+        sensor.name
+    )))
 }
 
 /// The gain of a value of row `y`, given the description's gain and those of the channels.
@@ -165,7 +203,9 @@ mod tests {
     fn every_value_has_the_events_of_its_event_pixel() {
         let events = testing::events(4, 3);
         let own = events.read(events.rows()).unwrap();
-        for (ratio, colour) in [(1, Colour::Rgb), (2, Colour::Mono), (3, Colour::Rgb), (2, Colour::named("bayer_rggb").unwrap())] {
+        for (ratio, colour) in
+            [(1, Colour::Rgb), (2, Colour::Mono), (3, Colour::Rgb), (2, Colour::named("bayer_rggb").unwrap())]
+        {
             let frames = frames(4 * ratio, 3 * ratio, colour);
             let lie = CoLocated::new(&events.meta, &frames.meta).unwrap();
             for rows in [frames.rows(), Rows { start: 1, end: 2 }] {
@@ -176,13 +216,25 @@ mod tests {
                     type Found = Vec<Vec<(i64, u8, i64)>>;
                     let of_values = |row: EventRow| -> Found {
                         let index = row.by_pixel(values);
-                        let of = |value| index.pixel(value).iter().map(|&k| (row.t[k], row.on[k], row.t_in.unwrap()[k])).collect();
+                        let of = |value| {
+                            index
+                                .pixel(value)
+                                .iter()
+                                .map(|&k| (row.t[k], row.on[k], row.t_in.unwrap()[k]))
+                                .collect()
+                        };
                         (0..values as usize).map(of).collect()
                     };
                     let found = band.with_row(y, of_values).unwrap();
                     for (value, found) in found.into_iter().enumerate() {
                         let pixel = pixels.pixel(value / colour.channels() as usize / ratio as usize);
-                        assert_eq!(found, pixel.iter().map(|&k| (expected.t[k], expected.on[k], expected.t_in.unwrap()[k])).collect::<Vec<_>>());
+                        assert_eq!(
+                            found,
+                            pixel
+                                .iter()
+                                .map(|&k| (expected.t[k], expected.on[k], expected.t_in.unwrap()[k]))
+                                .collect::<Vec<_>>()
+                        );
                     }
                 }
             }
@@ -194,8 +246,15 @@ mod tests {
         let (events, frames) = (testing::events(4, 3), testing::frames(4, 3, 1));
         let lie = CoLocated::new(&events.meta, &frames.meta).unwrap();
         assert!(lie.is_plain());
-        let (band, expected) = (lie.read(&events, events.rows()).unwrap(), events.read(events.rows()).unwrap());
-        band.with_row(1, |row| assert_eq!((row.first, row.t, row.x), (expected.row(1).first, expected.row(1).t, expected.row(1).x))).unwrap();
+        let (band, expected) =
+            (lie.read(&events, events.rows()).unwrap(), events.read(events.rows()).unwrap());
+        band.with_row(1, |row| {
+            assert_eq!(
+                (row.first, row.t, row.x),
+                (expected.row(1).first, expected.row(1).t, expected.row(1).x)
+            )
+        })
+        .unwrap();
         let other = CoLocated::new(&events.meta, &testing::frames(8, 9, 1).meta).unwrap_err();
         assert_eq!(other.message, "events are 4 x 3, frames are 8 x 9");
     }

@@ -73,7 +73,9 @@ pub use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity
 
 pub use host::Host;
 pub use model::Model;
-pub use options::{FirstKnot, FrontEndModel, Joint, PaperOptions, Precision, ReadoutModel, SolveOptions, TauChoice};
+pub use options::{
+    FirstKnot, FrontEndModel, Joint, PaperOptions, Precision, ReadoutModel, SolveOptions, TauChoice,
+};
 pub use pixel::{PixelTrack, solve_pixel};
 pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
 pub use status::{PLANES, Report, map_meta};

@@ -1,4 +1,5 @@
-//! The sensor as a pixel's problem needs it: thresholds, stamps, front end and noise in numbers, and the effects that are undone.
+//! The sensor as a pixel's problem needs it: thresholds, stamps, front end and noise in numbers, and the
+//! effects that are undone.
 
 use crate::co_located::{CoLocated, values_of};
 use crate::options::{FrontEndModel, PaperOptions, ReadoutModel, SolveOptions};
@@ -6,7 +7,9 @@ use crate::pixel_events::{Stamp, StepRule, check_events, clock_offset, left_out}
 use crate::row_solver::LEAST_FRAME_SIGMA_DN;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::sensor::Reset;
-use photocurrent_core::{Between, EventStream, EventsMeta, FrameScale, FramesMeta, NodeError, Sensor, TracksMeta};
+use photocurrent_core::{
+    Between, EventStream, EventsMeta, FrameScale, FramesMeta, NodeError, Sensor, TracksMeta,
+};
 use photocurrent_sensor::effects::{Site, from_description};
 use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::map::MapEvent;
@@ -42,7 +45,8 @@ impl Model {
         self.sensor.frame_sigma_of_dn(signal, [LEAST_FRAME_SIGMA_DN, more_dn], self.frame_share)
     }
 
-    /// What effects add to the photocurrent of the event path: problems are posed in the sum ([`Undo::added`]).
+    /// What effects add to the photocurrent of the event path: problems are posed in the sum
+    /// ([`Undo::added`]).
     pub fn added(&self) -> f64 {
         self.undo.added()
     }
@@ -75,7 +79,8 @@ impl Model {
         self.undo.couples().is_some()
     }
 
-    /// Event `k` of a row as recorded, on the clock of the frames; and without what effects did to its stamps.
+    /// Event `k` of a row as recorded, on the clock of the frames; and without what effects did to its
+    /// stamps.
     pub fn event_undone(&self, site: &Site, row: &EventRow<'_>, k: usize) -> (MapEvent, MapEvent) {
         let event = self.event(row, k);
         (event, self.undo.event(site, &event))
@@ -84,7 +89,8 @@ impl Model {
     /// Gives effects that depend on the load of the array the events of all its pixels.
     ///
     /// # Errors
-    /// When there are such effects and only some rows are at hand: the description was not known when the recording was cut into bands.
+    /// When there are such effects and only some rows are at hand: the description was not known when the
+    /// recording was cut into bands.
     pub fn inform(&mut self, events: &EventStream) -> Result<(), NodeError> {
         let Some(id) = self.undo.couples() else { return Ok(()) };
         let extent = events.meta.extent;
@@ -96,7 +102,12 @@ impl Model {
         let model: &Model = self;
         let of_row = |y: u32| {
             let row = band.row(y);
-            (0..row.len()).map(move |k| (Site { x: row.x[k].into(), y, width: extent.width, height: extent.height, seed: 0 }, model.event(&row, k)))
+            (0..row.len()).map(move |k| {
+                (
+                    Site { x: row.x[k].into(), y, width: extent.width, height: extent.height, seed: 0 },
+                    model.event(&row, k),
+                )
+            })
         };
         undo.inform(extent.rows().iter().flat_map(of_row));
         self.undo = undo;
@@ -131,40 +142,71 @@ impl Model {
     /// For the MAP estimate of a recording.
     ///
     /// # Errors
-    /// When the description lacks what is needed or an effect is not understood, or the events carry compensated steps.
+    /// When the description lacks what is needed or an effect is not understood, or the events carry
+    /// compensated steps.
     pub fn of_map(options: &SolveOptions, sensor: &Sensor, events: &EventsMeta) -> Result<Model, NodeError> {
         const WHO: &str = "solve/map";
         let front_end = front_end(options.front_end, sensor)?;
         if events.has_step {
-            return Err(NodeError::usage("the events carry compensated steps, and solve/map undoes the readout itself")
-                .hint("connect the events as recorded, or set `kind = \"solve/paper\"`"));
+            return Err(NodeError::usage(
+                "the events carry compensated steps, and solve/map undoes the \
+                                         readout itself",
+            )
+            .hint("connect the events as recorded, or set `kind = \"solve/paper\"`"));
         }
-        let refractory = sensor.need(sensor.readout.refractory, "readout.refractory", WHO).map_err(|error| {
-            let added = error.hint.clone().unwrap_or_default();
-            error.hint(format!("{added}, or set `kind = \"solve/paper\"` with `readout = \"none\"`"))
-        })?;
+        let refractory =
+            sensor.need(sensor.readout.refractory, "readout.refractory", WHO).map_err(|error| {
+                let added = error.hint.clone().unwrap_or_default();
+                error.hint(format!("{added}, or set `kind = \"solve/paper\"` with `readout = \"none\"`"))
+            })?;
         let undo = if options.undo_rounds == Some(0) { Undo::new(Vec::new()) } else { undo(sensor)? };
         let undo_rounds = options.undo_rounds(undo.mixing().is_some());
         let frame_share = libm::hypot(options.frame_noise, undo.chance.of_frames);
-        Model::of(WHO, sensor, events, front_end, refractory.seconds(), (undo, undo_rounds), frame_share, options.plausible_range)
+        Model::of(
+            WHO,
+            sensor,
+            events,
+            front_end,
+            refractory.seconds(),
+            (undo, undo_rounds),
+            frame_share,
+            options.plausible_range,
+        )
     }
 
     /// For Eq. (13).
     ///
     /// # Errors
     /// When the description lacks what is needed, or the events cannot be compensated.
-    pub fn of_paper(options: &PaperOptions, sensor: &Sensor, events: &EventsMeta) -> Result<Model, NodeError> {
+    pub fn of_paper(
+        options: &PaperOptions,
+        sensor: &Sensor,
+        events: &EventsMeta,
+    ) -> Result<Model, NodeError> {
         let front_end = front_end(options.front_end, sensor)?;
         let refractory_s = match options.readout {
             ReadoutModel::None => 0.0,
             ReadoutModel::Slope => {
                 const SLOPE: &str = "`readout = \"slope\"`";
-                check_events(events, SLOPE, "set `readout = \"none\"`").map_err(|error| error.param("readout"))?;
-                sensor.need(sensor.readout.refractory, "readout.refractory", SLOPE).map_err(|error| or_without(error, "readout", "none"))?.seconds()
+                check_events(events, SLOPE, "set `readout = \"none\"`")
+                    .map_err(|error| error.param("readout"))?;
+                sensor
+                    .need(sensor.readout.refractory, "readout.refractory", SLOPE)
+                    .map_err(|error| or_without(error, "readout", "none"))?
+                    .seconds()
             }
         };
         let nothing = (Undo::new(Vec::new()), 0);
-        Model::of("solve/paper", sensor, events, front_end, refractory_s, nothing, crate::options::FRAME_NOISE, options.plausible_range)
+        Model::of(
+            "solve/paper",
+            sensor,
+            events,
+            front_end,
+            refractory_s,
+            nothing,
+            crate::options::FRAME_NOISE,
+            options.plausible_range,
+        )
     }
 
     fn of(
@@ -177,7 +219,10 @@ impl Model {
         frame_share: f64,
         plausible_range: f64,
     ) -> Result<Model, NodeError> {
-        sensor.need_all(&[StepRule::needs(sensor).as_slice(), &[("frames.gain", sensor.frames.gain.is_some())]].concat(), who)?;
+        sensor.need_all(
+            &[StepRule::needs(sensor).as_slice(), &[("frames.gain", sensor.frames.gain.is_some())]].concat(),
+            who,
+        )?;
         let mut stated = SensorModel::of(sensor);
         stated.pixel.front_end = front_end;
         stated.pixel.refractory_ns = (refractory_s * 1e9).round() as i64;
@@ -210,7 +255,9 @@ impl SolveOptions {
     /// # Errors
     /// When frames do not lie on the events' pixels, are rendered, or are not there.
     pub fn tracks_meta(&self, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
-        tracks_meta(events, frames, self.sigma, Between::LogLinear, |copies, n, values| 4 * copies * n + 8 * values)
+        tracks_meta(events, frames, self.sigma, Between::LogLinear, |copies, n, values| {
+            4 * copies * n + 8 * values
+        })
     }
 }
 
@@ -233,12 +280,24 @@ fn tracks_meta(
 ) -> Result<TracksMeta, NodeError> {
     let lie = CoLocated::new(events, frames)?;
     if frames.scale != FrameScale::Captured {
-        return Err(NodeError::usage("frames are rendered, not captured: their values do not belong to their exposures").hint("connect the recording's frames"));
+        return Err(NodeError::usage(
+            "frames are rendered, not captured: their values do not belong to their \
+                                     exposures",
+        )
+        .hint("connect the recording's frames"));
     }
-    let (Some(covered), Some(nominal_exposure_ns)) = (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns()) else {
-        return Err(NodeError::usage("there is no frame, and events alone leave the photocurrent's level open").hint("give at least one frame"));
+    let (Some(covered), Some(nominal_exposure_ns)) =
+        (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns())
+    else {
+        return Err(NodeError::usage(
+            "there is no frame, and events alone leave the photocurrent's level open",
+        )
+        .hint("give at least one frame"));
     };
-    let (copies, values) = (u64::from(lie.ratio * lie.ratio * lie.colour.channels()), values_of(frames.extent, frames.colour).pixels());
+    let (copies, values) = (
+        u64::from(lie.ratio * lie.ratio * lie.colour.channels()),
+        values_of(frames.extent, frames.colour).pixels(),
+    );
     Ok(TracksMeta {
         extent: frames.extent,
         colour: frames.colour,
@@ -250,7 +309,8 @@ fn tracks_meta(
     })
 }
 
-/// A description that a node worked out is planned as the one that it was given: what reaches over rows may be in it only now.
+/// A description that a node worked out is planned as the one that it was given: what reaches over rows may
+/// be in it only now.
 pub(crate) fn late_description(what: &str) -> NodeError {
     NodeError::failed(format!("{what}, and that was not known when the recording was cut into row bands"))
         .hint("write the description to a file and read it with read/sensor, or set `undo_rounds = 0`")
@@ -258,7 +318,8 @@ pub(crate) fn late_description(what: &str) -> NodeError {
 
 /// The effects of a description, to be undone; its clock offset is subtracted with the stamps ([`StepRule`]).
 fn undo(sensor: &Sensor) -> Result<Undo, NodeError> {
-    let mut effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+    let mut effects = from_description(&sensor.effects)
+        .map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
     effects.retain(|effect| effect.id() != "clock_offset");
     Ok(Undo::new(effects))
 }

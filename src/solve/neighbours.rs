@@ -1,16 +1,20 @@
-//! Pixels whose event paths share photocurrent: what the events of each are known to be beyond their thresholds, given the estimates of its neighbours.
+//! Pixels whose event paths share photocurrent: what the events of each are known to be beyond their
+//! thresholds, given the estimates of its neighbours.
 //!
-//! Every pixel is solved alone first. Then, in rounds, what each event pixel sees of the estimates around it says how far its events are from what the stated sensor would have made of the
-//! pixel's own estimate ([`photocurrent_sensor::undo::Undo::at_light`]), and all are solved again. The last solution is left to the caller, who chooses settings anew for it.
+//! Every pixel is solved alone first. Then, in rounds, what each event pixel sees of the estimates around it
+//! says how far its events are from what the stated sensor would have made of the pixel's own estimate
+//! ([`photocurrent_sensor::undo::Undo::at_light`]), and all are solved again. The last solution is left to
+//! the caller, who chooses settings anew for it.
 //!
-//! Limits: a round leaves of an error what the kernel takes from it, so that detail of single pixels under a wide blur or a shift by half a pixel is corrected in part; pixels whose event
-//! pixel would lie beyond the array are known by their frames alone, and so is what their neighbours see of them.
+//! Limits: a round leaves of an error what the kernel takes from it, so that detail of single pixels under a
+//! wide blur or a shift by half a pixel is corrected in part; pixels whose event pixel would lie beyond the
+//! array are known by their frames alone, and so is what their neighbours see of them.
 //!
-//! A round reaches as many rows as the kernel, and settings are chosen by blocks of rows, so a band needs the rounds' reach and a block more on each side ([`halo`]): bands and threads
-//! change no bit.
+//! A round reaches as many rows as the kernel, and settings are chosen by blocks of rows, so a band needs the
+//! rounds' reach and a block more on each side ([`halo`]): bands and threads change no bit.
 //!
-//! Where frames have several values on an event pixel, every value's problem is posed in that event pixel's photocurrent: neighbours are then the values at the same place of
-//! their own event pixels.
+//! Where frames have several values on an event pixel, every value's problem is posed in that event pixel's
+//! photocurrent: neighbours are then the values at the same place of their own event pixels.
 
 use crate::co_located::CoLocated;
 use crate::host::Host;
@@ -44,15 +48,26 @@ pub fn halo(model: &Model, lie: CoLocated) -> Option<u32> {
     let mixing = model.undo.mixing()?;
     let in_rows = |event_rows: u32| event_rows.saturating_mul(lie.ratio);
     let rounds = in_rows(mixing.reach()).saturating_mul(model.undo_rounds);
-    // The rest of the own block, the rounds, the rest of the block where they end, and one for the company of events.
-    Some(rounds.saturating_add(in_rows(mixing.rows_down().unsigned_abs())).saturating_add(2 * (BLOCK_ROWS - 1) + 1))
+    // The rest of the own block, the rounds, the rest of the block where they end, and one for the company of
+    // events.
+    Some(
+        rounds
+            .saturating_add(in_rows(mixing.rows_down().unsigned_abs()))
+            .saturating_add(2 * (BLOCK_ROWS - 1) + 1),
+    )
 }
 
 /// What is known of the events of `rows` and the rest of their blocks; none where no photocurrent is mixed.
 ///
 /// # Errors
 /// When the recording does not fit itself, or the user interrupts.
-pub fn known(params: &SolveOptions, model: &Model, recorded: &Recorded<'_>, rows: Rows, host: &dyn Host) -> Result<Option<KnownOfRows>, NodeError> {
+pub fn known(
+    params: &SolveOptions,
+    model: &Model,
+    recorded: &Recorded<'_>,
+    rows: Rows,
+    host: &dyn Host,
+) -> Result<Option<KnownOfRows>, NodeError> {
     let Some(mixing) = model.undo.mixing() else { return Ok(None) };
     let (all, lie) = (recorded.meta.extent.rows(), recorded.colours.lie);
     let wanted = Settings::blocks_of(rows, all);
@@ -71,7 +86,8 @@ pub fn known(params: &SolveOptions, model: &Model, recorded: &Recorded<'_>, rows
             host.advance(0)?;
             Ok(solver.light(model, settings.of(row), recorded.meta))
         };
-        let lights: Result<Vec<RowLight>, NodeError> = at_hand.iter().into_par_iter().map_init(RowSolver::default, light).collect();
+        let lights: Result<Vec<RowLight>, NodeError> =
+            at_hand.iter().into_par_iter().map_init(RowSolver::default, light).collect();
         let lights = lights?;
         let of_row = |row: u32| &lights[(row - at_hand.start) as usize];
         let again = |(solver, memory): &mut (RowSolver, Memory), row: u32| -> Result<Vec<Known>, NodeError> {
@@ -80,7 +96,8 @@ pub fn known(params: &SolveOptions, model: &Model, recorded: &Recorded<'_>, rows
             Ok(known_of_row(model, mixing, settings.of(row).options.spacing_ns, solver, row, &of_row, memory))
         };
         let inner = rows_of(rounds_to_come);
-        let of_rows: Result<Vec<Vec<Known>>, NodeError> = inner.iter().into_par_iter().map_init(Default::default, again).collect();
+        let of_rows: Result<Vec<Vec<Known>>, NodeError> =
+            inner.iter().into_par_iter().map_init(Default::default, again).collect();
         known = Some(KnownOfRows { first: inner.start, of_rows: of_rows? });
     }
     Ok(known)
@@ -110,12 +127,13 @@ fn known_of_row<'a>(
         refined(t_ns, spacing_ns, &mut instants);
         own.clear();
         at_each(t_ns, log, &instants, &mut own);
-        let seen = mixing.seen((site.x, site.y), (site.width, site.height), instants.len(), |column, line, out| {
-            let (x, row) = data.same_place(x, (column, line));
-            let (t_ns, log) = of_row(row).of(x);
-            // A neighbour without a frame is as bright as the pixel.
-            if t_ns.is_empty() { out.extend_from_slice(&own) } else { at_each(t_ns, log, &instants, out) }
-        });
+        let seen =
+            mixing.seen((site.x, site.y), (site.width, site.height), instants.len(), |column, line, out| {
+                let (x, row) = data.same_place(x, (column, line));
+                let (t_ns, log) = of_row(row).of(x);
+                // A neighbour without a frame is as bright as the pixel.
+                if t_ns.is_empty() { out.extend_from_slice(&own) } else { at_each(t_ns, log, &instants, out) }
+            });
         let light = Estimate { t_ns: &instants, own: &own, seen: Some(&seen) };
         model.undo.at_light(&model.sensor, &site, light, recorded, events, &mut known, memory);
         known
@@ -130,6 +148,9 @@ fn refined(t_ns: &[i64], spacing_ns: i64, out: &mut Vec<i64>) {
     for pair in t_ns.windows(2) {
         let (from, length) = (pair[0], pair[1] - pair[0]);
         let pieces = (length + spacing_ns - 1) / spacing_ns;
-        out.extend((1..=pieces).map(|piece| from + (i128::from(length) * i128::from(piece) / i128::from(pieces)) as i64));
+        out.extend(
+            (1..=pieces)
+                .map(|piece| from + (i128::from(length) * i128::from(piece) / i128::from(pieces)) as i64),
+        );
     }
 }

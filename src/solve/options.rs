@@ -45,7 +45,8 @@ pub enum TauChoice {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
-    /// Sixteen pixels at once in single precision: costs to four digits, more than ten times as fast. Pixels near a fold are solved in double precision.
+    /// Sixteen pixels at once in single precision: costs to four digits, more than ten times as fast. Pixels
+    /// near a fold are solved in double precision.
     #[default]
     Single,
     /// One pixel after the other in double precision: the reference.
@@ -83,26 +84,29 @@ pub enum FirstKnot {
 pub struct SolveOptions {
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
-    /// Standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows so that frames
-    /// that are held out are predicted best.
+    /// Standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows
+    /// so that frames that are held out are predicted best.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub event_noise: Option<f64>,
-    /// Model error of a frame value, as a part of it, in addition to the noise that the sensor description states, 1 DN, and what pixels without
-    /// events show beyond that.
+    /// Model error of a frame value, as a part of it, in addition to the noise that the sensor description
+    /// states, 1 DN, and what pixels without events show beyond that.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub frame_noise: f64,
-    /// Knots near events lie at most this far apart; in quiet gaps they widen with the distance from an event, to 8 ms or a 64th of the frame period.
+    /// Knots near events lie at most this far apart; in quiet gaps they widen with the distance from an
+    /// event, to 8 ms or a 64th of the frame period.
     #[cfg_attr(feature = "schema", schemars(extend("x-min" = "10 us")))]
     pub knot_spacing: Duration,
-    /// Every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are held out
-    /// show that to be too little.
+    /// Every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened
+    /// where frames that are held out show that to be too little.
     pub sigma: bool,
-    /// How often the light is solved again with what the description's `[effects]` did to events at the light found before; 0 = `[effects]` are left as they are, in events
-    /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
+    /// How often the light is solved again with what the description's `[effects]` did to events at the light
+    /// found before; 0 = `[effects]` are left as they are, in events and frames; absent = 2, or 4 where
+    /// effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
     #[cfg_attr(feature = "schema", schemars(range(max = 20)))]
     pub undo_rounds: Option<u32>,
-    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
-    /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
+    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is
+    /// brighter is held there, the pixel is counted and the plane `implausible` of `map` states how far it
+    /// went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub plausible_range: f64,
     /// Most steps tried for one problem; more than 5 make it follow its own estimate.
@@ -148,8 +152,9 @@ pub struct PaperOptions {
     /// Weight of a squared event residual, per natural-log unit squared; the paper has 1.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub evs_weight: f64,
-    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
-    /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
+    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is
+    /// brighter is held there, the pixel is counted and the plane `implausible` of `map` states how far it
+    /// went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub plausible_range: f64,
     /// Most steps tried for one problem.
@@ -184,7 +189,8 @@ pub(crate) const STEPS: u32 = 5;
 
 /// The usual [`SolveOptions::undo_rounds`].
 const UNDO_ROUNDS: u32 = 2;
-/// The same where effects mix the photocurrent of neighbours, which converges more slowly: a blur by 0.7 pixels leaves half of its error after two rounds, a fifth after four.
+/// The same where effects mix the photocurrent of neighbours, which converges more slowly: a blur by 0.7
+/// pixels leaves half of its error after two rounds, a fifth after four.
 const MIXED_UNDO_ROUNDS: u32 = 4;
 
 /// The usual `plausible_range`.
@@ -218,7 +224,8 @@ fn check_range(plausible_range: f64) -> Result<(), NodeError> {
     if plausible_range > 0.0 {
         return Ok(());
     }
-    Err(NodeError::usage(format!("`plausible_range` is {plausible_range}, and must be above 0")).param("plausible_range"))
+    Err(NodeError::usage(format!("`plausible_range` is {plausible_range}, and must be above 0"))
+        .param("plausible_range"))
 }
 
 #[cfg(test)]

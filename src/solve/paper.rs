@@ -1,7 +1,9 @@
-//! Eq. (13): a row of pixels cut into windows of frames, each a problem of Eq. (13), and their solutions put together.
+//! Eq. (13): a row of pixels cut into windows of frames, each a problem of Eq. (13), and their solutions put
+//! together.
 //!
-//! All problems of a row are gathered first. In single precision those with equally many frames are then solved sixteen at a time, shortest first, so that the
-//! pixels of a group need about the same time; what the group hands back, and what has no steps at all, is solved one by one in double precision.
+//! All problems of a row are gathered first. In single precision those with equally many frames are then
+//! solved sixteen at a time, shortest first, so that the pixels of a group need about the same time; what the
+//! group hands back, and what has no steps at all, is solved one by one in double precision.
 
 use crate::model::Model;
 use crate::options::{FirstKnot, Joint, PaperOptions, Precision, ReadoutModel, TauChoice};
@@ -76,9 +78,13 @@ impl RowSolver {
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
         for (x, problems) in self.problems.chunks_exact(windows.len()).enumerate() {
-            let (mut worst, mut iterations, mut cost, mut misfit) = (Status::Converged, 0, 0.0, Misfit::default());
+            let (mut worst, mut iterations, mut cost, mut misfit) =
+                (Status::Converged, 0, 0.0, Misfit::default());
             self.knots.clear();
-            let of_frames = exposures.iter().enumerate().map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
+            let of_frames = exposures
+                .iter()
+                .enumerate()
+                .map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
             let plausible = Plausible::new(model, shares.of(x, 0..exposures.len()), of_frames);
             let mut most = 0.0;
             for (window, problem) in windows.iter().zip(problems) {
@@ -96,7 +102,9 @@ impl RowSolver {
                 }
             }
             tracks.push(self.knots.iter().copied());
-            for (plane, value) in planes(worst, iterations, cost, &misfit, plausible.excess(most)).into_iter().enumerate() {
+            for (plane, value) in
+                planes(worst, iterations, cost, &misfit, plausible.excess(most)).into_iter().enumerate()
+            {
                 map.row_mut(plane, row)[x] = value;
             }
         }
@@ -104,7 +112,14 @@ impl RowSolver {
     }
 
     /// The pixel's events as times and steps; compensated ones when asked.
-    fn take_events(&mut self, params: &PaperOptions, model: &Model, events: &EventRow, index: &PixelIndex, x: usize) {
+    fn take_events(
+        &mut self,
+        params: &PaperOptions,
+        model: &Model,
+        events: &EventRow,
+        index: &PixelIndex,
+        x: usize,
+    ) {
         self.event_t.clear();
         self.event_step.clear();
         let mut before: Option<usize> = None;
@@ -113,13 +128,22 @@ impl RowSolver {
             let step = match (params.readout, before) {
                 (ReadoutModel::Slope, Some(before)) => {
                     let since = |t: i64| (t - model.rule.time(events, before)) as f64 * 1e-9;
-                    compensated_step(plain, 0.0, since(events.t[before] - model.rule.shift_ns), since(t), model.refractory_s)
+                    compensated_step(
+                        plain,
+                        0.0,
+                        since(events.t[before] - model.rule.shift_ns),
+                        since(t),
+                        model.refractory_s,
+                    )
                 }
                 _ => plain,
             };
-            // Two events at one instant are one step of their sum: stamps are quantised, and knots must differ.
+            // Two events at one instant are one step of their sum: stamps are quantised, and knots must
+            // differ.
             match self.event_t.last() {
-                Some(&last) if t <= last => *self.event_step.last_mut().expect("as long as the times") += step,
+                Some(&last) if t <= last => {
+                    *self.event_step.last_mut().expect("as long as the times") += step
+                }
                 _ => {
                     self.event_t.push(t);
                     self.event_step.push(step);
@@ -130,7 +154,15 @@ impl RowSolver {
     }
 
     /// Appends the problem of one window of the pixel whose events were taken.
-    fn take_window(&mut self, params: &PaperOptions, model: &Model, window: &Window, exposures: &[Exposure], share: Share, dn: impl Fn(usize) -> f32) {
+    fn take_window(
+        &mut self,
+        params: &PaperOptions,
+        model: &Model,
+        window: &Window,
+        exposures: &[Exposure],
+        share: Share,
+        dn: impl Fn(usize) -> f32,
+    ) {
         let seconds = |t: i64| (t - window.start) as f64 * 1e-9;
         let (first_sample, first_at) = (self.samples.len(), self.t_s.len());
         let mut status = Status::Converged;
@@ -141,7 +173,8 @@ impl RowSolver {
             weight: share.weight(params.cis_weight),
         };
         let known = || window.frames.clone().map(|l| (l, f64::from(dn(l)))).filter(|(_, dn)| dn.is_finite());
-        self.samples.extend(known().filter(|(_, dn)| *dn < model.sensor.saturation_dn).map(|(l, dn)| sample(l, dn)));
+        self.samples
+            .extend(known().filter(|(_, dn)| *dn < model.sensor.saturation_dn).map(|(l, dn)| sample(l, dn)));
         if self.samples.len() == first_sample {
             status = Status::Saturated;
             self.samples.extend(known().map(|(l, _)| sample(l, model.sensor.saturation_dn)));
@@ -149,21 +182,31 @@ impl RowSolver {
         if self.samples.len() == first_sample {
             status = Status::NoFrame;
         }
-        let inside = self.event_t.partition_point(|&t| t < window.start)..self.event_t.partition_point(|&t| t < window.end);
+        let inside = self.event_t.partition_point(|&t| t < window.start)
+            ..self.event_t.partition_point(|&t| t < window.end);
         let first_knot = params.first_knot == FirstKnot::Window || inside.is_empty();
         if first_knot {
             self.t_s.push(0.0);
             self.steps.push(0.0);
         }
         for k in inside {
-            // An event on the window's first instant is its first knot: there is no interval before it to step over.
+            // An event on the window's first instant is its first knot: there is no interval before it to
+            // step over.
             if !first_knot || self.event_t[k] > window.start {
                 self.t_s.push(seconds(self.event_t[k]));
                 self.steps.push(self.event_step[k]);
             }
         }
         let (knots, samples) = (first_at..self.t_s.len(), first_sample..self.samples.len());
-        self.problems.push(Problem { knots, samples, light_ratio: share.ratio, status, iterations: 0, cost: 0.0, misfit: Misfit::default() });
+        self.problems.push(Problem {
+            knots,
+            samples,
+            light_ratio: share.ratio,
+            status,
+            iterations: 0,
+            cost: 0.0,
+            misfit: Misfit::default(),
+        });
     }
 
     /// Solves all problems of the row.
@@ -172,7 +215,8 @@ impl RowSolver {
             TauChoice::Start => TauRule::Start,
             TauChoice::End => TauRule::End,
         };
-        let options = SolveOptions { max_iterations: params.max_iterations as usize, ..SolveOptions::default() };
+        let options =
+            SolveOptions { max_iterations: params.max_iterations as usize, ..SolveOptions::default() };
         let posed = |problem: &Problem| PixelProblem {
             t_s: &self.t_s[problem.knots.clone()],
             steps: &self.steps[problem.knots.clone()],
@@ -200,7 +244,9 @@ impl RowSolver {
         while from < alone {
             // As many as have lanes, and equally many frames.
             let frames = |at: usize| self.problems[self.order[at]].samples.len();
-            let to = (from + 1..alone.min(from + LANES)).find(|at| frames(*at) != frames(from)).unwrap_or(alone.min(from + LANES));
+            let to = (from + 1..alone.min(from + LANES))
+                .find(|at| frames(*at) != frames(from))
+                .unwrap_or(alone.min(from + LANES));
             let numbers = &self.order[from..to];
             from = to;
             let problems: Vec<PixelProblem<'_>> = numbers.iter().map(|n| posed(&self.problems[*n])).collect();
@@ -212,19 +258,24 @@ impl RowSolver {
                     continue;
                 };
                 let problem = &mut self.problems[*n];
-                (problem.iterations, problem.cost, problem.misfit) = (solution.iterations, solution.cost.into(), solution.misfit);
-                for (out, u) in self.log_photocurrent[problem.knots.clone()].iter_mut().zip(solution.log_photocurrent()) {
+                (problem.iterations, problem.cost, problem.misfit) =
+                    (solution.iterations, solution.cost.into(), solution.misfit);
+                for (out, u) in
+                    self.log_photocurrent[problem.knots.clone()].iter_mut().zip(solution.log_photocurrent())
+                {
                     *out = u.into();
                 }
             }
         }
         for n in left {
-            let solution = solve(&posed(&self.problems[n]), &options, &mut self.workspace).map_err(unposable)?;
+            let solution =
+                solve(&posed(&self.problems[n]), &options, &mut self.workspace).map_err(unposable)?;
             let problem = &mut self.problems[n];
             if !solution.has_converged() {
                 problem.status = problem.status.max(Status::FellBack);
             }
-            (problem.iterations, problem.cost, problem.misfit) = (solution.iterations, solution.cost, solution.misfit);
+            (problem.iterations, problem.cost, problem.misfit) =
+                (solution.iterations, solution.cost, solution.misfit);
             self.log_photocurrent[problem.knots.clone()].copy_from_slice(solution.log_photocurrent);
         }
         Ok(())
@@ -245,7 +296,8 @@ pub(crate) struct Window {
 
 pub(crate) fn windows(joint: Joint, exposures: &[Exposure], meta: &TracksMeta) -> Vec<Window> {
     let frames = exposures.len();
-    let span = (meta.span.start.0.min(exposures[0].start.0), meta.span.end.0.max(exposures[frames - 1].end.0));
+    let span =
+        (meta.span.start.0.min(exposures[0].start.0), meta.span.end.0.max(exposures[frames - 1].end.0));
     if joint == Joint::All || frames <= 2 {
         return vec![Window { frames: 0..frames, start: span.0, end: span.1, counts_until: span.1 }];
     }
@@ -267,7 +319,8 @@ mod tests {
 
     #[test]
     fn windows_answer_for_every_instant_once() {
-        let exposures: Vec<Exposure> = (0..4).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 6_000_000)).collect();
+        let exposures: Vec<Exposure> =
+            (0..4).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 6_000_000)).collect();
         let meta = TracksMeta {
             extent: Extent { width: 5, height: 4 },
             colour: Colour::Mono,

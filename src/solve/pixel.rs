@@ -22,12 +22,18 @@ pub struct PixelTrack {
     pub has_converged: bool,
 }
 
-/// The MAP estimate of one pixel's light from its events (in-pixel time in ns, polarity; in order) and its frame values (exposure, DN), with the noise of events and
-/// the prior that are usual.
+/// The MAP estimate of one pixel's light from its events (in-pixel time in ns, polarity; in order) and its
+/// frame values (exposure, DN), with the noise of events and the prior that are usual.
 ///
 /// # Errors
-/// When the description lacks thresholds, gain, refractory period or, unless `front_end` is ideal, time constants; or there is no frame.
-pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Exposure, f64)], options: &SolveOptions) -> Result<PixelTrack, NodeError> {
+/// When the description lacks thresholds, gain, refractory period or, unless `front_end` is ideal, time
+/// constants; or there is no frame.
+pub fn solve_pixel(
+    sensor: &Sensor,
+    events: &[(i64, Polarity)],
+    frames: &[(Exposure, f64)],
+    options: &SolveOptions,
+) -> Result<PixelTrack, NodeError> {
     options.check()?;
     let who = "solve_pixel";
     let refractory = sensor.need(sensor.readout.refractory, "readout.refractory", who)?;
@@ -45,7 +51,11 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
         start_ns: exposure.start.0,
         end_ns: exposure.end.0,
         dn,
-        sigma_dn: model.frame_sigma_of_dn(dn - model.number.black_level, [LEAST_FRAME_SIGMA_DN, 0.0], options.frame_noise),
+        sigma_dn: model.frame_sigma_of_dn(
+            dn - model.number.black_level,
+            [LEAST_FRAME_SIGMA_DN, 0.0],
+            options.frame_noise,
+        ),
         saturated: dn >= model.saturation_dn,
     };
     let frames: Vec<MapFrame> = frames.iter().filter(|(_, dn)| dn.is_finite()).map(frame).collect();
@@ -56,9 +66,19 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
         is_lone: false,
     };
     let events: Vec<MapEvent> = events.iter().map(event).collect();
-    let instants = || frames.iter().flat_map(|frame| [frame.start_ns, frame.end_ns]).chain(events.iter().map(|event| event.t_in_ns));
-    let (Some(start_ns), Some(end_ns), false) = (instants().min(), instants().max(), frames.is_empty()) else {
-        return Err(NodeError::usage("there is no frame value, and events alone leave the photocurrent's level open").hint("give at least one frame"));
+    let instants = || {
+        frames
+            .iter()
+            .flat_map(|frame| [frame.start_ns, frame.end_ns])
+            .chain(events.iter().map(|event| event.t_in_ns))
+    };
+    let (Some(start_ns), Some(end_ns), false) = (instants().min(), instants().max(), frames.is_empty())
+    else {
+        return Err(NodeError::usage(
+            "there is no frame value, and events alone leave the photocurrent's \
+                                     level open",
+        )
+        .hint("give at least one frame"));
     };
     let problem = MapProblem {
         noise: options.event_noise.map_or_else(Noise::default, |event| Noise { event, ..Noise::default() }),
@@ -77,7 +97,11 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
     Ok(PixelTrack {
         t_ns: solution.t_ns.to_vec(),
         photocurrent: solution.log_photocurrent.iter().map(|log| libm::exp(*log)).collect(),
-        log_sigma: solution.variance.iter().map(|variance| libm::exp(estimate::log_sigma(*variance))).collect(),
+        log_sigma: solution
+            .variance
+            .iter()
+            .map(|variance| libm::exp(estimate::log_sigma(*variance)))
+            .collect(),
         has_converged: solution.status != MapStatus::Failed,
     })
 }

@@ -1,8 +1,9 @@
 //! A pixel's events as times and signed log steps: what the solver and the double integrals work on.
 //!
-//! Stamps: the in-pixel time where the recording has it; otherwise the off-pixel time less the sensor's smallest readout latency. The description's
-//! `clock_offset` is subtracted, so that events and frames share one clock. Steps: the compensated ones where a node before made them, otherwise
-//! plus or minus the threshold.
+//! Stamps: the in-pixel time where the recording has it; otherwise the off-pixel time less the sensor's
+//! smallest readout latency. The description's `clock_offset` is subtracted, so that events and frames share
+//! one clock. Steps: the compensated ones where a node before made them, otherwise plus or minus the
+//! threshold.
 
 use photocurrent_core::events::{EventRow, Polarity};
 use photocurrent_core::quantity::Duration;
@@ -41,7 +42,12 @@ impl StepRule {
     ///
     /// # Errors
     /// When a threshold or a clock offset is needed and not stated, or not readable.
-    pub fn from_sensor(sensor: &Sensor, events: &EventsMeta, stamp: Stamp, who: &str) -> Result<StepRule, NodeError> {
+    pub fn from_sensor(
+        sensor: &Sensor,
+        events: &EventsMeta,
+        stamp: Stamp,
+        who: &str,
+    ) -> Result<StepRule, NodeError> {
         sensor.need_all(&StepRule::needs(sensor), who)?;
         let latency = match stamp {
             Stamp::Best if !events.has_t_in => sensor.readout.latency_min.map_or(0, Duration::ns),
@@ -55,10 +61,14 @@ impl StepRule {
         })
     }
 
-    /// The fields that [`StepRule::from_sensor`] needs, and whether they are stated: for [`Sensor::need_all`].
+    /// The fields that [`StepRule::from_sensor`] needs, and whether they are stated: for
+    /// [`Sensor::need_all`].
     pub fn needs(sensor: &Sensor) -> [(&'static str, bool); 2] {
         let comparator = &sensor.comparator;
-        [("comparator.threshold_on", comparator.threshold_on.is_some()), ("comparator.threshold_off", comparator.threshold_off.is_some())]
+        [
+            ("comparator.threshold_on", comparator.threshold_on.is_some()),
+            ("comparator.threshold_off", comparator.threshold_off.is_some()),
+        ]
     }
 
     /// Time of event `k` of a row, ns.
@@ -96,37 +106,53 @@ pub fn clock_offset(sensor: &Sensor) -> Result<ClockOffset, NodeError> {
     let offset = params.get("offset").and_then(|v| v.as_str()).map(str::parse::<Duration>);
     match offset {
         Some(Ok(offset)) if params.len() == 1 => Ok(ClockOffset { offset_ns: offset.ns() }),
-        Some(Err(error)) => Err(NodeError::usage(format!("`effects.clock_offset.offset` of \"{}\": {error}", sensor.name))),
+        Some(Err(error)) => {
+            Err(NodeError::usage(format!("`effects.clock_offset.offset` of \"{}\": {error}", sensor.name)))
+        }
         _ => {
-            Err(NodeError::usage(format!("`effects.clock_offset` of \"{}\" is not understood", sensor.name)).hint("write clock_offset = { offset = \"6 ms\" }"))
+            Err(NodeError::usage(format!("`effects.clock_offset` of \"{}\" is not understood", sensor.name))
+                .hint("write clock_offset = { offset = \"6 ms\" }"))
         }
     }
 }
 
-/// What the description states and neither solver nor simulator models yet, as a sentence for the user; `None` when there is nothing.
+/// What the description states and neither solver nor simulator models yet, as a sentence for the user;
+/// `None` when there is nothing.
 pub fn left_out(sensor: &Sensor) -> Option<String> {
-    let mut left: Vec<String> = sensor.effects.keys().filter(|id| *id != "clock_offset").map(|id| format!("effects.{id}")).collect();
+    let mut left: Vec<String> =
+        sensor.effects.keys().filter(|id| *id != "clock_offset").map(|id| format!("effects.{id}")).collect();
     if sensor.comparator.reset != Reset::Resample {
         left.push("comparator.reset (V_ref is taken as resampled)".into());
     }
-    (!left.is_empty()).then(|| format!("stated in the sensor description \"{}\" but not modelled here: {}", sensor.name, left.join(", ")))
+    (!left.is_empty()).then(|| {
+        format!(
+            "stated in the sensor description \"{}\" but not modelled here: {}",
+            sensor.name,
+            left.join(", ")
+        )
+    })
 }
 
 /// Refuses events that cannot be compensated.
 ///
 /// # Errors
-/// When in-pixel times are missing or steps are there already. `who` names the caller in the message, `without` is its hint.
+/// When in-pixel times are missing or steps are there already. `who` names the caller in the message,
+/// `without` is its hint.
 pub fn check_events(events: &EventsMeta, who: &str, without: &str) -> Result<(), NodeError> {
     if events.has_step {
-        return Err(
-            NodeError::usage(format!("{who} compensates the readout itself, and `events` were compensated before")).hint("connect the events as recorded")
-        );
+        return Err(NodeError::usage(format!(
+            "{who} compensates the readout itself, and `events` were compensated \
+                                      before"
+        ))
+        .hint("connect the events as recorded"));
     }
     // Without any event there is nothing to compensate, and no stamp to miss.
     if !events.has_t_in && events.span.is_some() {
-        return Err(NodeError::usage(format!("{who} needs in-pixel times, and `events` has only off-pixel times"))
-            .note("each event has one stamp, the off-pixel one")
-            .hint(without));
+        return Err(NodeError::usage(format!(
+            "{who} needs in-pixel times, and `events` has only off-pixel times"
+        ))
+        .note("each event has one stamp, the off-pixel one")
+        .hint(without));
     }
     Ok(())
 }
@@ -139,16 +165,27 @@ mod tests {
     use photocurrent_core::{Extent, testing};
 
     fn sensor(effects: &str) -> Sensor {
-        let text =
-            format!("format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = 0.2\nthreshold_off = 0.3\n[readout]\nlatency_min = \"1 us\"\n{effects}");
+        let text = format!(
+            "format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = 0.2\nthreshold_off = \
+                     0.3\n[readout]\nlatency_min = \"1 us\"\n{effects}"
+        );
         Sensor::parse(&Source::new("s.toml", "", text)).unwrap()
     }
 
     #[test]
     fn the_latency_is_subtracted_only_where_there_is_no_in_pixel_time() {
         for (t_in, expected) in [(Some(7_000), 7_000 - 6_000_000), (None, 9_000 - 1_000 - 6_000_000)] {
-            let events = testing::stream(Extent { width: 1, height: 1 }, vec![Event { x: 0, y: 0, polarity: Polarity::Off, t: 9_000, t_in }]);
-            let rule = StepRule::from_sensor(&sensor("[effects]\nclock_offset = { offset = \"6 ms\" }"), &events.meta, Stamp::Best, "test").unwrap();
+            let events = testing::stream(
+                Extent { width: 1, height: 1 },
+                vec![Event { x: 0, y: 0, polarity: Polarity::Off, t: 9_000, t_in }],
+            );
+            let rule = StepRule::from_sensor(
+                &sensor("[effects]\nclock_offset = { offset = \"6 ms\" }"),
+                &events.meta,
+                Stamp::Best,
+                "test",
+            )
+            .unwrap();
             let band = events.read(events.rows()).unwrap();
             assert_eq!(rule.time(&band.row(0), 0), expected);
             assert_eq!(rule.step(&band.row(0), 0), -0.3);
@@ -165,6 +202,11 @@ mod tests {
     #[test]
     fn a_clock_offset_without_unit_is_refused() {
         assert!(clock_offset(&sensor("[effects]\nclock_offset = { offset = 6 }")).is_err());
-        assert!(clock_offset(&sensor("[effects]\nclock_offset = { offset = \"6\" }")).unwrap_err().message.contains("has no unit"));
+        assert!(
+            clock_offset(&sensor("[effects]\nclock_offset = { offset = \"6\" }"))
+                .unwrap_err()
+                .message
+                .contains("has no unit")
+        );
     }
 }

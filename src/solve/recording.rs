@@ -11,7 +11,8 @@ use crate::status::{Report, map_meta, of_pixels};
 use crate::{neighbours, paper, row_solver};
 use photocurrent_core::handle::Band;
 use photocurrent_core::{
-    Colour, EventStream, EventsMeta, Exposure, FrameBlock, FrameSequence, FramesMeta, MapBand, MapSet, NodeError, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
+    Colour, EventStream, EventsMeta, Exposure, FrameBlock, FrameSequence, FramesMeta, MapBand, MapSet,
+    NodeError, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
 };
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -21,7 +22,8 @@ use std::sync::Arc;
 pub struct Recording<'a> {
     /// Events.
     pub events: &'a EventStream,
-    /// Captured frames of the same pixels, or of a whole number of pixels along the side of each event pixel; at least one.
+    /// Captured frames of the same pixels, or of a whole number of pixels along the side of each event pixel;
+    /// at least one.
     pub frames: &'a FrameSequence,
     /// Thresholds, gain, and what the chosen models need.
     pub sensor: &'a Sensor,
@@ -42,7 +44,8 @@ pub struct Solution {
 /// The MAP estimate of a whole recording.
 ///
 /// # Errors
-/// When the description lacks what is needed ([`Model::of_map`]), the streams do not lie on each other, or one cannot be read.
+/// When the description lacks what is needed ([`Model::of_map`]), the streams do not lie on each other, or
+/// one cannot be read.
 pub fn solve(recording: &Recording<'_>, options: &SolveOptions) -> Result<Solution, NodeError> {
     options.check()?;
     solve_rows(recording, options, recording.frames.meta.extent.rows(), &())
@@ -67,31 +70,49 @@ pub(crate) struct Reader<'a> {
 
 impl Reader<'_> {
     pub(crate) fn new<'a>(recording: &'a Recording<'a>, meta: &TracksMeta) -> Result<Reader<'a>, NodeError> {
-        let colours = Colours::new(CoLocated::new(&recording.events.meta, &recording.frames.meta)?, recording.sensor)?;
-        let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
+        let colours =
+            Colours::new(CoLocated::new(&recording.events.meta, &recording.frames.meta)?, recording.sensor)?;
+        let wide =
+            TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
         Ok(Reader { recording, colours, all: meta.extent.rows(), wide })
     }
 
     pub(crate) fn read(&self, rows: Rows) -> Result<Part, NodeError> {
         let events = self.colours.lie.read(self.recording.events, rows)?;
-        Ok(Part { rows, events, frames: self.recording.frames.read_rows(rows.with_halo(self.colours.halo(), self.all))? })
+        Ok(Part {
+            rows,
+            events,
+            frames: self.recording.frames.read_rows(rows.with_halo(self.colours.halo(), self.all))?,
+        })
     }
 
     pub(crate) fn recorded<'b>(&'b self, part: &'b Part) -> Recorded<'b> {
         let times = &self.recording.frames.meta.times;
-        Recorded { meta: &self.wide, times, colours: &self.colours, rows: part.rows, events: &part.events, frames: &part.frames }
+        Recorded {
+            meta: &self.wide,
+            times,
+            colours: &self.colours,
+            rows: part.rows,
+            events: &part.events,
+            frames: &part.frames,
+        }
     }
 }
 
 /// Rows in memory at a time where a block is read in parts.
 const HELD_ROWS: u32 = 4;
 
-/// Rows of frames above and below those of the result that the MAP estimate reads: those of a block share their settings. `None` where all rows must be solved together, since effects couple
-/// all pixels.
+/// Rows of frames above and below those of the result that the MAP estimate reads: those of a block share
+/// their settings. `None` where all rows must be solved together, since effects couple all pixels.
 ///
 /// # Errors
 /// As [`Model::of_map`].
-pub fn halo(options: &SolveOptions, sensor: &Sensor, events: &EventsMeta, frames: &FramesMeta) -> Result<Option<u32>, NodeError> {
+pub fn halo(
+    options: &SolveOptions,
+    sensor: &Sensor,
+    events: &EventsMeta,
+    frames: &FramesMeta,
+) -> Result<Option<u32>, NodeError> {
     let (lie, model) = (CoLocated::new(events, frames)?, Model::of_map(options, sensor, events)?);
     if model.couples() {
         return Ok(None);
@@ -103,7 +124,12 @@ pub fn halo(options: &SolveOptions, sensor: &Sensor, events: &EventsMeta, frames
 ///
 /// # Errors
 /// As [`solve`]; when `host` gives up; when what reaches over rows is not at hand.
-pub fn solve_rows(recording: &Recording<'_>, options: &SolveOptions, rows: Rows, host: &dyn Host) -> Result<Solution, NodeError> {
+pub fn solve_rows(
+    recording: &Recording<'_>,
+    options: &SolveOptions,
+    rows: Rows,
+    host: &dyn Host,
+) -> Result<Solution, NodeError> {
     let meta = options.tracks_meta(&recording.events.meta, &recording.frames.meta)?;
     let mut model = Model::of_map(options, recording.sensor, &recording.events.meta)?;
     model.inform(recording.events)?;
@@ -115,10 +141,13 @@ pub fn solve_rows(recording: &Recording<'_>, options: &SolveOptions, rows: Rows,
         let mut held: Option<Part> = None;
         Settings::choose_row_by_row(options, &model, &reader.wide, rows, host, |data, row| {
             let company = Rows { start: row, end: row + 1 }.with_halo(COMPANY_ROWS, reader.all);
-            let part = match &mut held {
-                Some(held) if held.rows.contains(company) => held,
-                held => held.insert(reader.read(Rows { start: row, end: row + HELD_ROWS }.with_halo(COMPANY_ROWS, reader.all))?),
-            };
+            let part =
+                match &mut held {
+                    Some(held) if held.rows.contains(company) => held,
+                    held => held.insert(reader.read(
+                        Rows { start: row, end: row + HELD_ROWS }.with_halo(COMPANY_ROWS, reader.all),
+                    )?),
+                };
             data.take(&model, &reader.recorded(part), row, 0.0)
         })?;
     }
@@ -132,7 +161,9 @@ pub fn solve_rows(recording: &Recording<'_>, options: &SolveOptions, rows: Rows,
     let recorded = reader.recorded(&part);
     let known = neighbours::known(options, &model, &recorded, rows, host)?;
     let settings = Settings::choose_once(options, &model, &recorded, rows, known.as_ref(), host)?;
-    let solve_row = |solver: &mut row_solver::RowSolver, row: u32| -> Result<(TrackBand, MapBand), NodeError> {
+    let solve_row = |solver: &mut row_solver::RowSolver,
+                     row: u32|
+     -> Result<(TrackBand, MapBand), NodeError> {
         let (tracks, map) = solver.row(&model, settings.of(row), &recorded, row, known.as_ref(), is_low)?;
         host.advance(1)?;
         Ok((tracks, of_pixels(map, &meta)))
@@ -151,7 +182,12 @@ pub fn solve_rows(recording: &Recording<'_>, options: &SolveOptions, rows: Rows,
 ///
 /// # Errors
 /// As [`solve`], with [`Model::of_paper`].
-pub fn solve_paper_rows(recording: &Recording<'_>, options: &PaperOptions, rows: Rows, host: &dyn Host) -> Result<Solution, NodeError> {
+pub fn solve_paper_rows(
+    recording: &Recording<'_>,
+    options: &PaperOptions,
+    rows: Rows,
+    host: &dyn Host,
+) -> Result<Solution, NodeError> {
     let meta = options.tracks_meta(&recording.events.meta, &recording.frames.meta)?;
     let model = Model::of_paper(options, recording.sensor, &recording.events.meta)?;
     let reader = Reader::new(recording, &meta)?;
@@ -160,12 +196,15 @@ pub fn solve_paper_rows(recording: &Recording<'_>, options: &PaperOptions, rows:
     let solve_row = |solver: &mut paper::RowSolver, row: u32| -> Result<(TrackBand, MapBand), NodeError> {
         let exposures: Vec<Exposure> = (0..times.len()).map(|l| times.exposure(l, row)).collect();
         let shares = reader.colours.row(&model, &part.frames, row);
-        let solved = part.events.with_row(row, |events| solver.row(options, &model, &reader.wide, row, events, &part.frames, &exposures, &shares))?;
+        let solved = part.events.with_row(row, |events| {
+            solver.row(options, &model, &reader.wide, row, events, &part.frames, &exposures, &shares)
+        })?;
         let (tracks, map) = solved?;
         host.advance(1)?;
         Ok((tracks, of_pixels(map, &meta)))
     };
-    let solved: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map_init(Default::default, solve_row).collect();
+    let solved: Result<Vec<_>, NodeError> =
+        rows.iter().into_par_iter().map_init(Default::default, solve_row).collect();
     Ok(together(meta, solved?, crate::pixel_events::left_out(recording.sensor)))
 }
 
@@ -173,5 +212,10 @@ fn together(meta: TracksMeta, solved: Vec<(TrackBand, MapBand)>, not_modelled: O
     let (tracks, maps): (Vec<TrackBand>, Vec<MapBand>) = solved.into_iter().unzip();
     let map = MapBand::concat(maps);
     let (report, map_meta) = (Report::of(&map), Arc::new(map_meta(meta.extent)));
-    Solution { tracks: TrackSet::in_memory(Arc::new(meta), TrackBand::concat(tracks)), map: MapSet::in_memory(map_meta, map), report, not_modelled }
+    Solution {
+        tracks: TrackSet::in_memory(Arc::new(meta), TrackBand::concat(tracks)),
+        map: MapSet::in_memory(map_meta, map),
+        report,
+        not_modelled,
+    }
 }

@@ -1,4 +1,5 @@
-//! What the pixels of a row measured, as the MAP estimate needs it: events in order of time, frame values with their noise.
+//! What the pixels of a row measured, as the MAP estimate needs it: events in order of time, frame values
+//! with their noise.
 
 use crate::co_located::{CoLocated, CoLocatedEvents};
 use crate::model::Model;
@@ -8,7 +9,8 @@ use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, Track
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{MapEvent, MapFrame};
 
-/// An event is lone when none of its polarity fired this long before or after, in its pixel or in one of the eight around it, ns.
+/// An event is lone when none of its polarity fired this long before or after, in its pixel or in one of the
+/// eight around it, ns.
 const LONE_NS: i64 = 3_000_000;
 
 /// The rows of a recording that are at hand.
@@ -28,7 +30,8 @@ pub struct Recorded<'a> {
     pub frames: &'a FrameBlock,
 }
 
-/// The measurements of a row, pixel by pixel: frame values, and the events of the event pixels that see it. Kept from row to row for its memory.
+/// The measurements of a row, pixel by pixel: frame values, and the events of the event pixels that see it.
+/// Kept from row to row for its memory.
 #[derive(Default)]
 pub struct RowData {
     events: Events,
@@ -74,13 +77,25 @@ impl Places {
 
     /// The pixel of value x.
     fn pixel(&self, x: usize) -> Site {
-        Site { x: x as u32 / self.channels, y: self.row, width: self.values / self.channels, height: self.height, seed: 0 }
+        Site {
+            x: x as u32 / self.channels,
+            y: self.row,
+            width: self.values / self.channels,
+            height: self.height,
+            seed: 0,
+        }
     }
 
     /// The event pixel of value x.
     fn event(&self, x: usize) -> Site {
         let Site { x, y, width, height, seed } = self.pixel(x);
-        Site { x: x / self.ratio, y: y / self.ratio, width: width / self.ratio, height: height / self.ratio, seed }
+        Site {
+            x: x / self.ratio,
+            y: y / self.ratio,
+            width: width / self.ratio,
+            height: height / self.ratio,
+            seed,
+        }
     }
 }
 
@@ -89,23 +104,35 @@ impl RowData {
     ///
     /// # Errors
     /// When the events do not fit each other, a broken invariant of their source.
-    pub fn take(&mut self, model: &Model, recorded: &Recorded<'_>, row: u32, frame_dn: f64) -> Result<(), NodeError> {
+    pub fn take(
+        &mut self,
+        model: &Model,
+        recorded: &Recorded<'_>,
+        row: u32,
+        frame_dn: f64,
+    ) -> Result<(), NodeError> {
         let rows = recorded.rows;
         let width = recorded.meta.extent.width;
         self.places = Places::new(recorded, row);
         // Where effects shift what the events see, those of another row belong to this one.
-        let (right, down) = model.undo.mixing().map_or((0, 0), |mixing| (mixing.columns_right(), mixing.rows_down()));
+        let (right, down) =
+            model.undo.mixing().map_or((0, 0), |mixing| (mixing.columns_right(), mixing.rows_down()));
         let event_row = i64::from(row) + i64::from(down) * i64::from(self.places.ratio);
         self.event_column = i64::from(right) * i64::from(self.places.copies());
         self.event_places = Places { row: u32::try_from(event_row).unwrap_or(u32::MAX), ..self.places };
-        for (events, row) in [(&mut self.events, event_row), (&mut self.above, event_row - 1), (&mut self.below, event_row + 1)] {
+        for (events, row) in [
+            (&mut self.events, event_row),
+            (&mut self.above, event_row - 1),
+            (&mut self.below, event_row + 1),
+        ] {
             match u32::try_from(row).ok().filter(|row| rows.start <= *row && *row < rows.end) {
                 Some(row) => events.take(model, recorded.events, &Places { row, ..self.places })?,
                 None => events.clear(),
             }
         }
         self.mark_lone(width as usize);
-        let exposures: Vec<Exposure> = (0..recorded.times.len()).map(|l| recorded.times.exposure(l, row)).collect();
+        let exposures: Vec<Exposure> =
+            (0..recorded.times.len()).map(|l| recorded.times.exposure(l, row)).collect();
         let shares = recorded.colours.row(model, recorded.frames, row);
         self.take_frames(model, recorded.frames, row, &exposures, &shares, frame_dn);
         Ok(())
@@ -121,8 +148,8 @@ impl RowData {
         self.plausible[x]
     }
 
-    /// How far an event of pixel x may be off because its colour changes, natural-log units squared: what colours change between frames is spread
-    /// over the events.
+    /// How far an event of pixel x may be off because its colour changes, natural-log units squared: what
+    /// colours change between frames is spread over the events.
     pub fn unrest(&self, x: usize) -> f64 {
         self.unrest[x] / usize::max(self.events_of(x).len(), 1) as f64
     }
@@ -148,7 +175,8 @@ impl RowData {
         self.event_column(x).map_or(&[], |column| self.events.of(column))
     }
 
-    /// Where the event pixel of value x is, and its events as recorded, in the order of [`RowData::events_of`].
+    /// Where the event pixel of value x is, and its events as recorded, in the order of
+    /// [`RowData::events_of`].
     pub fn recorded_of(&self, x: usize) -> (Site, &[MapEvent]) {
         let Some(column) = self.event_column(x) else { return (self.places.event(x), &[]) };
         let range = self.events.first[column]..self.events.first[column + 1];
@@ -184,7 +212,15 @@ impl RowData {
         }
     }
 
-    fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, exposures: &[Exposure], shares: &RowShares, frame_dn: f64) {
+    fn take_frames(
+        &mut self,
+        model: &Model,
+        frames: &FrameBlock,
+        row: u32,
+        exposures: &[Exposure],
+        shares: &RowShares,
+        frame_dn: f64,
+    ) {
         self.frames.clear();
         self.light_ratio.clear();
         self.plausible.clear();
@@ -194,7 +230,10 @@ impl RowData {
             self.first_frame.push(self.frames.len());
             let share = shares.of(x, 0..exposures.len());
             self.light_ratio.push(share.ratio);
-            let of_frames = exposures.iter().enumerate().map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
+            let of_frames = exposures
+                .iter()
+                .enumerate()
+                .map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
             self.plausible.push(Plausible::new(model, share, of_frames));
             self.unrest.push(shares.unrest(x, |above| {
                 let relative = model.frame_sigma_dn(above, frame_dn) / above;
@@ -205,7 +244,13 @@ impl RowData {
                 let dn = f64::from(frames.row(l, row)[x]);
                 let sigma_dn = share.sigma(model.frame_sigma_dn(dn - black_level, frame_dn));
                 let saturated = dn >= model.sensor.saturation_dn;
-                dn.is_finite().then_some(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated })
+                dn.is_finite().then_some(MapFrame {
+                    start_ns: exposure.start.0,
+                    end_ns: exposure.end.0,
+                    dn,
+                    sigma_dn,
+                    saturated,
+                })
             };
             self.of_value.clear();
             self.of_value.extend(exposures.iter().enumerate().filter_map(of));
@@ -247,7 +292,10 @@ impl Events {
                 self.all[begin..].sort_by_key(|event| event.t_in_ns);
                 if !model.undo.is_none() {
                     let site = places.event(x);
-                    let mut pairs: Vec<(MapEvent, MapEvent)> = self.all[begin..].iter().map(|event| (model.undo.event(&site, event), *event)).collect();
+                    let mut pairs: Vec<(MapEvent, MapEvent)> = self.all[begin..]
+                        .iter()
+                        .map(|event| (model.undo.event(&site, event), *event))
+                        .collect();
                     pairs.sort_by_key(|(event, _)| event.t_in_ns);
                     for (slot, (event, recorded)) in self.all[begin..].iter_mut().zip(pairs) {
                         *slot = event;
@@ -267,6 +315,10 @@ impl Events {
     fn count(&self, x: usize, event: &MapEvent) -> usize {
         let events = self.of(x);
         let from = events.partition_point(|other| other.t_in_ns < event.t_in_ns - LONE_NS);
-        events[from..].iter().take_while(|other| other.t_in_ns <= event.t_in_ns + LONE_NS).filter(|other| other.polarity == event.polarity).count()
+        events[from..]
+            .iter()
+            .take_while(|other| other.t_in_ns <= event.t_in_ns + LONE_NS)
+            .filter(|other| other.polarity == event.polarity)
+            .count()
     }
 }

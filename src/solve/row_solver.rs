@@ -10,13 +10,17 @@ use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
-use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, estimate};
+use photocurrent_sensor::map::{
+    Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise,
+    estimate,
+};
 use photocurrent_sensor::residuals::Misfit;
 use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
+/// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit
+/// would then count without limit.
 pub(crate) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
@@ -58,7 +62,8 @@ const SHARED_OUT: usize = 128;
 /// Some pixels of a row, solved.
 #[derive(Default)]
 struct Part {
-    /// Knots of the pixels with their standard deviations, in the order in which they were solved, and where each pixel's stand.
+    /// Knots of the pixels with their standard deviations, in the order in which they were solved, and where
+    /// each pixel's stand.
     knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
     planes: Vec<[f32; PLANES.len()]>,
@@ -66,7 +71,15 @@ struct Part {
 
 impl Part {
     /// Solves `lit` of the pixels of a row.
-    fn solve(&mut self, group: &mut MapGroup, model: &Model, setting: &RowSetting, taken: &Taken, lit: &[usize], hints: Option<&[Vec<Hint>]>) {
+    fn solve(
+        &mut self,
+        group: &mut MapGroup,
+        model: &Model,
+        setting: &RowSetting,
+        taken: &Taken,
+        lit: &[usize],
+        hints: Option<&[Vec<Hint>]>,
+    ) {
         let (Taken { data, given }, Part { knots, knots_of, planes: of_pixels }) = (taken, self);
         knots.clear();
         knots_of.clear();
@@ -74,7 +87,8 @@ impl Part {
         of_pixels.clear();
         of_pixels.resize(lit.len(), [0.0; PLANES.len()]);
         let hints_of = |x: usize| hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
-        let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, setting, data, x, hints_of(x))).collect();
+        let tasks: Vec<MapTask<'_>> =
+            lit.iter().map(|&x| task(model, setting, data, x, hints_of(x))).collect();
         let known = known_of(model, &tasks, lit, data, given, group);
         let tasks = with_known(&tasks, &known);
         let mut plain = vec![Plain::default(); tasks.len()];
@@ -82,14 +96,22 @@ impl Part {
             let begin = knots.len();
             let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
             thin(solution, &model.undo, ratio, setting.sigma_factor, plausible, knots);
-            let most = libm::exp(model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max))) * ratio;
+            let most = libm::exp(
+                model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
+            ) * ratio;
             knots_of[n] = begin..knots.len();
             let status = match solution.status {
                 MapStatus::Failed => Status::FellBack,
                 _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
                 MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
             };
-            of_pixels[n] = planes(status, solution.iterations, -solution.log_evidence, &solution.misfit, plausible.excess(most));
+            of_pixels[n] = planes(
+                status,
+                solution.iterations,
+                -solution.log_evidence,
+                &solution.misfit,
+                plausible.excess(most),
+            );
         };
         group.solve(&tasks, |n, solution| {
             plain[n] = Plain::of(&solution);
@@ -97,7 +119,10 @@ impl Part {
         });
         let lost = losses::lost_before(&tasks, &plain, group);
         let again: Vec<usize> = (0..tasks.len()).filter(|&n| !lost[n].is_empty()).collect();
-        let with_losses = |&n: &usize| MapTask { problem: MapProblem { lost_before: &lost[n], ..tasks[n].problem }, ..tasks[n] };
+        let with_losses = |&n: &usize| MapTask {
+            problem: MapProblem { lost_before: &lost[n], ..tasks[n].problem },
+            ..tasks[n]
+        };
         let with_losses: Vec<MapTask<'_>> = again.iter().map(with_losses).collect();
         group.solve(&with_losses, |n, solution| put(again[n], &solution));
     }
@@ -140,7 +165,8 @@ impl RowLight {
 }
 
 impl RowSolver {
-    /// Takes in a row and solves it, with what is known of its events from neighbours, if that is the case; `shared_out` over all threads, which changes no bit.
+    /// Takes in a row and solves it, with what is known of its events from neighbours, if that is the case;
+    /// `shared_out` over all threads, which changes no bit.
     pub fn row(
         &mut self,
         model: &Model,
@@ -170,7 +196,8 @@ impl RowSolver {
         Ok(together(setting, recorded.meta, row, lit.chunks(SHARED_OUT).zip(&parts)))
     }
 
-    /// Takes in a row and solves the pixels of some columns, with what is known of its events from neighbours, if that is the case. Empty for a pixel without a frame.
+    /// Takes in a row and solves the pixels of some columns, with what is known of its events from
+    /// neighbours, if that is the case. Empty for a pixel without a frame.
     ///
     /// # Errors
     /// As [`RowSolver::take`].
@@ -187,7 +214,8 @@ impl RowSolver {
         if let Some(given) = given {
             self.give(given.of(row).to_vec());
         }
-        let lit: Vec<usize> = columns.iter().copied().filter(|&x| !self.taken.data.frames_of(x).is_empty()).collect();
+        let lit: Vec<usize> =
+            columns.iter().copied().filter(|&x| !self.taken.data.frames_of(x).is_empty()).collect();
         self.part.solve(&mut self.group, model, setting, &self.taken, &lit, None);
         let mut solved = lit.iter().zip(self.part.knots_of.iter().zip(&self.part.planes)).peekable();
         let of_column = |x: &usize| match solved.next_if(|(lit, _)| *lit == x) {
@@ -212,7 +240,13 @@ impl RowSolver {
     }
 
     /// Takes in a row.
-    pub fn take(&mut self, model: &Model, setting: &RowSetting, recorded: &Recorded<'_>, row: u32) -> Result<(), NodeError> {
+    pub fn take(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        recorded: &Recorded<'_>,
+        row: u32,
+    ) -> Result<(), NodeError> {
         self.taken.given.clear();
         self.taken.data.take(model, recorded, row, setting.frame_dn)
     }
@@ -242,7 +276,8 @@ impl RowSolver {
         let RowSolver { group, taken: Taken { data, given }, part: Part { knots, .. }, .. } = self;
         let setting = RowSetting { options: MapOptions { with_sigma: false, ..setting.options }, ..*setting };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, &setting, data, x, &[])).collect();
-        let known: Vec<Known> = if given.is_empty() { Vec::new() } else { lit.iter().map(|&x| given[x].clone()).collect() };
+        let known: Vec<Known> =
+            if given.is_empty() { Vec::new() } else { lit.iter().map(|&x| given[x].clone()).collect() };
         let mut light = RowLight { of: vec![0..0; width], failed: vec![false; width], ..RowLight::default() };
         group.solve(&with_known(&tasks, &known), |n, solution| {
             let ratio = data.light_ratio(lit[n]);
@@ -251,7 +286,9 @@ impl RowSolver {
             let begin = light.t_ns.len();
             light.t_ns.extend(knots.iter().map(|(t, _, _)| t));
             // As it was posed: in the photocurrent of the event pixel, and with what effects add to it.
-            light.log.extend(knots.iter().map(|(_, i, _)| model.undo.sum(libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE)))));
+            light.log.extend(knots.iter().map(|(_, i, _)| {
+                model.undo.sum(libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE)))
+            }));
             light.of[lit[n]] = begin..light.t_ns.len();
             light.failed[lit[n]] = solution.status == MapStatus::Failed;
         });
@@ -264,45 +301,72 @@ impl RowSolver {
     }
 
     /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
-    pub fn solve(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta, row: u32, hints: Option<&[Vec<Hint>]>) -> (TrackBand, MapBand) {
+    pub fn solve(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        meta: &TracksMeta,
+        row: u32,
+        hints: Option<&[Vec<Hint>]>,
+    ) -> (TrackBand, MapBand) {
         let lit = self.lit();
         self.part.solve(&mut self.group, model, setting, &self.taken, &lit, hints);
         together(setting, meta, row, [(lit.as_slice(), &self.part)].into_iter())
     }
 
-    /// Pixels of the row that was taken in that have events and frames, spread over their number of events; at most [`SAMPLED_PIXELS`].
+    /// Pixels of the row that was taken in that have events and frames, spread over their number of events;
+    /// at most [`SAMPLED_PIXELS`].
     pub fn sample(&self) -> Vec<usize> {
         let data = &self.taken.data;
-        let mut pixels: Vec<usize> = (0..data.width()).filter(|&x| !data.events_of(x).is_empty() && !data.frames_of(x).is_empty()).collect();
+        let mut pixels: Vec<usize> = (0..data.width())
+            .filter(|&x| !data.events_of(x).is_empty() && !data.frames_of(x).is_empty())
+            .collect();
         pixels.sort_by_key(|&x| (data.events_of(x).len(), x));
         let taken = usize::min(pixels.len(), SAMPLED_PIXELS);
         (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
     }
 
-    /// How badly hints, one set after the other, and its other measurements predict the frames of a pixel that are held out
-    /// ([`estimate::prediction_errors`]).
-    pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
+    /// How badly hints, one set after the other, and its other measurements predict the frames of a pixel
+    /// that are held out ([`estimate::prediction_errors`]).
+    pub fn prediction_errors(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        x: usize,
+        hints: &[Vec<Hint>],
+    ) -> Vec<f64> {
         let RowSolver { group, taken: Taken { data, given }, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let task = [MapTask { problem, options: setting.options }];
         let known = known_of(model, &task, &[x], data, given, group);
         let problem = with_known(&task, &known)[0].problem;
-        let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
+        let problems: Vec<MapProblem<'_>> =
+            hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
         estimate::prediction_errors(&problems, &setting.options, group)
     }
 
-    /// How the frames of a pixel that are held out are missed by hints and its other measurements ([`estimate::misses`]).
+    /// How the frames of a pixel that are held out are missed by hints and its other measurements
+    /// ([`estimate::misses`]).
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
         let RowSolver { group, taken: Taken { data, given }, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let task = [MapTask { problem, options: setting.options }];
         let known = known_of(model, &task, &[x], data, given, group);
-        estimate::misses(&[MapProblem { hints, ..with_known(&task, &known)[0].problem }], &setting.options, group)
+        estimate::misses(
+            &[MapProblem { hints, ..with_known(&task, &known)[0].problem }],
+            &setting.options,
+            group,
+        )
     }
 }
 
 /// The parts of a row, left to right, as one.
-fn together<'a>(setting: &RowSetting, meta: &TracksMeta, row: u32, parts: impl Iterator<Item = (&'a [usize], &'a Part)>) -> (TrackBand, MapBand) {
+fn together<'a>(
+    setting: &RowSetting,
+    meta: &TracksMeta,
+    row: u32,
+    parts: impl Iterator<Item = (&'a [usize], &'a Part)>,
+) -> (TrackBand, MapBand) {
     let mut tracks = TrackBand::begin(row, meta.extent.width);
     let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
     // As it stays where a pixel has no frame.
@@ -311,7 +375,11 @@ fn together<'a>(setting: &RowSetting, meta: &TracksMeta, row: u32, parts: impl I
     }
     let mut push = |knots: &[(i64, f32, f32)]| {
         let knots = knots.iter().copied();
-        if setting.options.with_sigma { tracks.push_with_sigma(knots) } else { tracks.push(knots.map(|(t, i, _)| (t, i))) }
+        if setting.options.with_sigma {
+            tracks.push_with_sigma(knots)
+        } else {
+            tracks.push(knots.map(|(t, i, _)| (t, i)))
+        }
     };
     let mut next = 0;
     for (lit, part) in parts {
@@ -327,10 +395,18 @@ fn together<'a>(setting: &RowSetting, meta: &TracksMeta, row: u32, parts: impl I
 }
 
 /// The problem of pixel x of a row.
-fn task<'a>(model: &Model, setting: &RowSetting, data: &'a RowData, x: usize, hints: &'a [Hint]) -> MapTask<'a> {
+fn task<'a>(
+    model: &Model,
+    setting: &RowSetting,
+    data: &'a RowData,
+    x: usize,
+    hints: &'a [Hint],
+) -> MapTask<'a> {
     let RowSetting { span, noise, options, .. } = *setting;
     let unrest = data.unrest(x);
-    let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
+    let off = |sigma: f64, unit: f64| {
+        if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma }
+    };
     let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
     let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
     let no_event_sigma = if data.has_event_pixel(x) { off(problem.no_event_sigma, 1.0) } else { 0.0 };
@@ -338,7 +414,14 @@ fn task<'a>(model: &Model, setting: &RowSetting, data: &'a RowData, x: usize, hi
 }
 
 /// What was given of the events of pixels `lit` of a row, or what each alone says.
-fn known_of(model: &Model, tasks: &[MapTask<'_>], lit: &[usize], data: &RowData, given: &[Known], group: &mut MapGroup) -> Vec<Known> {
+fn known_of(
+    model: &Model,
+    tasks: &[MapTask<'_>],
+    lit: &[usize],
+    data: &RowData,
+    given: &[Known],
+    group: &mut MapGroup,
+) -> Vec<Known> {
     if !given.is_empty() {
         return lit.iter().map(|&x| given[x].clone()).collect();
     }
@@ -346,9 +429,15 @@ fn known_of(model: &Model, tasks: &[MapTask<'_>], lit: &[usize], data: &RowData,
     known(model, tasks, &recorded, group)
 }
 
-/// What effects did to the events of each problem ([`photocurrent_sensor::undo::Undo::at_light`]), at the light that solves it: found in rounds, each with what the one before found.
-/// Empty where no effect is to be undone. `recorded`: the pixels, and their events with stamps as recorded.
-pub(crate) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Known> {
+/// What effects did to the events of each problem ([`photocurrent_sensor::undo::Undo::at_light`]), at the
+/// light that solves it: found in rounds, each with what the one before found. Empty where no effect is to be
+/// undone. `recorded`: the pixels, and their events with stamps as recorded.
+pub(crate) fn known(
+    model: &Model,
+    tasks: &[MapTask<'_>],
+    recorded: &[(Site, &[MapEvent])],
+    group: &mut MapGroup,
+) -> Vec<Known> {
     if !model.undo.needs_light() {
         return Vec::new();
     }
@@ -363,7 +452,15 @@ pub(crate) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[M
             let (site, recorded) = recorded[n];
             let light = Estimate { t_ns: solution.t_ns, own: solution.log_photocurrent, seen: None };
             if solution.status != MapStatus::Failed {
-                model.undo.at_light(&model.sensor, &site, light, recorded, tasks[n].problem.events, &mut next[n], &mut memory);
+                model.undo.at_light(
+                    &model.sensor,
+                    &site,
+                    light,
+                    recorded,
+                    tasks[n].problem.events,
+                    &mut next[n],
+                    &mut memory,
+                );
             }
         });
         known = next;
@@ -387,7 +484,13 @@ pub(crate) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<M
 }
 
 /// The problem of a pixel.
-pub(crate) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
+pub(crate) fn problem<'a>(
+    model: &Model,
+    events: &'a [MapEvent],
+    frames: &'a [MapFrame],
+    span: (i64, i64),
+    noise: Noise,
+) -> MapProblem<'a> {
     MapProblem {
         events,
         frames,
@@ -403,15 +506,24 @@ pub(crate) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
     }
 }
 
-/// Keeps as few knots as join up to the same light, without what effects add to it and times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times
-/// `sigma_factor`, within [`SIGMA_THINNED_TO`].
+/// Keeps as few knots as join up to the same light, without what effects add to it and times `light_ratio`,
+/// within [`THINNED_TO`], and to the same standard deviation, where there is one, times `sigma_factor`,
+/// within [`SIGMA_THINNED_TO`].
 ///
 /// Light is held at what is plausible; its standard deviation is then at least as large as what was removed.
-fn thin(solution: &MapSolution<'_>, undo: &Undo, light_ratio: f64, sigma_factor: f64, plausible: Plausible, knots: &mut Vec<(i64, f32, f32)>) {
+fn thin(
+    solution: &MapSolution<'_>,
+    undo: &Undo,
+    light_ratio: f64,
+    sigma_factor: f64,
+    plausible: Plausible,
+    knots: &mut Vec<(i64, f32, f32)>,
+) {
     let (t, sum, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
     let u = |k: usize| undo.own(sum[k]);
     // A small relative change of the sum is a larger one of the pixel's own part.
-    let log_sigma = |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance) + sum[k] - u(k));
+    let log_sigma =
+        |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance) + sum[k] - u(k));
     let mut keep = |k: usize| {
         let (photocurrent, sigma) = (libm::exp(u(k)) * light_ratio, libm::exp(log_sigma(k)) * sigma_factor);
         let held = plausible.held(photocurrent);
@@ -453,6 +565,9 @@ impl Corridor {
     }
 
     fn narrowed(self, rise: f64, tolerance: f64, run: f64) -> Corridor {
-        Corridor { low: f64::max(self.low, (rise - tolerance) / run), high: f64::min(self.high, (rise + tolerance) / run) }
+        Corridor {
+            low: f64::max(self.low, (rise - tolerance) / run),
+            high: f64::min(self.high, (rise + tolerance) / run),
+        }
     }
 }

@@ -1,8 +1,9 @@
-//! What suits a recording: how noisy its events and frames are and which prior fits, estimated from the recording itself.
+//! What suits a recording: how noisy its events and frames are and which prior fits, estimated from the
+//! recording itself.
 //!
-//! Rows are taken in blocks that start at multiples of [`BLOCK_ROWS`], whatever band is asked for, so that bands do not change results: a node
-//! that solves a row reads its whole block, and one row around it. Pixels are looked at all over the block, so that
-//! the choice rests on many and costs less than the solution.
+//! Rows are taken in blocks that start at multiples of [`BLOCK_ROWS`], whatever band is asked for, so that
+//! bands do not change results: a node that solves a row reads its whole block, and one row around it. Pixels
+//! are looked at all over the block, so that the choice rests on many and costs less than the solution.
 
 use crate::host::Host;
 use crate::model::Model;
@@ -12,8 +13,8 @@ use crate::row::{Recorded, RowData};
 use crate::row_solver::{RowSetting, known, problem, with_known};
 use photocurrent_core::{NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::estimate::Choosing;
+use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
     MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, SecondStart, estimate, frame_noise,
 };
@@ -28,7 +29,8 @@ pub const HALO_ROWS: u32 = BLOCK_ROWS;
 /// Rows around one whose events are company to its own.
 pub const COMPANY_ROWS: u32 = 1;
 
-/// So many pixels of each block choose its noise and prior, at least: 64 lose up to 0.1 dB (docs/decisions/0013).
+/// So many pixels of each block choose its noise and prior, at least: 64 lose up to 0.1 dB
+/// (docs/decisions/0013).
 const CHOOSING_PIXELS: usize = 192;
 
 /// The settings of some rows.
@@ -40,7 +42,8 @@ pub struct Settings {
 impl Settings {
     /// Some rows and the rest of their blocks.
     pub fn blocks_of(rows: Rows, all: Rows) -> Rows {
-        Rows { start: rows.start / BLOCK_ROWS * BLOCK_ROWS, end: rows.end.next_multiple_of(BLOCK_ROWS) }.intersect(all)
+        Rows { start: rows.start / BLOCK_ROWS * BLOCK_ROWS, end: rows.end.next_multiple_of(BLOCK_ROWS) }
+            .intersect(all)
     }
 
     /// The blocks of some rows.
@@ -73,7 +76,8 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Chooses the settings of `rows` for all bands of the task, where pixels are solved alone: `take` takes in one row after the other, so that a block need not be at hand at once.
+    /// Chooses the settings of `rows` for all bands of the task, where pixels are solved alone: `take` takes
+    /// in one row after the other, so that a block need not be at hand at once.
     pub fn choose_row_by_row(
         params: &SolveOptions,
         model: &Model,
@@ -84,7 +88,10 @@ impl Settings {
     ) -> Result<(), NodeError> {
         let blocks = Settings::numbers(rows);
         let of_block = |block: u32| choose(params, model, meta, rows_of(block, meta), &mut take, None);
-        let settings = Settings { first_block: blocks.start, of_blocks: blocks.map(of_block).collect::<Result<_, NodeError>>()? };
+        let settings = Settings {
+            first_block: blocks.start,
+            of_blocks: blocks.map(of_block).collect::<Result<_, NodeError>>()?,
+        };
         settings.keep(host);
         Ok(())
     }
@@ -94,8 +101,15 @@ impl Settings {
         (self.first_block..).zip(&self.of_blocks).for_each(|(block, setting)| host.keep(block, *setting));
     }
 
-    /// Chooses the settings of `rows`, with what is known of their events from neighbours, if that is the case. What is at hand includes their blocks.
-    pub fn choose(params: &SolveOptions, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<Settings, NodeError> {
+    /// Chooses the settings of `rows`, with what is known of their events from neighbours, if that is the
+    /// case. What is at hand includes their blocks.
+    pub fn choose(
+        params: &SolveOptions,
+        model: &Model,
+        recorded: &Recorded<'_>,
+        rows: Rows,
+        given: Option<&KnownOfRows>,
+    ) -> Result<Settings, NodeError> {
         let blocks = Settings::numbers(rows);
         let first_block = blocks.start;
         let of_block = |block: u32| {
@@ -154,13 +168,24 @@ fn choose(
     sample.add_noise(frame_dn);
     let mut group = MapGroup::default();
     let options = sample.options;
-    Ok(sample.with_problems(model, 0..sample.len(), given.map(|_| given_of), &mut group, |problems, group| {
-        let choice = estimate::choose(problems, params.event_noise, &Choosing::USUAL, &options, group);
-        let options = MapOptions { prior: choice.prior, ..options };
-        let problems: Vec<_> = problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
-        let sigma_factor = if params.sigma { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group)) } else { 1.0 };
-        RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor }
-    }))
+    Ok(sample.with_problems(
+        model,
+        0..sample.len(),
+        given.map(|_| given_of),
+        &mut group,
+        |problems, group| {
+            let choice = estimate::choose(problems, params.event_noise, &Choosing::USUAL, &options, group);
+            let options = MapOptions { prior: choice.prior, ..options };
+            let problems: Vec<_> =
+                problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
+            let sigma_factor = if params.sigma {
+                estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group))
+            } else {
+                1.0
+            };
+            RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor }
+        },
+    ))
 }
 
 /// How many events of a pixel are not alone.
@@ -243,7 +268,8 @@ impl Sample {
         }
     }
 
-    /// What `work` makes of the problems of some pixels, in their order, with the usual noise; `given` is what is known of their events from neighbours, if that is the case.
+    /// What `work` makes of the problems of some pixels, in their order, with the usual noise; `given` is
+    /// what is known of their events from neighbours, if that is the case.
     pub fn with_problems<T>(
         &self,
         model: &Model,
@@ -252,14 +278,23 @@ impl Sample {
         group: &mut MapGroup,
         work: impl FnOnce(&[MapProblem<'_>], &mut MapGroup) -> T,
     ) -> T {
-        let problems: Vec<_> = self.pixels[pixels.clone()].iter().map(|(events, frames)| problem(model, events, frames, self.span, Noise::default())).collect();
-        let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options: self.options }).collect();
-        let looks: Vec<(Site, &[MapEvent])> = self.recorded[pixels].iter().map(|(site, events)| (*site, events.as_slice())).collect();
+        let problems: Vec<_> = self.pixels[pixels.clone()]
+            .iter()
+            .map(|(events, frames)| problem(model, events, frames, self.span, Noise::default()))
+            .collect();
+        let tasks: Vec<MapTask<'_>> =
+            problems.iter().map(|&problem| MapTask { problem, options: self.options }).collect();
+        let looks: Vec<(Site, &[MapEvent])> =
+            self.recorded[pixels].iter().map(|(site, events)| (*site, events.as_slice())).collect();
         let known = given.unwrap_or_else(|| known(model, &tasks, &looks, group));
         let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
         // Or pixels that have lost events would choose for all.
         let lost = losses_of(&problems, &self.options, group);
-        let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();
+        let problems: Vec<_> = problems
+            .into_iter()
+            .zip(&lost)
+            .map(|(problem, lost_before)| MapProblem { lost_before, ..problem })
+            .collect();
         work(&problems, group)
     }
 }

@@ -1,16 +1,23 @@
-//! What share of the event pixel's light each value of a row of frames sees, so that its problem can be posed in the light that its events come from.
+//! What share of the event pixel's light each value of a row of frames sees, so that its problem can be posed
+//! in the light that its events come from.
 //!
-//! A value `p` and its event pixel see `i_p = r i`, with a light ratio `r` that is taken for constant over the frames of one problem. Then `DN = black + gain g r
-//! integral i dt`, with the channel's gain `g`: the problem of Eq. (13) in the event pixel's light `i`, with `DN` above black over `g r` and a weight times
-//! `(g r)^2`. So the front end's time constant follows the event pixel's own light, as it must, and the solution times `r` is the light of the value.
+//! A value `p` and its event pixel see `i_p = r i`, with a light ratio `r` that is taken for constant over
+//! the frames of one problem. Then `DN = black + gain g r integral i dt`, with the channel's gain `g`: the
+//! problem of Eq. (13) in the event pixel's light `i`, with `DN` above black over `g r` and a weight times
+//! `(g r)^2`. So the front end's time constant follows the event pixel's own light, as it must, and the
+//! solution times `r` is the light of the value.
 //!
-//! The ratio is estimated from the same frames: what the value collected, over the mixture of its block ([`photocurrent_sensor::pooling`]).
+//! The ratio is estimated from the same frames: what the value collected, over the mixture of its block
+//! ([`photocurrent_sensor::pooling`]).
 //!
-//! Where colours do not stay, the ratio does not: an event's step is then right for the mixture and wrong for the value. How wrong on average is known from the
-//! frames, as the changes of `ln r` from frame to frame: spread over the pixel's events, they are the standard deviation by which a step may be off
-//! ([`RowShares::unrest`]). The MAP estimate adds this variance to that of events and of the no-event constraint.
+//! Where colours do not stay, the ratio does not: an event's step is then right for the mixture and wrong for
+//! the value. How wrong on average is known from the frames, as the changes of `ln r` from frame to frame:
+//! spread over the pixel's events, they are the standard deviation by which a step may be off
+//! ([`RowShares::unrest`]). The MAP estimate adds this variance to that of events and of the no-event
+//! constraint.
 //!
-//! Limits: the ratio follows colours from problem to problem, not inside one; blur hides changes that a frame averages out. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
+//! Limits: the ratio follows colours from problem to problem, not inside one; blur hides changes that a frame
+//! averages out. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
 
 use crate::co_located::{CoLocated, channel_gains, event_weights, gain_of};
 use crate::model::Model;
@@ -62,8 +69,10 @@ impl Colours {
             for column in 0..values as usize / block_values {
                 let weights = block_weights(colour, ratio, (column as u32, y / ratio), self.seen);
                 let first = column * block_values;
-                let places = block.iter().flat_map(|row| (first..first + block_values).map(move |value| (row, value)));
-                let sum: f64 = places.zip(&weights).map(|((row, value), weight)| weight * light(l, row, value)).sum();
+                let places =
+                    block.iter().flat_map(|row| (first..first + block_values).map(move |value| (row, value)));
+                let sum: f64 =
+                    places.zip(&weights).map(|((row, value), weight)| weight * light(l, row, value)).sum();
                 own.extend((first..first + block_values).map(|value| light(l, y, value)));
                 seen.extend((0..block_values).map(|_| sum));
             }
@@ -77,7 +86,8 @@ impl Colours {
 pub struct RowShares {
     /// Of each value; empty when there is one value for each event pixel, and no colour.
     gain: Vec<f64>,
-    /// What a value collected in a frame, in units of gain: [frame][value]. Empty when every value has an event pixel to itself.
+    /// What a value collected in a frame, in units of gain: [frame][value]. Empty when every value has an
+    /// event pixel to itself.
     own: Vec<f64>,
     /// What its event pixel collected.
     seen: Vec<f64>,
@@ -99,23 +109,34 @@ impl RowShares {
         let width = self.gain.len();
         let (mut own, mut seen) = (0.0, 0.0);
         // Where one of them is not known, neither counts.
-        for at in frames.map(|l| l * width + value).filter(|at| self.own.get(*at).is_some_and(|own| (own + self.seen[*at]).is_finite())) {
+        for at in frames
+            .map(|l| l * width + value)
+            .filter(|at| self.own.get(*at).is_some_and(|own| (own + self.seen[*at]).is_finite()))
+        {
             own += self.own[at];
             seen += self.seen[at];
         }
-        let ratio = if own > 0.0 && seen > 0.0 { (own / seen).clamp(1.0 / RATIO_LIMIT, RATIO_LIMIT) } else { 1.0 };
+        let ratio =
+            if own > 0.0 && seen > 0.0 { (own / seen).clamp(1.0 / RATIO_LIMIT, RATIO_LIMIT) } else { 1.0 };
         Share { ratio, scale: ratio * gain }
     }
 
-    /// Sum over consecutive frames of the squared change of `ln r`, what noise makes of it subtracted: `noise` is the relative variance of a value whose DN is so
-    /// far above black. 0 where nothing is mixed.
+    /// Sum over consecutive frames of the squared change of `ln r`, what noise makes of it subtracted:
+    /// `noise` is the relative variance of a value whose DN is so far above black. 0 where nothing is mixed.
     pub fn unrest(&self, value: usize, noise: impl Fn(f64) -> f64) -> f64 {
         let width = self.gain.len();
         if self.own.is_empty() || value >= width {
             return 0.0;
         }
         let (mut sum, mut before) = (0.0, None);
-        for (own, seen) in self.own.iter().zip(&self.seen).skip(value).step_by(width).filter(|(own, seen)| **own > 0.0 && **seen > 0.0) {
+        for (own, seen) in self
+            .own
+            .iter()
+            .zip(&self.seen)
+            .skip(value)
+            .step_by(width)
+            .filter(|(own, seen)| **own > 0.0 && **seen > 0.0)
+        {
             let now = (libm::log(own / seen), noise(own * self.gain[value]));
             if let Some((log_ratio, variance)) = before.replace(now) {
                 sum += (now.0 - log_ratio) * (now.0 - log_ratio) - variance - now.1;
@@ -182,7 +203,8 @@ mod tests {
     #[test]
     fn unrest_is_the_square_of_what_the_colour_changed_less_the_noise() {
         let shares = shares(e_times(50.0));
-        // One change of ln r by 1, between frames of a relative variance of 0.1 each; noise alone is no unrest.
+        // One change of ln r by 1, between frames of a relative variance of 0.1 each; noise alone is no
+        // unrest.
         assert!((shares.unrest(1, |_| 0.0) - 1.0).abs() < 1e-12);
         assert!((shares.unrest(1, |_| 0.1) - (1.0 - 6.0 * 0.1)).abs() < 1e-12);
         assert_eq!((shares.unrest(0, |_| 0.0), shares.unrest(0, |_| 0.1)), (0.0, 0.0));

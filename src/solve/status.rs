@@ -15,18 +15,33 @@ pub(crate) enum Status {
 }
 
 /// Planes of the map of a solution.
-pub const PLANES: [&str; 6] = ["status", "iterations", "cost", "event_residual", "frame_residual", "implausible"];
+pub const PLANES: [&str; 6] =
+    ["status", "iterations", "cost", "event_residual", "frame_residual", "implausible"];
 
 /// Where `implausible` stands among them.
 const IMPLAUSIBLE: usize = 5;
 
 /// What stands in [`PLANES`] for a pixel.
 ///
-/// Residuals are measured less predicted, over the standard deviations of the MAP estimate or times the roots of the weights of Eq. (13): of all
-/// windows, frames in two of them counting twice. Events in blind times and saturated values that are met carry no information for the MAP estimate and are left out; a safe
+/// Residuals are measured less predicted, over the standard deviations of the MAP estimate or times the roots
+/// of the weights of Eq. (13): of all windows, frames in two of them counting twice. Events in blind times
+/// and saturated values that are met carry no information for the MAP estimate and are left out; a safe
 /// estimate of Eq. (13) meets its events. `excess` is [`plausible::Plausible::excess`].
-pub(crate) fn planes(status: Status, iterations: usize, cost: f64, misfit: &Misfit, excess: f64) -> [f32; PLANES.len()] {
-    [status as u8 as f32, iterations as f32, cost as f32, misfit.event_rms() as f32, misfit.frame_rms() as f32, excess as f32]
+pub(crate) fn planes(
+    status: Status,
+    iterations: usize,
+    cost: f64,
+    misfit: &Misfit,
+    excess: f64,
+) -> [f32; PLANES.len()] {
+    [
+        status as u8 as f32,
+        iterations as f32,
+        cost as f32,
+        misfit.event_rms() as f32,
+        misfit.frame_rms() as f32,
+        excess as f32,
+    ]
 }
 
 /// What the map of a solution of so many pixels is.
@@ -43,7 +58,9 @@ pub(crate) fn of_pixels(values: MapBand, meta: &TracksMeta) -> MapBand {
     let mut map = MapBand::zeros(values.rows(), &map_meta(meta.extent));
     for row in values.rows().iter() {
         for (plane, name) in PLANES.iter().enumerate() {
-            for (out, of_pixel) in map.row_mut(plane, row).iter_mut().zip(values.row(plane, row).chunks_exact(channels)) {
+            for (out, of_pixel) in
+                map.row_mut(plane, row).iter_mut().zip(values.row(plane, row).chunks_exact(channels))
+            {
                 *out = match *name {
                     "cost" => of_pixel.iter().sum(),
                     "event_residual" | "frame_residual" => {
@@ -74,7 +91,9 @@ pub struct Report {
 impl Report {
     /// Of the map of a solution.
     pub fn of(map: &MapBand) -> Report {
-        let count = |plane: usize, is: &dyn Fn(f32) -> bool| map.rows().iter().flat_map(|row| map.row(plane, row)).filter(|value| is(**value)).count() as u64;
+        let count = |plane: usize, is: &dyn Fn(f32) -> bool| {
+            map.rows().iter().flat_map(|row| map.row(plane, row)).filter(|value| is(**value)).count() as u64
+        };
         let with = |status: Status| count(0, &|value| value == status as u8 as f32);
         Report {
             fell_back: with(Status::FellBack),
@@ -87,9 +106,24 @@ impl Report {
     /// Numbers with what they mean, for people.
     pub fn lines(&self, plausible_range: f64) -> [(u64, String); 4] {
         [
-            (self.fell_back, "pixels did not converge in some window and fell back to the double-integral estimate there".into()),
-            (self.saturated, "pixels were saturated in every frame of some window: their light is a lower bound there".into()),
-            (self.no_frame, "pixels had no usable frame value in some window (NaN): they hold their last known light there".into()),
+            (
+                self.fell_back,
+                "pixels did not converge in some window and fell back to the double-integral \
+                              estimate there"
+                    .into(),
+            ),
+            (
+                self.saturated,
+                "pixels were saturated in every frame of some window: their light is a lower \
+                              bound there"
+                    .into(),
+            ),
+            (
+                self.no_frame,
+                "pixels had no usable frame value in some window (NaN): they hold their last \
+                             known light there"
+                    .into(),
+            ),
             (self.implausible, plausible::note(plausible_range)),
         ]
     }

@@ -24,7 +24,12 @@ use rayon::prelude::*;
 ///
 /// # Panics
 /// When a pixel lies outside of the frames.
-pub fn solve_pixels(recording: &Recording<'_>, options: &SolveOptions, pixels: &[u32], host: &dyn Host) -> Result<Vec<PixelTrack>, NodeError> {
+pub fn solve_pixels(
+    recording: &Recording<'_>,
+    options: &SolveOptions,
+    pixels: &[u32],
+    host: &dyn Host,
+) -> Result<Vec<PixelTrack>, NodeError> {
     options.check()?;
     let meta = options.tracks_meta(&recording.events.meta, &recording.frames.meta)?;
     let mut model = Model::of_map(options, recording.sensor, &recording.events.meta)?;
@@ -33,7 +38,8 @@ pub fn solve_pixels(recording: &Recording<'_>, options: &SolveOptions, pixels: &
     let width = reader.wide.extent.width;
     let mixed = neighbours::halo(&model, reader.colours.lie);
     let of_rows: Vec<&[u32]> = pixels.chunk_by(|a, b| a / width == b / width).collect();
-    let is_together = |a: &&[u32], b: &&[u32]| mixed.is_some() || a[0] / width / BLOCK_ROWS == b[0] / width / BLOCK_ROWS;
+    let is_together =
+        |a: &&[u32], b: &&[u32]| mixed.is_some() || a[0] / width / BLOCK_ROWS == b[0] / width / BLOCK_ROWS;
     let parts: Vec<&[&[u32]]> = of_rows.chunk_by(is_together).collect();
     let of_part = |part: &&[&[u32]]| -> Result<Vec<Vec<PixelTrack>>, NodeError> {
         let rows = Rows { start: part[0][0] / width, end: part[part.len() - 1][0] / width + 1 };
@@ -91,10 +97,14 @@ mod tests {
                 }
             }
         }
-        let exposures: Vec<Exposure> = (0..5).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
+        let exposures: Vec<Exposure> =
+            (0..5).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
         let frames = testing::captured(extent, exposures.clone(), 0, |l, x, y| {
             let Exposure { start, end } = exposures[l];
-            let light = (start.0..end.0).step_by(step_ns as usize).map(|t| libm::exp(log_light(x, y, t))).sum::<f64>();
+            let light = (start.0..end.0)
+                .step_by(step_ns as usize)
+                .map(|t| libm::exp(log_light(x, y, t)))
+                .sum::<f64>();
             if (x, y) == (5, 20) { f32::NAN } else { (1000.0 * light * step_ns as f64 * 1e-9) as f32 }
         });
         let text = format!(
@@ -106,7 +116,9 @@ mod tests {
 
     #[test]
     fn some_pixels_are_solved_as_the_whole_recording_is() {
-        for (effects, rows) in [("", [1, 2, 20]), ("[effects]\ncrosstalk = { fraction = 0.2 }\n", [1, 19, 33])] {
+        for (effects, rows) in
+            [("", [1, 2, 20]), ("[effects]\ncrosstalk = { fraction = 0.2 }\n", [1, 19, 33])]
+        {
             let (events, frames, sensor) = recorded(effects);
             let recording = Recording { events: &events, frames: &frames, sensor: &sensor };
             let options = SolveOptions::default();
@@ -117,7 +129,13 @@ mod tests {
             for (pixel, track) in pixels.iter().zip(&some) {
                 let of_whole = band.pixel(pixel % 24, pixel / 24);
                 assert_eq!(track.t_ns, of_whole.t, "pixel {pixel}");
-                assert!(track.photocurrent.iter().zip(of_whole.photocurrent).all(|(a, b)| a.to_bits() == f64::from(*b).to_bits()));
+                assert!(
+                    track
+                        .photocurrent
+                        .iter()
+                        .zip(of_whole.photocurrent)
+                        .all(|(a, b)| a.to_bits() == f64::from(*b).to_bits())
+                );
             }
             let without_frame = pixels.iter().position(|pixel| *pixel == 20 * 24 + 5);
             assert!(without_frame.is_none_or(|n| some[n].t_ns.is_empty()));

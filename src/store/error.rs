@@ -1,4 +1,5 @@
-//! Everything that can go wrong between memory and disk, each with its file, what was found and what to do next.
+//! Everything that can go wrong between memory and disk, each with its file, what was found and what to do
+//! next.
 
 use photocurrent_core::document::Problem;
 use photocurrent_core::{DataError, NodeError};
@@ -77,7 +78,8 @@ pub enum StoreError {
         /// What went wrong.
         what: String,
     },
-    /// What was to be written could not be read: the trouble lies where it comes from, not in the file being written.
+    /// What was to be written could not be read: the trouble lies where it comes from, not in the file being
+    /// written.
     #[error(transparent)]
     Source(DataError),
     /// Somebody else uses the cache.
@@ -95,11 +97,24 @@ impl StoreError {
     }
 
     /// Of something that is not as its format says.
-    pub(crate) fn content(path: &Path, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
-        StoreError::Content { path: path.into(), at: at.into(), found: found.into(), expected: expected.into(), hint: hint.into() }
+    pub(crate) fn content(
+        path: &Path,
+        at: &str,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> StoreError {
+        StoreError::Content {
+            path: path.into(),
+            at: at.into(),
+            found: found.into(),
+            expected: expected.into(),
+            hint: hint.into(),
+        }
     }
 
-    /// Would running the node again repair it? True for what is wrong with one entry of the cache, false for a full disk.
+    /// Would running the node again repair it? True for what is wrong with one entry of the cache, false for
+    /// a full disk.
     pub fn is_damage(&self) -> bool {
         match self {
             StoreError::Damaged { .. }
@@ -155,16 +170,20 @@ impl From<StoreError> for NodeError {
     fn from(error: StoreError) -> NodeError {
         match error {
             StoreError::Content { path, at, found, expected, hint } => {
-                NodeError::input(format!("{}: {at}: found {found}, expected {expected}", path.display())).hint(hint)
+                NodeError::input(format!("{}: {at}: found {found}, expected {expected}", path.display()))
+                    .hint(hint)
             }
-            StoreError::NotReadable { path, found, hint } => NodeError::input(format!("{}: {found}", path.display())).hint(hint),
+            StoreError::NotReadable { path, found, hint } => {
+                NodeError::input(format!("{}: {found}", path.display())).hint(hint)
+            }
             StoreError::Several { path, mistakes } => {
                 let count = mistakes.len();
                 let problems = mistakes.into_iter().map(|mistake| {
                     let error = NodeError::from(mistake);
                     Problem { notes: error.notes, help: error.hint, ..Problem::new(error.message) }
                 });
-                NodeError::input(format!("{}: {count} things are not as the format says", path.display())).problems(problems.collect())
+                NodeError::input(format!("{}: {count} things are not as the format says", path.display()))
+                    .problems(problems.collect())
             }
             StoreError::Misuse { .. } => NodeError::failed(error.to_string()),
             StoreError::Source(error) => error.into(),

@@ -1,12 +1,15 @@
 //! HDF5 files of other programs: what is in them, and numbers of any type, read in pieces.
 //!
-//! Nothing of such a file is trusted. Links to other files, external and virtual storage and filter plugins are off or refused; names are followed one
-//! group at a time and never into a cycle; a shape is compared with the stored bytes before memory is taken, and so is every chunk. Filters
-//! are undone by us (`hdf::pipeline`): none, deflate, shuffle, fletcher32, LZF, Blosc, Zstandard, LZ4, bitshuffle, Prophesee's ECF.
+//! Nothing of such a file is trusted. Links to other files, external and virtual storage and filter plugins
+//! are off or refused; names are followed one group at a time and never into a cycle; a shape is compared
+//! with the stored bytes before memory is taken, and so is every chunk. Filters are undone by us
+//! (`hdf::pipeline`): none, deflate, shuffle, fletcher32, LZF, Blosc, Zstandard, LZ4, bitshuffle, Prophesee's
+//! ECF.
 //!
-//! A damaged chunk is a [`Gap`], and reading goes on behind it. A file that ends before its stated end is opened as far as it goes
-//! ([`ForeignFile::cut`]): what lies behind its end is a gap, too, or, where it is a header, an error of that dataset.
-//! Before all this a copy of this process tries the file (`hdf::trial`): one that ends the library is refused.
+//! A damaged chunk is a [`Gap`], and reading goes on behind it. A file that ends before its stated end is
+//! opened as far as it goes ([`ForeignFile::cut`]): what lies behind its end is a gap, too, or, where it is a
+//! header, an error of that dataset. Before all this a copy of this process tries the file (`hdf::trial`):
+//! one that ends the library is refused.
 
 use crate::error::StoreError;
 use crate::hdf::chunks::{Chunks, Hole};
@@ -57,7 +60,8 @@ impl ForeignFile {
         self.opened.bytes
     }
 
-    /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end; `None` of a whole file.
+    /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end; `None` of a whole
+    /// file.
     pub fn cut(&self) -> Option<String> {
         self.opened.cut()
     }
@@ -86,7 +90,8 @@ impl ForeignFile {
     /// A dataset of numbers; `None` when there is nothing of this name.
     ///
     /// # Errors
-    /// When it is no dataset of numbers, lies in other files, uses a filter that is not known, or claims more than it can hold.
+    /// When it is no dataset of numbers, lies in other files, uses a filter that is not known, or claims more
+    /// than it can hold.
     pub fn dataset(&self, name: &str) -> Result<Option<ForeignDataset>, StoreError> {
         let at = format!("/{name}");
         let Some(dataset) = self.opened.dataset(name)? else { return Ok(None) };
@@ -95,20 +100,39 @@ impl ForeignFile {
         let item = locked(|| memory.size());
         if form == Form::Other || item == 0 {
             let hint = "is this the file that you meant?";
-            return Err(self.opened.content(&at, "something else than numbers", "integers or floating-point numbers, or a compound of them", hint));
+            return Err(self.opened.content(
+                &at,
+                "something else than numbers",
+                "integers or floating-point \
+                                                            numbers, or a compound of them",
+                hint,
+            ));
         }
-        let properties = self.opened.wrap(&at, "read how the dataset is stored", locked(|| dataset.create_plist()))?;
+        let properties =
+            self.opened.wrap(&at, "read how the dataset is stored", locked(|| dataset.create_plist()))?;
         if let Err(filter) = locked(|| Pipeline::of(properties.id())) {
             let hint = format!("pack the file again: h5repack -f GZIP=1 {} OUT", self.path().display());
-            return Err(self.opened.content(&at, format!("numbers packed by {filter}"), "a filter that is known (docs/formats.md lists them)", hint));
+            return Err(self.opened.content(
+                &at,
+                format!("numbers packed by {filter}"),
+                "a filter that is \
+                                                            known (docs/formats.md lists them)",
+                hint,
+            ));
         }
-        let chunk = locked(|| dataset.chunk()).map_or(0, |chunk| chunk.iter().fold(item, |bytes, &n| bytes.saturating_mul(n)));
+        let chunk = locked(|| dataset.chunk())
+            .map_or(0, |chunk| chunk.iter().fold(item, |bytes, &n| bytes.saturating_mul(n)));
         let shape = locked(|| dataset.shape());
         let row = shape.iter().skip(1).fold(item, |bytes, &n| bytes.saturating_mul(n));
         for (bytes, most, what) in [(chunk, LARGEST_CHUNK, "chunks"), (row, LARGEST_ROW, "rows")] {
             if bytes > most {
                 let hint = "write the file again in smaller pieces";
-                return Err(self.opened.content(&at, format!("{what} of {bytes} bytes"), format!("{what} of at most {most} bytes"), hint));
+                return Err(self.opened.content(
+                    &at,
+                    format!("{what} of {bytes} bytes"),
+                    format!("{what} of at most {most} bytes"),
+                    hint,
+                ));
             }
         }
         let chunks = Chunks::new(&self.opened, &at, dataset, memory, true).keeping(KEPT_BYTES);
@@ -124,25 +148,33 @@ impl ForeignFile {
         self.opened.text(&format!("/{name}"), &dataset).map(Some)
     }
 
-    /// Names of the attributes of a group or dataset (empty: the root), sorted; none when there is no such thing.
+    /// Names of the attributes of a group or dataset (empty: the root), sorted; none when there is no such
+    /// thing.
     ///
     /// # Errors
     /// When the file is damaged.
     pub fn attribute_names(&self, of: &str) -> Result<Vec<String>, StoreError> {
         let Some(location) = self.location(of)? else { return Ok(Vec::new()) };
-        let mut names = self.opened.wrap(&format!("/{of}"), "list the attributes", locked(|| location.attr_names()))?;
+        let mut names =
+            self.opened.wrap(&format!("/{of}"), "list the attributes", locked(|| location.attr_names()))?;
         names.sort();
         Ok(names)
     }
 
-    /// An attribute of a group or dataset (empty: the root); `None` when it is not there or holds neither a text nor numbers.
+    /// An attribute of a group or dataset (empty: the root); `None` when it is not there or holds neither a
+    /// text nor numbers.
     ///
     /// # Errors
     /// When the file is damaged.
     pub fn attribute(&self, of: &str, name: &str) -> Result<Option<Value>, StoreError> {
         let Some(location) = self.location(of)? else { return Ok(None) };
         let at = format!("/{of}: attribute `{name}`");
-        if !self.opened.wrap(&at, "list the attributes", locked(|| location.attr_names()))?.iter().any(|other| other == name) {
+        if !self
+            .opened
+            .wrap(&at, "list the attributes", locked(|| location.attr_names()))?
+            .iter()
+            .any(|other| other == name)
+        {
             return Ok(None);
         }
         let attribute = self.opened.wrap(&at, "open it", locked(|| location.attr(name)))?;
@@ -172,14 +204,26 @@ impl ForeignFile {
         };
         let size = count.saturating_mul(item);
         if size > LARGEST_WHOLE.min(self.opened.bytes as usize) {
-            return Err(self.opened.content(at, format!("{count} numbers"), "an attribute that fits the file", "the file is damaged: copy it again"));
+            return Err(self.opened.content(
+                at,
+                format!("{count} numbers"),
+                "an attribute that fits the file",
+                "the file is damaged: copy it again",
+            ));
         }
         let mut bytes = vec![0u8; size];
         // SAFETY: the buffer holds all elements of the stored type.
-        let status = locked(|| unsafe { hdf5_sys::h5a::H5Aread(attribute.id(), kind.id(), bytes.as_mut_ptr().cast()) });
+        let status = locked(|| unsafe {
+            hdf5_sys::h5a::H5Aread(attribute.id(), kind.id(), bytes.as_mut_ptr().cast())
+        });
         if status < 0 {
             let detail = "the library gave no reason".into();
-            return Err(StoreError::Library { path: self.opened.path.clone(), at: at.into(), doing: "read it", detail });
+            return Err(StoreError::Library {
+                path: self.opened.path.clone(),
+                at: at.into(),
+                doing: "read it",
+                detail,
+            });
         }
         Ok(Some(if field.number().is_float() {
             let mut numbers = Vec::new();
@@ -260,10 +304,15 @@ impl ForeignDataset {
         }
     }
 
-    /// The member of a compound; `None` of numbers, without such a member, or where it would lie outside of its row: a damaged file can say so.
+    /// The member of a compound; `None` of numbers, without such a member, or where it would lie outside of
+    /// its row: a damaged file can say so.
     pub fn member(&self, name: &str) -> Option<Field> {
         match &self.inner.form {
-            Form::Compound(members) => members.iter().find(|(other, _)| other == name).map(|(_, field)| *field).filter(|field| field.fits(self.inner.row)),
+            Form::Compound(members) => members
+                .iter()
+                .find(|(other, _)| other == name)
+                .map(|(_, field)| *field)
+                .filter(|field| field.fits(self.inner.row)),
             _ => None,
         }
     }
@@ -285,15 +334,24 @@ impl ForeignDataset {
     /// When the file cannot be read, or there are no such rows.
     pub fn rows_at(&self, rows: Range<usize>) -> Result<RowBlock, StoreError> {
         let shape = self.shape();
-        let mut block = RowBlock { bytes: Vec::new(), row: self.inner.row, first: rows.start, gaps: Vec::new() };
+        let mut block =
+            RowBlock { bytes: Vec::new(), row: self.inner.row, first: rows.start, gaps: Vec::new() };
         if rows.start > rows.end || rows.end > self.rows() {
             let chunks = &self.inner.chunks;
             let hint = "the file changed while it was read";
-            return Err(chunks.opened.content(&chunks.at, format!("{} rows", self.rows()), format!("rows up to {}", rows.end), hint));
+            return Err(chunks.opened.content(
+                &chunks.at,
+                format!("{} rows", self.rows()),
+                format!("rows up to {}", rows.end),
+                hint,
+            ));
         }
         let bytes = rows.len().checked_mul(self.inner.row).filter(|&bytes| bytes <= LARGEST_ROW);
         let Some(bytes) = bytes else {
-            return Err(StoreError::Misuse { path: self.inner.chunks.opened.path.clone(), what: format!("{} rows were asked for at once", rows.len()) });
+            return Err(StoreError::Misuse {
+                path: self.inner.chunks.opened.path.clone(),
+                what: format!("{} rows were asked for at once", rows.len()),
+            });
         };
         block.bytes = vec![0; bytes];
         let (mut start, mut count) = (vec![0; shape.len()], shape.to_vec());
@@ -313,13 +371,14 @@ impl ForeignDataset {
         Ok(block)
     }
 
-    /// Makes the calls that reading makes, with little to read: of some chunks, or of the first and the last row.
+    /// Makes the calls that reading makes, with little to read: of some chunks, or of the first and the last
+    /// row.
     pub(crate) fn try_out(&self) {
         self.inner.chunks.try_out();
     }
 
-    /// Rows from the first on that a cut file still holds, found by halving: chunks stand in the order in which they were written. All rows of a file that
-    /// is whole, damaged ones included.
+    /// Rows from the first on that a cut file still holds, found by halving: chunks stand in the order in
+    /// which they were written. All rows of a file that is whole, damaged ones included.
     ///
     /// # Errors
     /// As [`ForeignDataset::rows_at`].
@@ -336,7 +395,8 @@ impl ForeignDataset {
         Ok(whole)
     }
 
-    /// All numbers as integers, of a dataset that is small: of a cut file, those before the cut. A damaged piece is an error.
+    /// All numbers as integers, of a dataset that is small: of a cut file, those before the cut. A damaged
+    /// piece is an error.
     ///
     /// # Errors
     /// As [`ForeignDataset::rows_at`], and when the dataset is large, damaged, or holds compounds.
@@ -347,7 +407,8 @@ impl ForeignDataset {
         Ok(numbers)
     }
 
-    /// All numbers as f64, of a dataset that is small: of a cut file, those before the cut. A damaged piece is an error.
+    /// All numbers as f64, of a dataset that is small: of a cut file, those before the cut. A damaged piece
+    /// is an error.
     ///
     /// # Errors
     /// As [`ForeignDataset::integers`].
@@ -360,7 +421,9 @@ impl ForeignDataset {
 
     fn small(&self) -> Result<(RowBlock, Field), StoreError> {
         let chunks = &self.inner.chunks;
-        let wrong = |found: String, expected: &str| chunks.opened.content(&chunks.at, found, expected, "is this the file that you meant?");
+        let wrong = |found: String, expected: &str| {
+            chunks.opened.content(&chunks.at, found, expected, "is this the file that you meant?")
+        };
         let field = self.numbers().ok_or_else(|| wrong("compounds".into(), "numbers"))?;
         if self.inner.row.saturating_mul(self.rows()) > LARGEST_WHOLE {
             return Err(wrong(format!("the shape {:?}", self.shape()), "a short list"));

@@ -1,7 +1,9 @@
-//! Writing events and frames as they come, whatever their number: our own recording, and the HDF5 layout of DSEC.
+//! Writing events and frames as they come, whatever their number: our own recording, and the HDF5 layout of
+//! DSEC.
 //!
-//! Only shuffle and deflate are used, so that h5py opens the files with nothing installed. A file appears whole or not at all. Both layouts want events in
-//! the order of time; what they cannot say is refused, with the event and what to do.
+//! Only shuffle and deflate are used, so that h5py opens the files with nothing installed. A file appears
+//! whole or not at all. Both layouts want events in the order of time; what they cannot say is refused, with
+//! the event and what to do.
 
 use crate::error::StoreError;
 use crate::hdf::write::{ColumnWriter, GridWriter};
@@ -41,34 +43,56 @@ pub struct EventSink {
 
 /// How a layout keeps stamps.
 enum Times {
-    Recording { t: ColumnWriter<i64>, t_in: Option<ColumnWriter<i64>> },
-    Dsec { t: ColumnWriter<u32>, index: ColumnWriter<u64>, offset_us: Option<i64>, next_ms: i64, rounded: u64 },
+    Recording {
+        t: ColumnWriter<i64>,
+        t_in: Option<ColumnWriter<i64>>,
+    },
+    Dsec {
+        t: ColumnWriter<u32>,
+        index: ColumnWriter<u64>,
+        offset_us: Option<i64>,
+        next_ms: i64,
+        rounded: u64,
+    },
 }
 
 impl EventSink {
     fn new(opened: &Opened, path: &Path, extent: Extent, times: Times) -> EventSink {
-        let (x, y, p) = (ColumnWriter::new(opened, "events/x"), ColumnWriter::new(opened, "events/y"), ColumnWriter::new(opened, "events/p"));
+        let (x, y, p) = (
+            ColumnWriter::new(opened, "events/x"),
+            ColumnWriter::new(opened, "events/y"),
+            ColumnWriter::new(opened, "events/p"),
+        );
         EventSink { path: path.into(), extent, x, y, p, times, last: None, count: 0 }
     }
 
     /// Adds events.
     ///
     /// # Errors
-    /// When columns differ in length, an event lies outside the sensor or before the one ahead of it, its time cannot be said, or the disk is full.
+    /// When columns differ in length, an event lies outside the sensor or before the one ahead of it, its
+    /// time cannot be said, or the disk is full.
     pub fn append(&mut self, piece: EventPiece) -> Result<(), StoreError> {
         let refuse = |what: String| Err(StoreError::Misuse { path: self.path.clone(), what });
         let n = piece.t.len();
-        if [piece.x.len(), piece.y.len(), piece.on.len(), piece.t_in.map_or(n, <[i64]>::len)].iter().any(|&other| other != n) {
+        if [piece.x.len(), piece.y.len(), piece.on.len(), piece.t_in.map_or(n, <[i64]>::len)]
+            .iter()
+            .any(|&other| other != n)
+        {
             return refuse("columns of events differ in length".into());
         }
         for i in 0..n {
             let (t, x, y, at) = (piece.t[i], piece.x[i], piece.y[i], self.count + i as u64);
             if u32::from(x) >= self.extent.width || u32::from(y) >= self.extent.height {
-                return refuse(format!("event {at} (x = {x}, y = {y}) lies outside the {} pixels; state the right extent, or crop", self.extent));
+                return refuse(format!(
+                    "event {at} (x = {x}, y = {y}) lies outside the {} pixels; state the \
+                                       right extent, or crop",
+                    self.extent
+                ));
             }
             if let Some(last) = self.last.filter(|&last| last > t) {
                 return refuse(format!(
-                    "event {at} is stamped {t} ns, before {last} ns of the one ahead; this layout wants events in the order of time: sort them"
+                    "event {at} is stamped {t} ns, before {last} ns of the one ahead; this layout wants \
+                     events in the order of time: sort them"
                 ));
             }
             self.last = Some(t);
@@ -95,7 +119,8 @@ impl EventSink {
                     let us = us - *offset_us.get_or_insert(us);
                     let Ok(narrow) = u32::try_from(us) else {
                         return refuse(format!(
-                            "event {} comes {us} us after the first, and this layout counts 4294967295 us at most: cut the time",
+                            "event {} comes {us} us after the first, and this layout counts 4294967295 us \
+                             at most: cut the time",
                             self.count + i as u64
                         ));
                     };
@@ -122,24 +147,36 @@ pub struct DsecWritten {
     pub rounded: u64,
 }
 
-/// Writes events in the layout of DSEC: `events/{x,y,t,p}`, `ms_to_idx`, `t_offset`; the sensor's size as attributes of `/events`. In-pixel times are left out.
+/// Writes events in the layout of DSEC: `events/{x,y,t,p}`, `ms_to_idx`, `t_offset`; the sensor's size as
+/// attributes of `/events`. In-pixel times are left out.
 ///
 /// # Errors
 /// As [`EventSink::append`], what `fill` says, and when the file cannot be written.
-pub fn write_dsec(path: &Path, extent: Extent, fill: impl FnOnce(&mut EventSink) -> Result<(), StoreError>) -> Result<DsecWritten, StoreError> {
+pub fn write_dsec(
+    path: &Path,
+    extent: Extent,
+    fill: impl FnOnce(&mut EventSink) -> Result<(), StoreError>,
+) -> Result<DsecWritten, StoreError> {
     whole_file(path, |opened| {
         let group = create_group(opened, "events")?;
         opened.set_integer_attribute(&group, "sensor_width", extent.width.into())?;
         opened.set_integer_attribute(&group, "sensor_height", extent.height.into())?;
         opened.set_text_attribute(&group, "time_unit", "us")?;
         let (t, index) = (ColumnWriter::new(opened, "events/t"), ColumnWriter::new(opened, "ms_to_idx"));
-        let mut sink = EventSink::new(opened, path, extent, Times::Dsec { t, index, offset_us: None, next_ms: 0, rounded: 0 });
+        let mut sink = EventSink::new(
+            opened,
+            path,
+            extent,
+            Times::Dsec { t, index, offset_us: None, next_ms: 0, rounded: 0 },
+        );
         fill(&mut sink)?;
         let EventSink { x, y, p, times, count, .. } = sink;
         x.finish()?;
         y.finish()?;
         p.finish()?;
-        let Times::Dsec { t, index, offset_us, rounded, .. } = times else { return Ok(DsecWritten::default()) };
+        let Times::Dsec { t, index, offset_us, rounded, .. } = times else {
+            return Ok(DsecWritten::default());
+        };
         t.finish()?;
         index.finish()?;
         let offset = offset_us.unwrap_or(0);
@@ -191,7 +228,11 @@ pub struct StreamedRecording<'a> {
 ///
 /// # Errors
 /// As [`EventSink::append`], what `fill` and the frames' reader say, and when the file cannot be written.
-pub fn stream_recording(path: &Path, content: &StreamedRecording, fill: impl FnOnce(&mut EventSink) -> Result<(), StoreError>) -> Result<u64, StoreError> {
+pub fn stream_recording(
+    path: &Path,
+    content: &StreamedRecording,
+    fill: impl FnOnce(&mut EventSink) -> Result<(), StoreError>,
+) -> Result<u64, StoreError> {
     whole_file(path, |opened| {
         opened.set_text_attribute(&opened.file, "format", FORMAT)?;
         opened.set_integer_attribute(&opened.file, "width", content.extent.width.into())?;
@@ -203,7 +244,12 @@ pub fn stream_recording(path: &Path, content: &StreamedRecording, fill: impl FnO
                 opened.set_integer_attribute(&group, "t_resolution_ns", step)?;
             }
             let t_in = has_t_in.then(|| ColumnWriter::new(opened, "events/t_in"));
-            let mut sink = EventSink::new(opened, path, content.extent, Times::Recording { t: ColumnWriter::new(opened, "events/t"), t_in });
+            let mut sink = EventSink::new(
+                opened,
+                path,
+                content.extent,
+                Times::Recording { t: ColumnWriter::new(opened, "events/t"), t_in },
+            );
             fill(&mut sink)?;
             count = sink.count;
             sink.x.finish()?;
@@ -226,10 +272,19 @@ pub fn stream_recording(path: &Path, content: &StreamedRecording, fill: impl FnO
 }
 
 /// One chunk a frame: it is read once and forgotten.
-fn write_frames(opened: &Opened, path: &Path, sensor: Extent, frames: &StreamedFrames) -> Result<(), StoreError> {
+fn write_frames(
+    opened: &Opened,
+    path: &Path,
+    sensor: Extent,
+    frames: &StreamedFrames,
+) -> Result<(), StoreError> {
     let misuse = |what: String| StoreError::Misuse { path: path.into(), what };
     if frames.extent.multiple_of(sensor).is_none() {
-        return Err(misuse(format!("frames of {} pixels are no whole multiple of the {sensor} event pixels: crop or bin them", frames.extent)));
+        return Err(misuse(format!(
+            "frames of {} pixels are no whole multiple of the {sensor} event pixels: \
+                                   crop or bin them",
+            frames.extent
+        )));
     }
     let group = create_group(opened, "frames")?;
     opened.set_integer_attribute(&group, "row_time_ns", frames.row_time_ns)?;
@@ -247,14 +302,20 @@ fn write_frames(opened: &Opened, path: &Path, sensor: Extent, frames: &StreamedF
     for frame in 0..frames.exposures.len() {
         (frames.read)(frame, &mut values)?;
         if values.len() != chunk.iter().product::<usize>() {
-            return Err(misuse(format!("frame {frame} has {} values instead of {}", values.len(), chunk.iter().product::<usize>())));
+            return Err(misuse(format!(
+                "frame {frame} has {} values instead of {}",
+                values.len(),
+                chunk.iter().product::<usize>()
+            )));
         }
         let mut origin = vec![0; shape.len()];
         origin[0] = frame;
         match frames.dn {
             DnType::F32 => writer.write(&[(origin, values.as_slice())])?,
             // `as` saturates, and makes 0 of NaN.
-            DnType::U16 => writer.write(&[(origin, values.iter().map(|dn| dn.round() as u16).collect::<Vec<u16>>())])?,
+            DnType::U16 => {
+                writer.write(&[(origin, values.iter().map(|dn| dn.round() as u16).collect::<Vec<u16>>())])?
+            }
         }
     }
     write_times(opened, "frames/exposure_start", frames.exposures.iter().map(|(start, _)| *start).collect())?;

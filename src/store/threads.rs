@@ -1,8 +1,9 @@
 //! Packing and unpacking side by side, without waiting for the pool.
 //!
-//! A task's thread and the writer's thread are no part of rayon's pool. What they hand to it waits until a thread of the pool has nothing else to
-//! do, and during a long solve that is at the end of the solve: a recording of two seconds took forty. So they start threads of their
-//! own, as many as the pool has, which the system lets run at once. Inside the pool its own threads do the work.
+//! A task's thread and the writer's thread are no part of rayon's pool. What they hand to it waits until a
+//! thread of the pool has nothing else to do, and during a long solve that is at the end of the solve: a
+//! recording of two seconds took forty. So they start threads of their own, as many as the pool has, which
+//! the system lets run at once. Inside the pool its own threads do the work.
 
 use rayon::prelude::*;
 use std::panic::resume_unwind;
@@ -32,7 +33,9 @@ pub(crate) fn map<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Send +
     let mut done = thread::scope(|scope| {
         let others: Vec<_> = (1..threads).map(|_| scope.spawn(some)).collect();
         let mut done = some();
-        others.into_iter().for_each(|other| done.extend(other.join().unwrap_or_else(|panic| resume_unwind(panic))));
+        others
+            .into_iter()
+            .for_each(|other| done.extend(other.join().unwrap_or_else(|panic| resume_unwind(panic))));
         done
     });
     done.sort_unstable_by_key(|(at, _)| *at);

@@ -1,7 +1,10 @@
-//! `cargo run --release --example fuzz_commands -- INPUTS [SERIES] [PROCESSES] [SECONDS]`: changed files of every format through `init` and `run`, for hours.
+//! `cargo run --release --example fuzz_commands -- INPUTS [SERIES] [PROCESSES] [SECONDS]`: changed files of
+//! every format through `init` and `run`, for hours.
 //!
-//! The inputs are those of the quick test (`tests/fuzzed.rs`). Nothing is started anew: each command is a copy of this process, in which the program is loaded, with an address space of 2 GiB,
-//! 20 s of processor time and two minutes on the clock. Inputs that fail, and slow ones, are kept in `fuzz-failures`. Set `TMPDIR` to a folder in memory. With SECONDS it ends after that time.
+//! The inputs are those of the quick test (`tests/fuzzed.rs`). Nothing is started anew: each command is a
+//! copy of this process, in which the program is loaded, with an address space of 2 GiB, 20 s of processor
+//! time and two minutes on the clock. Inputs that fail, and slow ones, are kept in `fuzz-failures`. Set
+//! `TMPDIR` to a folder in memory. With SECONDS it ends after that time.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -31,7 +34,8 @@ enum Ended {
     Signal(i32),
 }
 
-/// Runs one command in a copy of this process, in a folder, with its messages in `stderr.txt` there; how it ended, and its processor time, s.
+/// Runs one command in a copy of this process, in a folder, with its messages in `stderr.txt` there; how it
+/// ended, and its processor time, s.
 fn command(folder: &Path, arguments: &[&str]) -> (Ended, f64) {
     // SAFETY: this process has one thread, so that its copy may do what it likes.
     let child = unsafe { libc::fork() };
@@ -41,7 +45,10 @@ fn command(folder: &Path, arguments: &[&str]) -> (Ended, f64) {
             std::env::set_current_dir(folder).unwrap();
             let stderr = fs::File::create("stderr.txt").unwrap();
             let limit = |most: u64| libc::rlimit { rlim_cur: most, rlim_max: most };
-            let timer = libc::itimerval { it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 }, it_value: libc::timeval { tv_sec: WAITED, tv_usec: 0 } };
+            let timer = libc::itimerval {
+                it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 },
+                it_value: libc::timeval { tv_sec: WAITED, tv_usec: 0 },
+            };
             // SAFETY: plain calls with structures that live until they return.
             let is_set = unsafe {
                 libc::dup2(stderr.as_raw_fd(), libc::STDERR_FILENO) >= 0
@@ -62,7 +69,11 @@ fn command(folder: &Path, arguments: &[&str]) -> (Ended, f64) {
     let mut used: libc::rusage = unsafe { std::mem::zeroed() };
     while unsafe { libc::wait4(child, &mut status, 0, &mut used) } < 0 {}
     let seconds = |time: libc::timeval| time.tv_sec as f64 + time.tv_usec as f64 * 1e-6;
-    let ended = if libc::WIFSIGNALED(status) { Ended::Signal(libc::WTERMSIG(status)) } else { Ended::Code(libc::WEXITSTATUS(status)) };
+    let ended = if libc::WIFSIGNALED(status) {
+        Ended::Signal(libc::WTERMSIG(status))
+    } else {
+        Ended::Code(libc::WEXITSTATUS(status))
+    };
     (ended, seconds(used.ru_utime) + seconds(used.ru_stime))
 }
 
@@ -86,12 +97,14 @@ struct Counts {
     slowest: f64,
 }
 
-/// `init` and `run` on one input in an empty folder: why it failed, whether a picture came, and the longer processor time, s.
+/// `init` and `run` on one input in an empty folder: why it failed, whether a picture came, and the longer
+/// processor time, s.
 fn both(seed: &Seed, folder: &Path) -> (Option<String>, bool, f64) {
     let path = seed.write(&folder.join("in"), None);
     let relative = path.strip_prefix(folder).unwrap().to_string_lossy().into_owned();
     let files = inputs::files(seed, &relative);
-    let init: Vec<&str> = ["init", "-o", "my.toml"].into_iter().chain(files.iter().map(String::as_str)).collect();
+    let init: Vec<&str> =
+        ["init", "-o", "my.toml"].into_iter().chain(files.iter().map(String::as_str)).collect();
     let (ended, first) = command(folder, &init);
     let why = broken(folder, &init, &ended);
     if why.is_some() || !folder.join("my.toml").exists() {
@@ -118,7 +131,9 @@ fn work(process: u64, of: u64, inputs: u64, series: u64, until: Instant) -> Coun
         counts.rendered += u64::from(is_rendered);
         counts.slowest = counts.slowest.max(took);
         counts.failed += u64::from(why.is_some());
-        if let Some(why) = why.map(|why| format!("FAILED: {why}")).or_else(|| (took > SLOW).then(|| "slow".into())) {
+        if let Some(why) =
+            why.map(|why| format!("FAILED: {why}")).or_else(|| (took > SLOW).then(|| "slow".into()))
+        {
             let place = Path::new("fuzz-failures").join(format!("{}-{series}-{k}", seed.format));
             fs::create_dir_all(&place).unwrap();
             seed.write(&place, None);
@@ -130,8 +145,11 @@ fn work(process: u64, of: u64, inputs: u64, series: u64, until: Instant) -> Coun
 }
 
 fn main() {
-    let number = |at: usize, default: u64| std::env::args().nth(at).map_or(default, |text| text.parse().expect("a number"));
-    let (inputs, series, processes, seconds) = (number(1, 1000), number(2, 1), number(3, 1).max(1), number(4, 1 << 30));
+    let number = |at: usize, default: u64| {
+        std::env::args().nth(at).map_or(default, |text| text.parse().expect("a number"))
+    };
+    let (inputs, series, processes, seconds) =
+        (number(1, 1000), number(2, 1), number(3, 1).max(1), number(4, 1 << 30));
     // SAFETY: before anything else runs; copies compute with one thread.
     unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
     let (started, until) = (Instant::now(), Instant::now() + Duration::from_secs(seconds));
@@ -140,9 +158,13 @@ fn main() {
         // SAFETY: one thread, as above.
         match unsafe { libc::fork() } {
             0 => {
-                let Counts { rendered, inputs, failed, slowest } = work(process, processes, inputs, series, until);
+                let Counts { rendered, inputs, failed, slowest } =
+                    work(process, processes, inputs, series, until);
                 let seconds = started.elapsed().as_secs_f64();
-                println!("process {process}: {inputs} inputs, {rendered} rendered, {failed} failed, slowest {slowest:.1} s; {seconds:.0} s");
+                println!(
+                    "process {process}: {inputs} inputs, {rendered} rendered, {failed} failed, slowest \
+                          {slowest:.1} s; {seconds:.0} s"
+                );
                 let _ = std::io::stdout().flush();
                 std::process::exit(i32::from(failed > 0));
             }

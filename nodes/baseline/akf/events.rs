@@ -1,4 +1,5 @@
-//! The events of all pixels: one list per pixel in time order, and the order in which a program that takes one event after the other meets them.
+//! The events of all pixels: one list per pixel in time order, and the order in which a program that takes
+//! one event after the other meets them.
 
 use photocurrent_core::events::EventBand;
 use photocurrent_solve::pixel_events::StepRule;
@@ -21,14 +22,17 @@ impl PixelLists {
             let row = events.row(y);
             let index = row.by_pixel(width);
             let pixel = |x: usize| {
-                let mut list: Vec<(i64, f64)> = index.pixel(x).iter().map(|&k| (rule.time(&row, k), rule.step(&row, k))).collect();
+                let mut list: Vec<(i64, f64)> =
+                    index.pixel(x).iter().map(|&k| (rule.time(&row, k), rule.step(&row, k))).collect();
                 // In-pixel times need not be in the order of the stamps.
                 list.sort_by_key(|(t, _)| *t);
                 list
             };
             (0..width as usize).map(pixel).collect::<Vec<_>>()
         };
-        PixelLists::from_lists((0..height).into_par_iter().map(row_lists).collect::<Vec<_>>().into_iter().flatten())
+        PixelLists::from_lists(
+            (0..height).into_par_iter().map(row_lists).collect::<Vec<_>>().into_iter().flatten(),
+        )
     }
 
     /// From one list of (time in ns, signed step) per pixel, each in time order.
@@ -51,7 +55,8 @@ impl PixelLists {
     /// All events in the order of processing.
     pub fn order(&self) -> Vec<Key> {
         let pixels = self.offsets.len() as u32 - 1;
-        let mut keys: Vec<Key> = (0..pixels).flat_map(|pixel| self.pixel(pixel).t.iter().map(move |t| (*t, pixel))).collect();
+        let mut keys: Vec<Key> =
+            (0..pixels).flat_map(|pixel| self.pixel(pixel).t.iter().map(move |t| (*t, pixel))).collect();
         keys.par_sort_unstable();
         keys
     }

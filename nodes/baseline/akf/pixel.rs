@@ -52,13 +52,17 @@ struct State<'a> {
     reset_at: Option<Key>,
 }
 
-/// Runs one pixel through the course and gives the intensity of every picture, in order; pictures before the start or after the stop are not given.
-/// `frames` are the pixel's intensities.
+/// Runs one pixel through the course and gives the intensity of every picture, in order; pictures before the
+/// start or after the stop are not given. `frames` are the pixel's intensities.
 pub fn run(shared: &Shared, pixel: u32, frames: &[f64], mut give: impl FnMut(Picture, f64)) {
     let course = shared.course;
     let list = shared.events.pixel(pixel);
     let mut state = State::begin(shared, list, frames);
-    let mut neighbours = Neighbours::new(shared, pixel, if shared.settings.sequence == Sequence::AsReleased { 0 } else { course.start.0 });
+    let mut neighbours = Neighbours::new(
+        shared,
+        pixel,
+        if shared.settings.sequence == Sequence::AsReleased { 0 } else { course.start.0 },
+    );
     let mut controls = course.controls.iter();
     let mut next = controls.next();
     let mut until = |state: &mut State, limit: (Key, Phase)| {
@@ -103,7 +107,10 @@ impl<'a> State<'a> {
         let start = match settings.sequence {
             // The first pair of frames is taken as it is.
             Sequence::AsReleased => {
-                let (from, to) = (libm::log1p(frames[window.frame]), frames.get(window.frame + 1).map_or(f64::NAN, |i| libm::log1p(*i)));
+                let (from, to) = (
+                    libm::log1p(frames[window.frame]),
+                    frames.get(window.frame + 1).map_or(f64::NAN, |i| libm::log1p(*i)),
+                );
                 state.scale = state.scale_between(window, from, to);
                 state.stale = window.frame + 1;
                 from
@@ -154,7 +161,8 @@ impl<'a> State<'a> {
         }
     }
 
-    /// The state towards the reference over the time since the last update, and the covariance's own equation solved exactly.
+    /// The state towards the reference over the time since the last update, and the covariance's own equation
+    /// solved exactly.
     fn advance(&mut self, t: i64) -> f64 {
         let dt = (t - self.updated) as f64 * 1e-9;
         let known = self.certainty * dt;
@@ -193,7 +201,10 @@ impl<'a> State<'a> {
         let window = self.window();
         if let Some(w) = window.weight(t) {
             self.reference = libm::log((1.0 - w) * libm::exp(self.ends[0]) + w * libm::exp(self.ends[1]));
-        } else if (window.first.t[0]..window.first.t[2]).contains(&t) || window.second.is_none() || self.changed_at.is_none() {
+        } else if (window.first.t[0]..window.first.t[2]).contains(&t)
+            || window.second.is_none()
+            || self.changed_at.is_none()
+        {
             self.reference = self.ends[0];
         }
     }
@@ -201,12 +212,14 @@ impl<'a> State<'a> {
     /// Inverse covariance of a frame's value in log(1 + I), between two frames.
     fn certainty_of(&self, weight: f64, frame: usize, next: usize) -> f64 {
         let released = self.shared.settings.variant == Variant::AsReleased;
-        // As released, the next frame's value in the square is that of the third frame for ever; its weight is not.
+        // As released, the next frame's value in the square is that of the third frame for ever; its weight
+        // is not.
         let square_next = if released && weight > 0.0 { self.stale } else { next };
         let value = |l: usize| self.frames[l] * 255.0;
         let of = |l: usize| self.shared.settings.weight.of(value(l));
         let mixed = 1.0 / ((1.0 - weight) / of(frame) + weight / of(next));
-        let slope = (1.0 - weight) * (value(frame) + 1.0) / 255.0 + weight * (value(square_next) + 1.0) / 255.0 + 1.0;
+        let slope =
+            (1.0 - weight) * (value(frame) + 1.0) / 255.0 + weight * (value(square_next) + 1.0) / 255.0 + 1.0;
         mixed * slope * slope
     }
 
@@ -219,7 +232,8 @@ impl<'a> State<'a> {
         }
     }
 
-    /// What steps are multiplied with, so that they lead from one edge to the other; 1 where that would be out of bounds.
+    /// What steps are multiplied with, so that they lead from one edge to the other; 1 where that would be
+    /// out of bounds.
     fn scale_between(&self, window: &Window, left: f64, right: f64) -> f64 {
         let too_large = self.net(window) / (right - left);
         let (least, most) = self.shared.settings.scale;
@@ -234,8 +248,13 @@ impl<'a> State<'a> {
         }
         match self.shared.settings.variant {
             Variant::AsReleased => {
-                let left = log(window.frame) - mean_as_released(self.list, &window.first) - self.list.sum(window.first.key[0], window.first.key[1]);
-                let right = |second: &Span| log(window.frame + 1) - mean_as_released(self.list, second) + self.list.sum(second.key[1], second.key[2]);
+                let left = log(window.frame)
+                    - mean_as_released(self.list, &window.first)
+                    - self.list.sum(window.first.key[0], window.first.key[1]);
+                let right = |second: &Span| {
+                    log(window.frame + 1) - mean_as_released(self.list, second)
+                        + self.list.sum(second.key[1], second.key[2])
+                };
                 (left, window.second.as_ref().map(right))
             }
             Variant::Corrected => {
@@ -250,7 +269,8 @@ impl<'a> State<'a> {
     }
 }
 
-/// Log of the mean of exp(summed steps) over an exposure, the sum being 0 at its start; and the sum at its end. The double integral, exactly.
+/// Log of the mean of exp(summed steps) over an exposure, the sum being 0 at its start; and the sum at its
+/// end. The double integral, exactly.
 pub fn exact_mean(list: PixelList, span: &Span) -> (f64, f64) {
     let [start, _, end] = span.t;
     let (mut last, mut sum, mut area) = (start, 0.0, 0.0);
@@ -263,8 +283,9 @@ pub fn exact_mean(list: PixelList, span: &Span) -> (f64, f64) {
     (libm::log(area / (end - start) as f64), sum)
 }
 
-/// The authors' stand-in for that mean, relative to the middle: a piece of time is weighted with the sum at its far side, the event at the middle counts
-/// in both halves, and the area is divided by the time from the first event of the sensor in the exposure to the first after it.
+/// The authors' stand-in for that mean, relative to the middle: a piece of time is weighted with the sum at
+/// its far side, the event at the middle counts in both halves, and the area is divided by the time from the
+/// first event of the sensor in the exposure to the first after it.
 fn mean_as_released(list: PixelList, span: &Span) -> f64 {
     let [start, middle, end] = span.t;
     let (mut last, mut sum, mut area) = (middle, 0.0, 0.0);
@@ -328,6 +349,11 @@ impl<'a> Neighbours<'a> {
         }
         let alone = self.settings.isolated_noise * (key.0 - latest) as f64 * 1e-9;
         let since = key.0 - own;
-        alone + if since <= self.settings.refractory_ns { self.settings.refractory_noise * since as f64 * 1e-9 } else { 0.0 }
+        alone
+            + if since <= self.settings.refractory_ns {
+                self.settings.refractory_noise * since as f64 * 1e-9
+            } else {
+                0.0
+            }
     }
 }

@@ -1,7 +1,9 @@
-//! When the filter does what to all pixels at once: takes a new pair of frames, resets its reference, writes a picture.
+//! When the filter does what to all pixels at once: takes a new pair of frames, resets its reference, writes
+//! a picture.
 //!
-//! The authors' program takes one event after the other, and its clock is the events': a frame is changed, a reference reset, a picture written at
-//! the first event past an instant. So this is worked out first, from the order of all events; afterwards every pixel runs by itself.
+//! The authors' program takes one event after the other, and its clock is the events': a frame is changed, a
+//! reference reset, a picture written at the first event past an instant. So this is worked out first, from
+//! the order of all events; afterwards every pixel runs by itself.
 
 use super::events::Key;
 use super::settings::{Sequence, Variant};
@@ -25,11 +27,13 @@ pub enum What {
     Window(usize),
     /// The reference becomes the latent picture at the exposure's start.
     Reset,
-    /// The authors write a picture at a frame's time, which clips the reference: `frame`, and the interpolation weight then.
+    /// The authors write a picture at a frame's time, which clips the reference: `frame`, and the
+    /// interpolation weight then.
     FramePicture(usize, f64),
     /// Picture number so much of those asked for, and the interpolation weight then.
     Picture(usize, f64),
-    /// State and covariance of every pixel are brought up to date, with the interpolation weight then; a picture does the same.
+    /// State and covariance of every pixel are brought up to date, with the interpolation weight then; a
+    /// picture does the same.
     Update(f64),
 }
 
@@ -162,23 +166,38 @@ impl Builder<'_> {
         };
         let mut controls: Vec<Control> = (0..windows.len()).flat_map(begins).collect();
         let weight = |t: i64| windows[at(t)].weight(t).unwrap_or(0.0);
-        controls.extend(instants.iter().enumerate().map(|(picture, &t)| ((t, u32::MAX), Phase::After, What::Picture(picture, weight(t)))));
+        controls.extend(
+            instants
+                .iter()
+                .enumerate()
+                .map(|(picture, &t)| ((t, u32::MAX), Phase::After, What::Picture(picture, weight(t)))),
+        );
         if let Some(&last) = instants.last() {
-            let updates = (1..).map(|k| windows[0].first.t[0] + (f64::from(k) * update_ns).round() as i64).take_while(|t| *t < last);
+            let updates = (1..)
+                .map(|k| windows[0].first.t[0] + (f64::from(k) * update_ns).round() as i64)
+                .take_while(|t| *t < last);
             controls.extend(updates.map(|t| ((t, u32::MAX), Phase::After, What::Update(weight(t)))));
         }
         // Stable: a window begins before its reset.
         controls.sort_by_key(|(key, phase, _)| (*key, *phase));
-        let first = [self.order.first().map(|key| key.0), instants.first().copied(), Some(windows[0].first.t[0])];
+        let first =
+            [self.order.first().map(|key| key.0), instants.first().copied(), Some(windows[0].first.t[0])];
         let start = first.into_iter().flatten().min().unwrap_or(0);
         Course { start: (start, 0), windows, controls, stop: NEVER }
     }
 }
 
-/// The course over frames with these exposures, events in this order, and pictures at these instants (ascending).
-/// The authors' sequence needs four frames at least; ours one.
-/// Between pictures, ours brings every pixel up to date each `update_ns`; the authors' does so at pictures alone.
-pub fn course(exposures: &[Exposure], order: &[Key], instants: &[i64], variant: Variant, sequence: Sequence, update_ns: f64) -> Course {
+/// The course over frames with these exposures, events in this order, and pictures at these instants
+/// (ascending). The authors' sequence needs four frames at least; ours one. Between pictures, ours brings
+/// every pixel up to date each `update_ns`; the authors' does so at pictures alone.
+pub fn course(
+    exposures: &[Exposure],
+    order: &[Key],
+    instants: &[i64],
+    variant: Variant,
+    sequence: Sequence,
+    update_ns: f64,
+) -> Course {
     let builder = Builder { exposures, order, variant };
     match sequence {
         Sequence::AsReleased => builder.as_released(instants),

@@ -21,7 +21,8 @@ pub enum Sequence {
     /// The whole recording, pictures at their instants.
     #[default]
     Whole,
-    /// From the second frame to the second-to-last, pictures at the first event after their instants; those outside are not known.
+    /// From the second frame to the second-to-last, pictures at the first event after their instants; those
+    /// outside are not known.
     AsReleased,
 }
 

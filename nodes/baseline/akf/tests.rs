@@ -19,16 +19,25 @@ struct Pictures {
 
 fn clip(variant: Variant) -> Pictures {
     let settings = settings(variant, Sequence::AsReleased);
-    let lists = PixelLists::from_lists(
-        reference::events().into_iter().map(|list| list.into_iter().map(|(us, sign)| (us * 1000, sign * reference::CONTRAST)).collect()),
-    );
+    let lists =
+        PixelLists::from_lists(reference::events().into_iter().map(|list| {
+            list.into_iter().map(|(us, sign)| (us * 1000, sign * reference::CONTRAST)).collect()
+        }));
     let frames = reference::frames();
     let block = frames.read_rows(frames.rows()).unwrap();
     // The authors' period is a whole number of microseconds.
     let instants: Vec<i64> = (0..43).map(|m| 70_000_000 + m * 3_333_000).collect();
-    let course = sequence::course(&frames.meta.times.exposures, &lists.order(), &instants, settings.variant, settings.sequence, 1e9);
+    let course = sequence::course(
+        &frames.meta.times.exposures,
+        &lists.order(),
+        &instants,
+        settings.variant,
+        settings.sequence,
+        1e9,
+    );
     let shared = Shared { settings: &settings, course: &course, events: &lists, width: 48, height: 32 };
-    let mut pictures = Pictures { high_rate: vec![vec![f64::NAN; reference::PIXELS]; 43], at_frames: Vec::new() };
+    let mut pictures =
+        Pictures { high_rate: vec![vec![f64::NAN; reference::PIXELS]; 43], at_frames: Vec::new() };
     for pixel in 0..reference::PIXELS {
         let values: Vec<f64> = (0..8).map(|l| f64::from(block.frame(l)[pixel]) / 255.0).collect();
         pixel::run(&shared, pixel as u32, &values, |which, value| match which {
@@ -37,7 +46,11 @@ fn clip(variant: Variant) -> Pictures {
                 if pixel == 0 {
                     pictures.at_frames.push((frame, vec![f64::NAN; reference::PIXELS]));
                 }
-                let (_, picture) = pictures.at_frames.iter_mut().find(|(l, _)| *l == frame).expect("pixel 0 has every picture");
+                let (_, picture) = pictures
+                    .at_frames
+                    .iter_mut()
+                    .find(|(l, _)| *l == frame)
+                    .expect("pixel 0 has every picture");
                 picture[pixel] = value;
             }
         });
@@ -71,7 +84,14 @@ fn as_released_is_what_the_authors_program_gives() {
 #[test]
 fn corrected_is_nearer_to_the_truth_than_released() {
     let truth = reference::pictures("clip_truth.f64");
-    let decibels = |variant| -> Vec<f64> { clip(variant).at_frames.iter().zip(&truth).map(|((_, picture), truth)| psnr_db(picture, truth)).collect() };
+    let decibels = |variant| -> Vec<f64> {
+        clip(variant)
+            .at_frames
+            .iter()
+            .zip(&truth)
+            .map(|((_, picture), truth)| psnr_db(picture, truth))
+            .collect()
+    };
     let (released, corrected) = (decibels(Variant::AsReleased), decibels(Variant::Corrected));
     assert!(released.iter().all(|db| (26.2..26.8).contains(db)), "{released:?}");
     assert!(corrected.iter().all(|db| (28.7..29.8).contains(db)), "{corrected:?}");
@@ -87,8 +107,16 @@ fn the_whole_sequence_covers_every_instant_and_is_as_good() {
         |_, _, _| 0.0,
     );
     let params = Params { threshold: Some(reference::CONTRAST), white: Some(255.0), ..Params::default() };
-    let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, contrast: None, at: Some(at) };
-    let (out, notes) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineAkf { params }.run(input, cx));
+    let input = In {
+        events: reference::stream(),
+        frames: reference::frames(),
+        sensor: None,
+        contrast: None,
+        at: Some(at),
+    };
+    let (out, notes) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| {
+        BaselineAkf { params }.run(input, cx)
+    });
     let frames = out.unwrap().frames;
     let block = frames.read_rows(frames.rows()).unwrap();
     assert!(block.dn.iter().all(|dn| dn.is_finite()) && notes.is_empty(), "{notes:?}");
@@ -102,9 +130,23 @@ fn the_whole_sequence_covers_every_instant_and_is_as_good() {
 #[test]
 fn the_released_sequence_says_what_it_leaves_out() {
     let sampling = Sampling { rate: Rate::new(100.0), ..Sampling::default() };
-    let params = Params { sampling, threshold: Some(reference::CONTRAST), white: Some(255.0), sequence: Sequence::AsReleased, ..Params::default() };
-    let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, contrast: None, at: None };
-    let (out, notes) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineAkf { params }.run(input, cx));
+    let params = Params {
+        sampling,
+        threshold: Some(reference::CONTRAST),
+        white: Some(255.0),
+        sequence: Sequence::AsReleased,
+        ..Params::default()
+    };
+    let input = In {
+        events: reference::stream(),
+        frames: reference::frames(),
+        sensor: None,
+        contrast: None,
+        at: None,
+    };
+    let (out, notes) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| {
+        BaselineAkf { params }.run(input, cx)
+    });
     let frames = out.unwrap().frames;
     let known: Vec<i64> = (0..frames.len())
         .filter(|l| frames.read(*l..l + 1, frames.rows()).unwrap().dn.iter().all(|dn| dn.is_finite()))
@@ -128,10 +170,12 @@ fn a_still_pixel_keeps_its_frame() {
     let extent = Extent { width: 3, height: 3 };
     let exposures = (0..3).map(|l| Exposure::new(l * 10_000_000, l * 10_000_000 + 4_000_000)).collect();
     let frames = testing::captured(extent, exposures, 0, |_, _, _| 100.0);
-    let events = testing::stream(extent, vec![Event { x: 0, y: 0, polarity: Polarity::On, t: 5_000_000, t_in: None }]);
+    let events =
+        testing::stream(extent, vec![Event { x: 0, y: 0, polarity: Polarity::On, t: 5_000_000, t_in: None }]);
     let params = Params { threshold: Some(0.1), white: Some(200.0), ..Params::default() };
-    let (out, _) =
-        testing::with_context(extent.rows(), &["frames"], |cx| BaselineAkf { params }.run(In { events, frames, sensor: None, contrast: None, at: None }, cx));
+    let (out, _) = testing::with_context(extent.rows(), &["frames"], |cx| {
+        BaselineAkf { params }.run(In { events, frames, sensor: None, contrast: None, at: None }, cx)
+    });
     let frames = out.unwrap().frames;
     let block = frames.read_rows(extent.rows()).unwrap();
     assert!((0..frames.len()).all(|l| (block.row(l, 2)[2] - 100.0).abs() < 1e-4));
@@ -146,10 +190,19 @@ fn a_searched_threshold_is_one_that_could_have_been_stated() {
         // The description's thresholds would be others.
         let mut sensor = Sensor::unknown("test");
         (sensor.comparator.threshold_on, sensor.comparator.threshold_off) = (Some(0.4), Some(0.4));
-        let contrast = searched.map(|value| Arc::new(Table::default().with("contrast", Column::Numbers(vec![value]))));
+        let contrast =
+            searched.map(|value| Arc::new(Table::default().with("contrast", Column::Numbers(vec![value]))));
         let params = Params { threshold, white: Some(255.0), ..Params::default() };
-        let input = In { events: reference::stream(), frames: reference::frames(), sensor: Some(Arc::new(sensor)), contrast, at: Some(reference::frames()) };
-        let (out, _) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineAkf { params }.run(input, cx));
+        let input = In {
+            events: reference::stream(),
+            frames: reference::frames(),
+            sensor: Some(Arc::new(sensor)),
+            contrast,
+            at: Some(reference::frames()),
+        };
+        let (out, _) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| {
+            BaselineAkf { params }.run(input, cx)
+        });
         out.unwrap().frames.read_rows(reference::EXTENT.rows()).unwrap().dn
     };
     let stated = dn(Some(0.05), None);
@@ -162,6 +215,13 @@ fn a_searched_threshold_is_one_that_could_have_been_stated() {
 fn too_few_frames_for_the_released_sequence_are_refused() {
     let frames = testing::frames(2, 2, 4);
     let request = Request { frames: &frames.meta, events: None, at: None, sensor: None };
-    let node = BaselineAkf { params: Params { threshold: Some(0.1), white: Some(255.0), sequence: Sequence::AsReleased, ..Params::default() } };
+    let node = BaselineAkf {
+        params: Params {
+            threshold: Some(0.1),
+            white: Some(255.0),
+            sequence: Sequence::AsReleased,
+            ..Params::default()
+        },
+    };
     assert_eq!(node.prepare(&request, None).err().and_then(|error| error.param).as_deref(), Some("sequence"));
 }

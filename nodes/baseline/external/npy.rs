@@ -22,7 +22,10 @@ impl Npy {
         let bytes = std::fs::read(path).map_err(|error| cannot_read(path, &error))?;
         Npy::parse(&bytes).map_err(|what| {
             NodeError::input(format!("{} {what}", short_name(path)))
-                .hint("save each picture by itself: `numpy.save(name, picture)` with a [height, width] array of uint8, uint16, float32 or float64")
+                .hint(
+                    "save each picture by itself: `numpy.save(name, picture)` with a [height, width] \
+                       array of uint8, uint16, float32 or float64",
+                )
                 .param("path")
         })
     }
@@ -35,17 +38,30 @@ impl Npy {
             _ => (12, bytes.get(8..12).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize)),
         };
         let end = length.and_then(|length| length.checked_add(start)).ok_or_else(damaged)?;
-        let header = bytes.get(start..end).and_then(|header| std::str::from_utf8(header).ok()).ok_or_else(damaged)?;
+        let header =
+            bytes.get(start..end).and_then(|header| std::str::from_utf8(header).ok()).ok_or_else(damaged)?;
         let data = &bytes[end..];
         let after = |key: &str| header.split_once(&format!("'{key}':")).map(|(_, rest)| rest.trim_start());
-        let descr =
-            after("descr").and_then(|rest| rest.strip_prefix('\'')).and_then(|rest| rest.split_once('\'')).map(|(descr, _)| descr).ok_or_else(damaged)?;
+        let descr = after("descr")
+            .and_then(|rest| rest.strip_prefix('\''))
+            .and_then(|rest| rest.split_once('\''))
+            .map(|(descr, _)| descr)
+            .ok_or_else(damaged)?;
         if after("fortran_order").is_none_or(|rest| !rest.starts_with("False")) {
             return Err("is in column order (fortran_order)".into());
         }
-        let shape = after("shape").and_then(|rest| rest.strip_prefix('(')).and_then(|rest| rest.split_once(')')).map(|(shape, _)| shape).ok_or_else(damaged)?;
+        let shape = after("shape")
+            .and_then(|rest| rest.strip_prefix('('))
+            .and_then(|rest| rest.split_once(')'))
+            .map(|(shape, _)| shape)
+            .ok_or_else(damaged)?;
         let sizes: Vec<u32> = shape.split(',').filter_map(|size| size.trim().parse().ok()).collect();
-        let [height, width] = sizes[..] else { return Err(format!("has the shape ({shape}), and a grey picture has (height, width)")) };
+        let [height, width] = sizes[..] else {
+            return Err(format!(
+                "has the shape ({shape}), and a grey \
+                                                            picture has (height, width)"
+            ));
+        };
         let count = height as usize * width as usize;
         let (size, white) = match descr {
             "|u1" => (1, 255.0),
@@ -64,7 +80,11 @@ impl Npy {
             [a, b, c, d, e, f, g, h] => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
             _ => f64::NAN,
         };
-        Ok(Npy { extent: Extent { width, height }, values: data.chunks_exact(size).map(value).collect(), white })
+        Ok(Npy {
+            extent: Extent { width, height },
+            values: data.chunks_exact(size).map(value).collect(),
+            white,
+        })
     }
 
     /// The values with white as 1; `white` is the stored value that is white, when it is stated.

@@ -22,11 +22,19 @@ impl Levels {
     ///
     /// # Errors
     /// When white is not known, or not above black.
-    pub fn new(white: Option<f64>, stored_white: Option<f64>, transfer: Transfer, sensor: Option<&Sensor>) -> Result<Levels, NodeError> {
+    pub fn new(
+        white: Option<f64>,
+        stored_white: Option<f64>,
+        transfer: Transfer,
+        sensor: Option<&Sensor>,
+    ) -> Result<Levels, NodeError> {
         let black = black_level(sensor);
         match white.or_else(|| sensor.and_then(|sensor| sensor.frames.saturation_dn)) {
             Some(white) if white > black => Ok(Levels { black, white, stored_white, transfer }),
-            Some(white) => Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).param("white")),
+            Some(white) => {
+                Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN"))
+                    .param("white"))
+            }
             None => Err(NodeError::usage("which DN the pictures' white stands for is not known")
                 .hint("state `white`, or connect a sensor description with `frames.saturation_dn`")
                 .param("white")),
@@ -41,22 +49,33 @@ impl Levels {
         let rows = meta.extent.rows();
         let curve = Curve::new(self.transfer);
         let mut block = FrameBlock::zeros(0..paths.len(), rows, meta.row_values());
-        block.dn.par_chunks_exact_mut(meta.extent.pixels()).zip(paths).try_for_each(|(dn, path)| -> Result<(), NodeError> {
-            let size = extent(path)?;
-            if size != meta.extent {
-                return Err(NodeError::input(format!("{} has {size} pixels, and {} are needed", short_name(path), meta.extent))
+        block.dn.par_chunks_exact_mut(meta.extent.pixels()).zip(paths).try_for_each(
+            |(dn, path)| -> Result<(), NodeError> {
+                let size = extent(path)?;
+                if size != meta.extent {
+                    return Err(NodeError::input(format!(
+                        "{} has {size} pixels, and {} are needed",
+                        short_name(path),
+                        meta.extent
+                    ))
                     .hint("every picture has the frames' size")
                     .param("path"));
-            }
-            let put = |dn: &mut f32, light: f64| *dn = (self.black + light * (self.white - self.black)) as f32;
-            if is_npy(path) {
-                dn.iter_mut().zip(Npy::open(path)?.light(self.stored_white)).for_each(|(dn, light)| put(dn, light));
-            } else {
-                let mut next = dn.iter_mut();
-                still::read(path, &curve, rows, &mut |row| row.iter().zip(&mut next).for_each(|(light, dn)| put(dn, *light)))?;
-            }
-            cx.advance(1)
-        })?;
+                }
+                let put =
+                    |dn: &mut f32, light: f64| *dn = (self.black + light * (self.white - self.black)) as f32;
+                if is_npy(path) {
+                    dn.iter_mut()
+                        .zip(Npy::open(path)?.light(self.stored_white))
+                        .for_each(|(dn, light)| put(dn, light));
+                } else {
+                    let mut next = dn.iter_mut();
+                    still::read(path, &curve, rows, &mut |row| {
+                        row.iter().zip(&mut next).for_each(|(light, dn)| put(dn, *light))
+                    })?;
+                }
+                cx.advance(1)
+            },
+        )?;
         Ok(block)
     }
 }
@@ -78,10 +97,15 @@ pub fn extent(path: &Path) -> Result<Extent, NodeError> {
 /// # Errors
 /// When the folder cannot be listed, or has no picture or two kinds.
 pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>, NodeError> {
-    let entries = std::fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(|error| cannot_read(folder, &error))?;
-    let is_png = |path: &Path| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+    let entries = std::fs::read_dir(folder)
+        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        .map_err(|error| cannot_read(folder, &error))?;
+    let is_png =
+        |path: &Path| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
     let (mut npy, mut png) = (Vec::new(), Vec::new());
-    for path in entries.into_iter().map(|entry| entry.path()).filter(|path| !short_name(path).starts_with('.')) {
+    for path in
+        entries.into_iter().map(|entry| entry.path()).filter(|path| !short_name(path).starts_with('.'))
+    {
         if is_npy(&path) {
             npy.push(path);
         } else if is_png(&path) {
@@ -90,12 +114,19 @@ pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>, NodeError> {
     }
     let mut paths = match (npy.is_empty(), png.is_empty()) {
         (true, true) => {
-            return Err(NodeError::input(format!("there is no picture in {}", folder.display())).hint("one `*.png` or `*.npy` a frame").param("path"));
+            return Err(NodeError::input(format!("there is no picture in {}", folder.display()))
+                .hint("one `*.png` or `*.npy` a frame")
+                .param("path"));
         }
         (false, false) => {
-            return Err(NodeError::input(format!("{} has {} `*.npy` and {} `*.png`", folder.display(), npy.len(), png.len()))
-                .hint("keep pictures of one kind in the folder")
-                .param("path"));
+            return Err(NodeError::input(format!(
+                "{} has {} `*.npy` and {} `*.png`",
+                folder.display(),
+                npy.len(),
+                png.len()
+            ))
+            .hint("keep pictures of one kind in the folder")
+            .param("path"));
         }
         (true, false) => png,
         (false, true) => npy,

@@ -117,15 +117,20 @@ pub enum Window {
 }
 
 impl Window {
-    /// The window of a moment, ns; `last` is the instant of the picture before, `events` are the first and last stamp of all.
+    /// The window of a moment, ns; `last` is the instant of the picture before, `events` are the first and
+    /// last stamp of all.
     pub fn of(self, moment: &Moment, last: Option<i64>, events: Option<(i64, i64)>) -> Range<i64> {
-        let (before, after) = moment.pair.map_or((moment.t, moment.t), |pair| (pair.before_ns, pair.after_ns));
+        let (before, after) =
+            moment.pair.map_or((moment.t, moment.t), |pair| (pair.before_ns, pair.after_ns));
         match self {
             Window::Between => before..after,
             Window::BeforeToInstant => before..moment.t,
             Window::InstantToAfter => moment.t..after,
             Window::Exposures => moment.pair.map_or(moment.t..moment.t, |pair| pair.start_ns..pair.end_ns),
-            Window::SinceLast => last.or(events.map(|(first, _)| first)).map_or(moment.t, |start| i64::min(start, moment.t))..moment.t,
+            Window::SinceLast => {
+                last.or(events.map(|(first, _)| first)).map_or(moment.t, |start| i64::min(start, moment.t))
+                    ..moment.t
+            }
         }
     }
 }
@@ -159,19 +164,23 @@ pub struct Moment {
 impl Moment {
     /// Its place between the frames: 0 at the one before, 1 at the one after.
     pub fn share(&self) -> f64 {
-        self.pair.map_or(0.0, |pair| (self.t - pair.before_ns) as f64 / i64::max(pair.after_ns - pair.before_ns, 1) as f64)
+        self.pair.map_or(0.0, |pair| {
+            (self.t - pair.before_ns) as f64 / i64::max(pair.after_ns - pair.before_ns, 1) as f64
+        })
     }
 }
 
 /// The wanted instants among the captured frames, in their order.
 pub fn moments(captured: &FramesMeta, wanted: &FramesMeta) -> Vec<Moment> {
     let row = captured.extent.height / 2;
-    let exposures: Vec<Exposure> = (0..captured.times.len()).map(|l| captured.times.exposure(l, row)).collect();
+    let exposures: Vec<Exposure> =
+        (0..captured.times.len()).map(|l| captured.times.exposure(l, row)).collect();
     let middles: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
     let moment = |n: usize| {
         let t = wanted.times.exposure(n, row).mid().0;
         // The last frame's own instant belongs to the last pair.
-        let after = usize::min(middles.partition_point(|&middle| middle <= t), middles.len().saturating_sub(1));
+        let after =
+            usize::min(middles.partition_point(|&middle| middle <= t), middles.len().saturating_sub(1));
         let pair = after.checked_sub(1).filter(|&before| middles[before] <= t && t <= middles[after]);
         let pair = pair.map(|before| Pair {
             before,
@@ -201,7 +210,9 @@ pub struct Layout<'a> {
 impl Layout<'_> {
     /// Does anything hang on the frames around an instant?
     pub fn needs_pairs(&self) -> bool {
-        !self.frames.is_empty() || self.time.is_some() || self.voxels.iter().any(|voxel| voxel.window != Window::SinceLast)
+        !self.frames.is_empty()
+            || self.time.is_some()
+            || self.voxels.iter().any(|voxel| voxel.window != Window::SinceLast)
     }
 
     /// (parameter, input).
@@ -220,15 +231,23 @@ impl Layout<'_> {
         let inputs = self.inputs();
         for (n, (param, name)) in inputs.iter().enumerate() {
             if let Some((first, _)) = inputs[..n].iter().find(|(_, other)| other == name) {
-                return Err(NodeError::usage(format!("the input `{name}` stands in `{first}` and again in `{param}`"))
-                    .hint("each input of the network is one thing: take one of them out")
-                    .param(*param));
+                return Err(NodeError::usage(format!(
+                    "the input `{name}` stands in `{first}` and again in \
+                                                     `{param}`"
+                ))
+                .hint("each input of the network is one thing: take one of them out")
+                .param(*param));
             }
         }
-        match self.frames.iter().find(|frame| !(frame.range[0].is_finite() && frame.range[1].is_finite() && frame.range[0] != frame.range[1])) {
-            Some(frame) => Err(NodeError::usage(format!("black and white of `{}` are {} and {}", frame.input, frame.range[0], frame.range[1]))
-                .hint("state two different numbers: range = [0.0, 1.0]")
-                .param("frames")),
+        match self.frames.iter().find(|frame| {
+            !(frame.range[0].is_finite() && frame.range[1].is_finite() && frame.range[0] != frame.range[1])
+        }) {
+            Some(frame) => Err(NodeError::usage(format!(
+                "black and white of `{}` are {} and {}",
+                frame.input, frame.range[0], frame.range[1]
+            ))
+            .hint("state two different numbers: range = [0.0, 1.0]")
+            .param("frames")),
             None => Ok(()),
         }
     }
@@ -236,22 +255,42 @@ impl Layout<'_> {
     /// Holds the layout against what the network takes and gives.
     ///
     /// # Errors
-    /// When an input or an output is not there, or an input of the network is not in the layout; with the names that are there.
+    /// When an input or an output is not there, or an input of the network is not in the layout; with the
+    /// names that are there.
     pub fn check(&self, network: &str, sockets: &Sockets, output: &str) -> Result<(), NodeError> {
-        let list = |names: &[String]| names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
-        let has = |error: NodeError| error.note(format!("its inputs: {}", list(&sockets.inputs))).note(format!("its outputs: {}", list(&sockets.outputs)));
+        let list =
+            |names: &[String]| names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+        let has = |error: NodeError| {
+            error
+                .note(format!("its inputs: {}", list(&sockets.inputs)))
+                .note(format!("its outputs: {}", list(&sockets.outputs)))
+        };
         let given = self.inputs();
-        if let Some((param, name)) = given.iter().find(|(_, name)| !sockets.inputs.iter().any(|input| input == name)) {
-            return Err(has(NodeError::input(format!("the network {network} has no input `{name}`"))).hint("name an input that it has").param(*param));
+        if let Some((param, name)) =
+            given.iter().find(|(_, name)| !sockets.inputs.iter().any(|input| input == name))
+        {
+            return Err(has(NodeError::input(format!("the network {network} has no input `{name}`")))
+                .hint("name an input that it has")
+                .param(*param));
         }
-        let outputs = std::iter::once(("output", output)).chain(self.states.iter().map(|state| ("states", state.output.as_str())));
-        if let Some((param, name)) = outputs.into_iter().find(|(_, name)| !sockets.outputs.iter().any(|output| output == name)) {
-            return Err(has(NodeError::input(format!("the network {network} has no output `{name}`"))).hint("name an output that it has").param(param));
+        let outputs = std::iter::once(("output", output))
+            .chain(self.states.iter().map(|state| ("states", state.output.as_str())));
+        if let Some((param, name)) =
+            outputs.into_iter().find(|(_, name)| !sockets.outputs.iter().any(|output| output == name))
+        {
+            return Err(has(NodeError::input(format!("the network {network} has no output `{name}`")))
+                .hint("name an output that it has")
+                .param(param));
         }
-        if let Some(missing) = sockets.inputs.iter().find(|input| !given.iter().any(|(_, name)| name == input)) {
-            return Err(has(NodeError::input(format!("the network {network} takes `{missing}`, and nothing says what that is")))
-                .hint("say so in `frames`, `voxels`, `time` or `states`")
-                .param("network"));
+        if let Some(missing) =
+            sockets.inputs.iter().find(|input| !given.iter().any(|(_, name)| name == input))
+        {
+            return Err(has(NodeError::input(format!(
+                "the network {network} takes `{missing}`, and nothing \
+                                                     says what that is"
+            )))
+            .hint("say so in `frames`, `voxels`, `time` or `states`")
+            .param("network"));
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
-//! Claims about the node, by two networks whose pictures are known by algebra (`data/networks`): `blend` gives
-//! `(1 - t) before + t after + (sum of the voxel grid) / 4`, `accumulate` gives `1/2 + (all that it ever saw) / 8`.
+//! Claims about the node, by two networks whose pictures are known by algebra (`data/networks`): `blend`
+//! gives `(1 - t) before + t after + (sum of the voxel grid) / 4`, `accumulate` gives
+//! `1/2 + (all that it ever saw) / 8`.
 
 use super::voxel::{Normalise, Signs, Stretch};
 use super::*;
@@ -23,7 +24,14 @@ fn frames() -> FrameSequence {
 /// ON at (1, 2) after 2 and 4 ms, OFF at (5, 0) after 6 ms.
 fn events() -> EventStream {
     let event = |x, y, polarity, t| Event { x, y, polarity, t, t_in: None };
-    testing::stream(EXTENT, vec![event(1, 2, Polarity::On, 2_000_000), event(1, 2, Polarity::On, 4_000_000), event(5, 0, Polarity::Off, 6_000_000)])
+    testing::stream(
+        EXTENT,
+        vec![
+            event(1, 2, Polarity::On, 2_000_000),
+            event(1, 2, Polarity::On, 4_000_000),
+            event(5, 0, Polarity::Off, 6_000_000),
+        ],
+    )
 }
 
 fn blend() -> Params {
@@ -36,13 +44,25 @@ fn blend() -> Params {
         output: "image".into(),
         white: Some(100.0),
         // One picture a millisecond, of the captured frames' own exposure: DN are percent of white.
-        sampling: Sampling { rate: Rate::new(1000.0), exposure: Duration::new(2_000_000), ..Sampling::default() },
+        sampling: Sampling {
+            rate: Rate::new(1000.0),
+            exposure: Duration::new(2_000_000),
+            ..Sampling::default()
+        },
         ..Params::default()
     }
 }
 
 fn voxel(input: &str, bins: u32, window: Window, polarity: Signs) -> VoxelInput {
-    VoxelInput { input: input.into(), bins, window, polarity, normalise: Normalise::Nothing, stretch: Stretch::Window, reversed: false }
+    VoxelInput {
+        input: input.into(),
+        bins,
+        window,
+        polarity,
+        normalise: Normalise::Nothing,
+        stretch: Stretch::Window,
+        reversed: false,
+    }
 }
 
 fn accumulate() -> Params {
@@ -51,7 +71,12 @@ fn accumulate() -> Params {
         frames: Vec::new(),
         voxels: vec![voxel("voxel", 1, Window::SinceLast, Signs::Separate)],
         time: None,
-        states: vec![StateInput { input: "count".into(), output: "count_out".into(), channels: 1, downscale: 1 }],
+        states: vec![StateInput {
+            input: "count".into(),
+            output: "count_out".into(),
+            channels: 1,
+            downscale: 1,
+        }],
         ..blend()
     }
 }
@@ -65,14 +90,16 @@ fn run(params: Params) -> Result<(FrameSequence, Vec<String>), NodeError> {
 
 /// The picture whose exposure has its middle at `ms`.
 fn at(frames: &FrameSequence, ms: i64) -> impl Fn(usize, u32) -> f32 {
-    let n = frames.meta.times.exposures.iter().position(|exposure| exposure.mid().0 == ms * 1_000_000).unwrap();
+    let n =
+        frames.meta.times.exposures.iter().position(|exposure| exposure.mid().0 == ms * 1_000_000).unwrap();
     let block = frames.read(n..n + 1, frames.rows()).unwrap();
     move |x, y| block.row(n, y)[x]
 }
 
 #[test]
 fn halving_takes_the_nearest_of_the_pictures_between_the_frames() {
-    // A network that blends: twice halved, pictures stand at quarters of the way from 20 to 60 DN, at 1, 3, 5, 7 and 9 ms. Another time than 1/2 would give others.
+    // A network that blends: twice halved, pictures stand at quarters of the way from 20 to 60 DN, at 1, 3,
+    // 5, 7 and 9 ms. Another time than 1/2 would give others.
     let frame = |input: &str, take| FrameInput { input: input.into(), take, channels: 3, range: [0.0, 1.0] };
     let halves = |halvings| Params {
         network: network("stand_in_film.onnx"),
@@ -90,9 +117,16 @@ fn halving_takes_the_nearest_of_the_pictures_between_the_frames() {
     // Thrice halved they stand a millisecond apart; once, only in the middle.
     assert!((dn(3, 4) - 35.0).abs() < 1e-4 && (dn(1, 4) - 40.0).abs() < 1e-4);
     let refused = |params: Params| BaselineOnnx::build(params).err().and_then(|error| error.param);
-    assert_eq!(refused(Params { halvings: 2, ..blend() }).as_deref(), Some("halvings"), "events have no place in it");
+    assert_eq!(
+        refused(Params { halvings: 2, ..blend() }).as_deref(),
+        Some("halvings"),
+        "events have no place in it"
+    );
     assert_eq!(refused(Params { output_range: [0.0, 2.0], ..halves(2) }).as_deref(), Some("halvings"));
-    assert_eq!(refused(Params { frames: vec![frame("x0", Side::Before)], ..halves(2) }).as_deref(), Some("halvings"));
+    assert_eq!(
+        refused(Params { frames: vec![frame("x0", Side::Before)], ..halves(2) }).as_deref(),
+        Some("halvings")
+    );
 }
 
 #[test]
@@ -116,7 +150,12 @@ fn frames_events_and_instants_reach_their_inputs() {
         assert!((picture(1, 2) - (51.0 + 50.0)).abs() < 1e-4 && (picture(5, 0) - (55.0 - 25.0)).abs() < 1e-4);
         // The recording lasts from 0 to 10 ms, the frames' middles lie at 1 and at 9.
         assert_eq!(frames.len(), 9);
-        assert!(notes.contains(&"1 wanted instants do not lie between two captured frames, and are left out".into()), "{notes:?}");
+        assert!(
+            notes.contains(
+                &"1 wanted instants do not lie between two captured frames, and are left out".into()
+            ),
+            "{notes:?}"
+        );
         // At 1 ms the window is empty, and it ends before the event at 2 ms.
         assert!(notes.contains(&"2 pictures saw no event in `voxel`".into()), "{notes:?}");
     }
@@ -142,9 +181,13 @@ fn ranges_and_encodings_are_undone() {
         run(Params { frames, voxels: params.voxels.clone(), output_range: range, ..params }).unwrap().0
     };
     // Without an event the network is linear in its frames: whatever the range, the same light.
-    assert!((at(&wide([-1.0, 1.0]), 5)(3, 1) - 43.0).abs() < 1e-3 && (at(&wide([0.0, 255.0]), 5)(3, 1) - 43.0).abs() < 1e-3);
+    assert!(
+        (at(&wide([-1.0, 1.0]), 5)(3, 1) - 43.0).abs() < 1e-3
+            && (at(&wide([0.0, 255.0]), 5)(3, 1) - 43.0).abs() < 1e-3
+    );
     let (curved, _) = run(Params { encoding: Encoding::Srgb, ..blend() }).unwrap();
-    // Halfway on the curve of IEC 61966-2-1 between 23 and 63 % of white: ((0.51688 + 0.81525) / 2 + 0.055) / 1.055 to the power of 2.4.
+    // Halfway on the curve of IEC 61966-2-1 between 23 and 63 % of white: ((0.51688 + 0.81525) / 2 + 0.055) /
+    // 1.055 to the power of 2.4.
     assert!((at(&curved, 5)(3, 1) - 40.1175).abs() < 1e-3, "{}", at(&curved, 5)(3, 1));
 }
 
@@ -152,20 +195,39 @@ fn ranges_and_encodings_are_undone() {
 fn a_layout_that_does_not_fit_the_network_is_reported_with_what_it_has() {
     let refused = |params: Params| run(params).err().unwrap();
     let error = refused(Params { time: Some("time".into()), ..blend() });
-    assert_eq!((error.message.as_str(), error.param.as_deref()), ("the network blend.onnx has no input `time`", Some("time")));
+    assert_eq!(
+        (error.message.as_str(), error.param.as_deref()),
+        (
+            "the network blend.onnx has no input \
+                                                            `time`",
+            Some("time")
+        )
+    );
     assert_eq!(error.notes, ["its inputs: `before`, `after`, `voxel`, `t`", "its outputs: `image`"]);
     let error = refused(Params { time: None, ..blend() });
     assert_eq!(error.message, "the network blend.onnx takes `t`, and nothing says what that is");
     let error = refused(Params { output: "picture".into(), ..blend() });
     assert_eq!(error.message, "the network blend.onnx has no output `picture`");
     let error = refused(Params { voxels: vec![voxel("t", 3, Window::Between, Signs::Signed)], ..blend() });
-    assert_eq!((error.message.as_str(), error.param.as_deref()), ("the input `t` stands in `voxels` and again in `time`", Some("time")));
+    assert_eq!(
+        (error.message.as_str(), error.param.as_deref()),
+        (
+            "the input `t` stands in `voxels` and \
+                                                            again in `time`",
+            Some("time")
+        )
+    );
     // A grid of two bins for a network of three.
-    let error = refused(Params { voxels: vec![voxel("voxel", 2, Window::Between, Signs::Signed)], ..blend() });
+    let error =
+        refused(Params { voxels: vec![voxel("voxel", 2, Window::Between, Signs::Signed)], ..blend() });
     assert!(error.message.contains("blend.onnx"), "{}", error.message);
     let lost = Params { network: InputPath::new("no/such.onnx"), ..blend() };
     assert_eq!(refused(lost).message, "cannot read no/such.onnx: there is no such file");
-    let error = refused(Params { states: vec![StateInput { input: "s".into(), output: "s_out".into(), channels: 1, downscale: 8 }], multiple: 4, ..blend() });
+    let error = refused(Params {
+        states: vec![StateInput { input: "s".into(), output: "s_out".into(), channels: 1, downscale: 8 }],
+        multiple: 4,
+        ..blend()
+    });
     assert_eq!(error.param.as_deref(), Some("multiple"));
     let error = refused(Params { output_range: [1.0, 1.0], ..blend() });
     assert_eq!(error.param.as_deref(), Some("output_range"));
@@ -182,7 +244,11 @@ fn instants_without_a_frame_on_either_side_and_missing_events_are_reported() {
         }
         PortMetas::new(metas)
     };
-    assert_eq!(node.plan(&metas(&one, true)).unwrap_err().message, "no wanted instant lies between two captured frames");
+    assert_eq!(
+        node.plan(&metas(&one, true)).unwrap_err().message,
+        "no wanted instant lies between two \
+                                                            captured frames"
+    );
     assert_eq!(node.plan(&metas(&frames(), false)).unwrap_err().param.as_deref(), Some("voxels"));
     let Meta::Frames(meta) = &node.plan(&metas(&frames(), true)).unwrap()[0] else { panic!("frames") };
     assert_eq!(meta.times.len(), 9);

@@ -1,7 +1,7 @@
 //! Events as voxel grids: counts of events in cells of pixel and time, the form in which networks take them.
 //!
-//! Each event is shared between the two nearest of `bins` instants, spread evenly from the first to the last instant of a window, by its distance to them
-//! (Zhu et al., CVPR 2019, Eqs. (1) and (2)).
+//! Each event is shared between the two nearest of `bins` instants, spread evenly from the first to the last
+//! instant of a window, by its distance to them (Zhu et al., CVPR 2019, Eqs. (1) and (2)).
 
 use photocurrent_core::events::Polarity;
 use photocurrent_core::handle::Band;
@@ -30,7 +30,8 @@ pub enum Normalise {
     #[default]
     #[serde(rename = "none")]
     Nothing,
-    /// Cells that are not 0 less their mean, over their standard deviation; left as they are where all are equal.
+    /// Cells that are not 0 less their mean, over their standard deviation; left as they are where all are
+    /// equal.
     Std,
     /// The largest magnitude.
     Max,
@@ -81,7 +82,12 @@ impl Timeline {
         let mut all = Vec::with_capacity(band.len());
         for y in band.rows().iter() {
             let row = band.row(y);
-            let fired = |k: usize| Fired { t: rule.time(&row, k), x: row.x[k], y: y as u16, is_on: Polarity::from_bit(row.on[k]) == Polarity::On };
+            let fired = |k: usize| Fired {
+                t: rule.time(&row, k),
+                x: row.x[k],
+                y: y as u16,
+                is_on: Polarity::from_bit(row.on[k]) == Polarity::On,
+            };
             all.extend((0..row.len()).map(fired));
         }
         // Stable: equal stamps stay in the order of rows.
@@ -103,7 +109,8 @@ impl Timeline {
         silent
     }
 
-    /// The grid of a window (its end left out) as [channel][y][x], of pictures of `size` (width, height) at least as large as the sensor; and its number of events.
+    /// The grid of a window (its end left out) as [channel][y][x], of pictures of `size` (width, height) at
+    /// least as large as the sensor; and its number of events.
     pub fn grid(&self, window: Range<i64>, grid: Grid, size: (usize, usize)) -> (Vec<f32>, usize) {
         let from = self.0.partition_point(|event| event.t < window.start);
         let to = self.0.partition_point(|event| event.t < window.end).max(from);
@@ -117,7 +124,11 @@ impl Timeline {
         let per_ns = (grid.bins - 1) as f64 / i64::max(last - first, 1) as f64;
         for event in events {
             let forward = (event.t - first) as f64 * per_ns;
-            let (at, is_on) = if grid.reversed { ((grid.bins - 1) as f64 - forward, !event.is_on) } else { (forward, event.is_on) };
+            let (at, is_on) = if grid.reversed {
+                ((grid.bins - 1) as f64 - forward, !event.is_on)
+            } else {
+                (forward, event.is_on)
+            };
             let at = at.clamp(0.0, (grid.bins - 1) as f64);
             let bin = usize::min(at as usize, grid.bins.saturating_sub(2));
             let share = (at - bin as f64) as f32;
@@ -135,8 +146,8 @@ impl Timeline {
         (cells, events.len())
     }
 
-    /// Events near an instant as [ON, OFF][y][x] of pictures of `size` (width, height) at least as large as the sensor: each counts as 1 at the instant, and
-    /// linearly less up to `reach_ns` away.
+    /// Events near an instant as [ON, OFF][y][x] of pictures of `size` (width, height) at least as large as
+    /// the sensor: each counts as 1 at the instant, and linearly less up to `reach_ns` away.
     pub fn near(&self, instant: i64, reach_ns: i64, size: (usize, usize)) -> Vec<f32> {
         let plane = size.0 * size.1;
         let mut counts = vec![0.0_f32; 2 * plane];
@@ -168,9 +179,13 @@ impl Normalise {
                 let filled = || cells.iter().filter(|cell| **cell != 0.0).map(|cell| f64::from(*cell));
                 let count = filled().count() as f64;
                 let mean = filled().sum::<f64>() / count;
-                let deviation = libm::sqrt(filled().map(|cell| (cell - mean) * (cell - mean)).sum::<f64>() / count);
+                let deviation =
+                    libm::sqrt(filled().map(|cell| (cell - mean) * (cell - mean)).sum::<f64>() / count);
                 if deviation > 0.0 {
-                    cells.iter_mut().filter(|cell| **cell != 0.0).for_each(|cell| *cell = ((f64::from(*cell) - mean) / deviation) as f32);
+                    cells
+                        .iter_mut()
+                        .filter(|cell| **cell != 0.0)
+                        .for_each(|cell| *cell = ((f64::from(*cell) - mean) / deviation) as f32);
                 }
             }
             Normalise::Max => {
@@ -193,16 +208,29 @@ mod tests {
     use super::*;
 
     const SIZE: (usize, usize) = (3, 2);
-    const PLAIN: Grid = Grid { bins: 3, signs: Signs::Signed, normalise: Normalise::Nothing, stretch: Stretch::Window, reversed: false };
+    const PLAIN: Grid = Grid {
+        bins: 3,
+        signs: Signs::Signed,
+        normalise: Normalise::Nothing,
+        stretch: Stretch::Window,
+        reversed: false,
+    };
 
-    /// ON at (1, 0) a quarter into the window 0 .. 1000, OFF at (2, 1) at three quarters of it, one more ON outside.
+    /// ON at (1, 0) a quarter into the window 0 .. 1000, OFF at (2, 1) at three quarters of it, one more ON
+    /// outside.
     fn timeline() -> Timeline {
         let at = |t, x, y, is_on| Fired { t, x, y, is_on };
         Timeline(vec![at(250, 1, 0, true), at(750, 2, 1, false), at(1000, 0, 0, true)])
     }
 
     fn cells(grid: Grid) -> Vec<(usize, f32)> {
-        timeline().grid(0..1000, grid, SIZE).0.into_iter().enumerate().filter(|(_, cell)| *cell != 0.0).collect()
+        timeline()
+            .grid(0..1000, grid, SIZE)
+            .0
+            .into_iter()
+            .enumerate()
+            .filter(|(_, cell)| *cell != 0.0)
+            .collect()
     }
 
     #[test]
@@ -215,8 +243,16 @@ mod tests {
 
     #[test]
     fn events_near_an_instant_count_the_less_the_further_they_are() {
-        // Channels of 6 cells: ON at (1, 0) is 250 away from 500, OFF at (2, 1) too, and the third event lies at the reach's end.
-        let near = |instant, reach| timeline().near(instant, reach, SIZE).into_iter().enumerate().filter(|(_, n)| *n != 0.0).collect::<Vec<_>>();
+        // Channels of 6 cells: ON at (1, 0) is 250 away from 500, OFF at (2, 1) too, and the third event lies
+        // at the reach's end.
+        let near = |instant, reach| {
+            timeline()
+                .near(instant, reach, SIZE)
+                .into_iter()
+                .enumerate()
+                .filter(|(_, n)| *n != 0.0)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(near(500, 500), [(1, 0.5), (11, 0.5)]);
         assert_eq!(near(1000, 400), [(0, 1.0), (11, 0.375)]);
         assert_eq!(near(5000, 400), []);
@@ -225,7 +261,10 @@ mod tests {
     #[test]
     fn polarities_have_channels_of_their_own_when_asked() {
         // ON in channels 0 to 2, OFF in 3 to 5.
-        assert_eq!(cells(Grid { signs: Signs::Separate, ..PLAIN }), [(1, 0.5), (7, 0.5), (29, 0.5), (35, 0.5)]);
+        assert_eq!(
+            cells(Grid { signs: Signs::Separate, ..PLAIN }),
+            [(1, 0.5), (7, 0.5), (29, 0.5), (35, 0.5)]
+        );
     }
 
     #[test]
@@ -241,8 +280,14 @@ mod tests {
     #[test]
     fn filled_cells_are_standardised_and_empty_ones_stay_empty() {
         // 0.5, 0.5, -0.5, -0.5 have mean 0 and standard deviation 0.5.
-        assert_eq!(cells(Grid { normalise: Normalise::Std, ..PLAIN }), [(1, 1.0), (7, 1.0), (11, -1.0), (17, -1.0)]);
-        assert_eq!(cells(Grid { normalise: Normalise::Max, ..PLAIN }), [(1, 1.0), (7, 1.0), (11, -1.0), (17, -1.0)]);
+        assert_eq!(
+            cells(Grid { normalise: Normalise::Std, ..PLAIN }),
+            [(1, 1.0), (7, 1.0), (11, -1.0), (17, -1.0)]
+        );
+        assert_eq!(
+            cells(Grid { normalise: Normalise::Max, ..PLAIN }),
+            [(1, 1.0), (7, 1.0), (11, -1.0), (17, -1.0)]
+        );
         let none = timeline().grid(300..700, Grid { normalise: Normalise::Std, ..PLAIN }, SIZE);
         assert!(none.1 == 0 && none.0.iter().all(|cell| *cell == 0.0));
     }

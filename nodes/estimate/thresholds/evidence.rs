@@ -1,23 +1,30 @@
 //! Thresholds by evidence: those with which the solver predicts frames best that it has not seen.
 //!
-//! Some pixels are cut out of the recording, spread over its events, and every third of their frames is held out. Their light is solved by the MAP estimate with one pair of thresholds after
-//! the other, and what counts is how far the held-out frames are missed, the measure by which `solve/map` chooses the noise of events ([`photocurrent_sensor::map::estimate`]). Half of the
-//! pixels search: from the description's pair or from the one that the frames measured, whichever is better, over a common factor and the ratio of ON to OFF. The other half judges the one
-//! pair that was found, against the description's. The halves are tiles of 8 x 8 pixels, dealt like a chessboard; pixels of a tile see the same edges, so the standard error counts
+//! Some pixels are cut out of the recording, spread over its events, and every third of their frames is held
+//! out. Their light is solved by the MAP estimate with one pair of thresholds after the other, and what
+//! counts is how far the held-out frames are missed, the measure by which `solve/map` chooses the noise of
+//! events ([`photocurrent_sensor::map::estimate`]). Half of the pixels search: from the description's pair or
+//! from the one that the frames measured, whichever is better, over a common factor and the ratio of ON to
+//! OFF. The other half judges the one pair that was found, against the description's. The halves are tiles of
+//! 8 x 8 pixels, dealt like a chessboard; pixels of a tile see the same edges, so the standard error counts
 //! tiles and not pixels.
 //!
-//! Events are trusted as usual throughout: with wrong thresholds the noise that suits best is a large one, and the light then hardly follows events, whatever their thresholds. So the pair that
-//! was found must also not be clearly worse with the noise and the prior that the solver would choose for each.
+//! Events are trusted as usual throughout: with wrong thresholds the noise that suits best is a large one,
+//! and the light then hardly follows events, whatever their thresholds. So the pair that was found must also
+//! not be clearly worse with the noise and the prior that the solver would choose for each.
 //!
-//! Limits: a delay or a dark current that the description leaves out is partly made up for by thresholds; pixels whose event paths share photocurrent are not judged. The whole recording
-//! is used: cut a part out of a long one.
+//! Limits: a delay or a dark current that the description leaves out is partly made up for by thresholds;
+//! pixels whose event paths share photocurrent are not judged. The whole recording is used: cut a part out of
+//! a long one.
 
 use crate::estimate::In;
 use crate::solve::map::check_length;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Colour, Context, EventStream, NodeError, Rows, Sensor, TracksMeta};
 use photocurrent_sensor::estimate::Estimate;
-use photocurrent_sensor::map::estimate::{Choice, Choosing, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors};
+use photocurrent_sensor::map::estimate::{
+    Choice, Choosing, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors,
+};
 use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem, Noise, Prior};
 use photocurrent_solve::co_located::{CoLocated, values_of};
 use photocurrent_solve::row::{Recorded, RowData};
@@ -76,7 +83,8 @@ pub struct Verdict {
     pub gain: f64,
     /// The standard error of that.
     pub gain_sigma: f64,
-    /// The share with the noise and the prior that the solver would choose for each pair, and its standard error.
+    /// The share with the noise and the prior that the solver would choose for each pair, and its standard
+    /// error.
     pub as_solved: (f64, f64),
     /// Pixels that judged.
     pub pixels: usize,
@@ -106,7 +114,13 @@ impl Verdict {
 ///
 /// # Errors
 /// When a stream cannot be read, or the user interrupts.
-pub fn judged(input: &In, sensor: &Sensor, measured: Option<Pair>, rule: &Rule, cx: &Context) -> Result<Result<Verdict, String>, NodeError> {
+pub fn judged(
+    input: &In,
+    sensor: &Sensor,
+    measured: Option<Pair>,
+    rule: &Rule,
+    cx: &Context,
+) -> Result<Result<Verdict, String>, NodeError> {
     let mut bench = match Bench::new(input, sensor, rule)? {
         Ok(bench) => bench,
         Err(why) => return Ok(Err(why)),
@@ -114,7 +128,15 @@ pub fn judged(input: &In, sensor: &Sensor, measured: Option<Pair>, rule: &Rule, 
     let stated = (bench.model.sensor().pixel.threshold_on, bench.model.sensor().pixel.threshold_off);
     cx.begin((2 + 2 * WIDE_STEPS as usize + 4 * MOST_ROUNDS) as u64, "pairs of thresholds");
     let found = bench.search(stated, measured, rule.most_factor, cx)?;
-    let mut verdict = Verdict { stated, found, gain: 0.0, gain_sigma: 0.0, as_solved: (0.0, 0.0), pixels: bench.judging.sample.len(), is_used: false };
+    let mut verdict = Verdict {
+        stated,
+        found,
+        gain: 0.0,
+        gain_sigma: 0.0,
+        as_solved: (0.0, 0.0),
+        pixels: bench.judging.sample.len(),
+        is_used: false,
+    };
     if found != stated {
         (verdict.gain, verdict.gain_sigma) = bench.gain([(stated, TRUSTED), (found, TRUSTED)]);
         verdict.is_used = verdict.z() >= rule.least_z && verdict.gain >= rule.least_gain;
@@ -188,10 +210,18 @@ fn places(events: &EventStream, lie: CoLocated, pixels: usize) -> Result<Vec<Pla
         for (n, at) in picked.into_iter().enumerate() {
             let (_, y, x) = usual[at];
             // Of an event pixel with several values one after the other.
-            let (copies, within) = (lie.ratio * lie.colour.channels(), n as u32 % (lie.ratio * lie.ratio * lie.colour.channels()));
+            let (copies, within) = (
+                lie.ratio * lie.colour.channels(),
+                n as u32 % (lie.ratio * lie.ratio * lie.colour.channels()),
+            );
             let (column, row) = tile(x, y);
             let value = (x * copies + within % copies) as usize;
-            places.push(Place { row: y * lie.ratio + within / copies, value, tile: row * extent.width.div_ceil(TILE) + column, is_judge });
+            places.push(Place {
+                row: y * lie.ratio + within / copies,
+                value,
+                tile: row * extent.width.div_ceil(TILE) + column,
+                is_judge,
+            });
         }
     }
     places.sort_unstable_by_key(|place| (place.row, place.value));
@@ -209,7 +239,11 @@ impl Half {
         let tiles = self.tiles.iter().collect::<BTreeSet<_>>().len();
         let events = self.sample.events();
         (tiles < FEWEST_TILES || events < FEWEST_EVENTS).then(|| {
-            format!("{events} events of {} pixels in {tiles} tiles are too few, as {FEWEST_EVENTS} in {FEWEST_TILES} tiles are needed", self.sample.len())
+            format!(
+                "{events} events of {} pixels in {tiles} tiles are too few, as {FEWEST_EVENTS} in \
+                     {FEWEST_TILES} tiles are needed",
+                self.sample.len()
+            )
         })
     }
 
@@ -220,7 +254,8 @@ impl Half {
         let of_some = |group: &mut MapGroup, begin: usize| {
             let pixels = begin..usize::min(begin + TOGETHER, self.sample.len());
             self.sample.with_problems(model, pixels, None, group, |problems, group| {
-                let problems: Vec<MapProblem<'_>> = problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
+                let problems: Vec<MapProblem<'_>> =
+                    problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
                 prediction_errors(&problems, &options, group)
             })
         };
@@ -247,7 +282,8 @@ impl Bench {
         let options = SolveOptions { front_end, sigma: false, ..SolveOptions::default() };
         let (events, frames) = (&input.events.meta, &input.frames.meta);
         let checked = || -> Result<(Model, TracksMeta, Colours), NodeError> {
-            let (model, meta) = (Model::of_map(&options, &sensor, events)?, options.tracks_meta(events, frames)?);
+            let (model, meta) =
+                (Model::of_map(&options, &sensor, events)?, options.tracks_meta(events, frames)?);
             check_length(&options, meta.span)?;
             Ok((model, meta, Colours::new(CoLocated::new(events, frames)?, &sensor)?))
         };
@@ -259,7 +295,10 @@ impl Bench {
             return Ok(Err("the description mixes the photocurrent of neighbouring pixels".into()));
         }
         if input.frames.len() < FEWEST_FRAMES {
-            return Ok(Err(format!("of {} frames none can be held out, as {FEWEST_FRAMES} are needed", input.frames.len())));
+            return Ok(Err(format!(
+                "of {} frames none can be held out, as {FEWEST_FRAMES} are needed",
+                input.frames.len()
+            )));
         }
         model.inform(&input.events)?;
         let places = places(&input.events, colours.lie, rule.pixels)?;
@@ -271,13 +310,25 @@ impl Bench {
         for of_block in places.chunk_by(|a, b| a.row / BLOCK_ROWS == b.row / BLOCK_ROWS) {
             let first = of_block[0].row / BLOCK_ROWS * BLOCK_ROWS;
             let at_hand = Rows { start: first, end: first + BLOCK_ROWS }.intersect(all).with_halo(1, all);
-            let (events, frames) = (colours.lie.read(&input.events, at_hand)?, input.frames.read_rows(at_hand.with_halo(colours.halo(), all))?);
-            let recorded = Recorded { meta: &wide, times, colours: &colours, rows: at_hand, events: &events, frames: &frames };
+            let (events, frames) = (
+                colours.lie.read(&input.events, at_hand)?,
+                input.frames.read_rows(at_hand.with_halo(colours.halo(), all))?,
+            );
+            let recorded = Recorded {
+                meta: &wide,
+                times,
+                colours: &colours,
+                rows: at_hand,
+                events: &events,
+                frames: &frames,
+            };
             for of_row in of_block.chunk_by(|a, b| a.row == b.row) {
                 data.take(&model, &recorded, of_row[0].row, 0.0)?;
                 (0..data.width()).for_each(|x| unexplained.add(&data, x));
                 for place in of_row {
-                    if events_in_company(&data, place.value) > 0 && data.frames_of(place.value).len() >= FEWEST_FRAMES {
+                    if events_in_company(&data, place.value) > 0
+                        && data.frames_of(place.value).len() >= FEWEST_FRAMES
+                    {
                         let half = &mut halves[usize::from(place.is_judge)];
                         half.sample.push(&data, place.value);
                         half.tiles.push(place.tile);
@@ -298,18 +349,22 @@ impl Bench {
     fn choice(&mut self, thresholds: Pair) -> Choice {
         self.model.set_thresholds(thresholds);
         let Half { sample, .. } = &self.searching;
-        let choose = |problems: &[MapProblem<'_>], group: &mut MapGroup| choose(problems, None, &Choosing::USUAL, &sample.options, group);
+        let choose = |problems: &[MapProblem<'_>], group: &mut MapGroup| {
+            choose(problems, None, &Choosing::USUAL, &sample.options, group)
+        };
         sample.with_problems(&self.model, 0..sample.len(), None, &mut MapGroup::default(), choose)
     }
 
-    /// The share by which the judging half is missed less with the second than with the first, and its standard error.
+    /// The share by which the judging half is missed less with the second than with the first, and its
+    /// standard error.
     fn gain(&mut self, pairs: [(Pair, Choice); 2]) -> (f64, f64) {
         let [first, second] = pairs.map(|(thresholds, choice)| {
             self.model.set_thresholds(thresholds);
             self.judging.errors(&self.model, &choice)
         });
         let all: f64 = first.iter().sum();
-        let (better, sigma) = tile_sum(&self.judging.tiles, first.iter().zip(&second).map(|(first, second)| first - second));
+        let (better, sigma) =
+            tile_sum(&self.judging.tiles, first.iter().zip(&second).map(|(first, second)| first - second));
         if all > 0.0 { (better / all, sigma / all) } else { (0.0, 0.0) }
     }
 
@@ -321,11 +376,21 @@ impl Bench {
     }
 
     /// The pair that predicts the searching half best.
-    fn search(&mut self, stated: Pair, measured: Option<Pair>, most_factor: f64, cx: &Context) -> Result<Pair, NodeError> {
+    fn search(
+        &mut self,
+        stated: Pair,
+        measured: Option<Pair>,
+        most_factor: f64,
+        cx: &Context,
+    ) -> Result<Pair, NodeError> {
         let farthest = libm::log(most_factor);
-        let is_near = |pair: Pair| f64::max(libm::log(pair.0 / stated.0).abs(), libm::log(pair.1 / stated.1).abs()) <= farthest;
+        let is_near = |pair: Pair| {
+            f64::max(libm::log(pair.0 / stated.0).abs(), libm::log(pair.1 / stated.1).abs()) <= farthest
+        };
         // By a common factor and by the ratio of ON to OFF, both as logarithms.
-        let moved = |pair: Pair, (common, ratio): (f64, f64)| (pair.0 * libm::exp(common + 0.5 * ratio), pair.1 * libm::exp(common - 0.5 * ratio));
+        let moved = |pair: Pair, (common, ratio): (f64, f64)| {
+            (pair.0 * libm::exp(common + 0.5 * ratio), pair.1 * libm::exp(common - 0.5 * ratio))
+        };
         let mut best = (self.loss(stated, cx)?, stated);
         let mut try_all = |pairs: &[Pair], best: &mut (f64, Pair)| -> Result<(), NodeError> {
             for &pair in pairs.iter().filter(|pair| is_near(**pair)) {
@@ -338,12 +403,18 @@ impl Bench {
         };
         try_all(measured.as_slice(), &mut best)?;
         let begin = best.1;
-        let wide: Vec<Pair> = (-WIDE_STEPS..=WIDE_STEPS).filter(|n| *n != 0).map(|n| moved(begin, (f64::from(n) * WIDE_STEP, 0.0))).collect();
+        let wide: Vec<Pair> = (-WIDE_STEPS..=WIDE_STEPS)
+            .filter(|n| *n != 0)
+            .map(|n| moved(begin, (f64::from(n) * WIDE_STEP, 0.0)))
+            .collect();
         try_all(&wide, &mut best)?;
         let mut step = COARSE_STEP;
         for _ in 0..MOST_ROUNDS {
             let around = best.1;
-            try_all(&[(-step, 0.0), (step, 0.0), (0.0, -step), (0.0, step)].map(|by| moved(around, by)), &mut best)?;
+            try_all(
+                &[(-step, 0.0), (step, 0.0), (0.0, -step), (0.0, step)].map(|by| moved(around, by)),
+                &mut best,
+            )?;
             if best.1 == around {
                 step *= 0.5;
             }

@@ -1,4 +1,5 @@
-//! Which thresholds are passed on: those of the recording where others are stated, and the stated ones where nothing says otherwise.
+//! Which thresholds are passed on: those of the recording where others are stated, and the stated ones where
+//! nothing says otherwise.
 
 use super::*;
 use photocurrent_core::document::Source;
@@ -6,7 +7,9 @@ use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::random::Random;
 use photocurrent_core::{EventStream, Exposure, Extent, FrameSequence, FrameTimes, testing};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, Noiseless, TOLERANCE, read_frames, simulate};
+use photocurrent_sensor::forward::{
+    Chain, FrameReadout, LinearLight, Noiseless, TOLERANCE, read_frames, simulate,
+};
 use photocurrent_sensor::model::Model;
 use std::collections::BTreeMap;
 
@@ -18,7 +21,8 @@ const RIGHT: Pair = (0.2, 0.21);
 fn sensor((on, off): Pair) -> Arc<Sensor> {
     let text = format!(
         "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"30 us\"\nalpha = \"8 ms\"\n[comparator]\nthreshold_on = {on}\nthreshold_off = {off}\n[readout]\nlatency_min = \"10 us\"\n\
-         refractory = \"30 us\"\n[frames]\ngain = 800\nblack_level_dn = 20\nsaturation_dn = 1023\nread_noise_dn = 3\nrow_time = \"20 us\"\n"
+         refractory = \"30 us\"\n[frames]\ngain = 800\nblack_level_dn = 20\nsaturation_dn = \
+                        1023\nread_noise_dn = 3\nrow_time = \"20 us\"\n"
     );
     Arc::new(Sensor::parse(&Source::new("s.toml", "", text)).unwrap())
 }
@@ -26,38 +30,63 @@ fn sensor((on, off): Pair) -> Arc<Sensor> {
 /// Waves that run along x, brighter to the right.
 fn log_light(x: u32, y: u32, t_ns: i64) -> f64 {
     let t = t_ns as f64 * 1e-9;
-    4.0 + 0.01 * f64::from(x) + 0.7 * libm::tanh(2.0 * libm::sin(90.0 * t - 0.4 * f64::from(x) - 0.3 * f64::from(y)))
+    4.0 + 0.01 * f64::from(x)
+        + 0.7 * libm::tanh(2.0 * libm::sin(90.0 * t - 0.4 * f64::from(x) - 0.3 * f64::from(y)))
 }
 
 /// What a sensor with the right thresholds records in so many frames, with a read noise of 3 DN.
 fn recording(frames: i64) -> (EventStream, FrameSequence) {
     let model = Model::of(&sensor(RIGHT));
-    let times = FrameTimes::new((0..frames).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 5_000_000)).collect(), 20_000).unwrap();
+    let times = FrameTimes::new(
+        (0..frames).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 5_000_000)).collect(),
+        20_000,
+    )
+    .unwrap();
     let t_ns: Vec<i64> = (0..=END_NS / 100_000).map(|n| n * 100_000).collect();
-    let readout = FrameReadout { number: model.number, saturation: model.saturation_dn, row_time_ns: model.row_time_ns };
+    let readout = FrameReadout {
+        number: model.number,
+        saturation: model.saturation_dn,
+        row_time_ns: model.row_time_ns,
+    };
     let (mut events, mut dn) = (Vec::new(), Vec::new());
     for (x, y) in (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))) {
         let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log_light(x, y, t))).collect();
         let light = LinearLight::new(&t_ns, &current);
         let site = Site { x, y, width: EXTENT.width, height: EXTENT.height, seed: 3 };
         let chain = Chain { pixel: model.pixel, reset: model.reset, effects: &[], tolerance: TOLERANCE };
-        for event in simulate(&chain, &site, &light, 0, END_NS, &mut Noiseless).into_iter().filter_map(|fired| fired.recorded) {
+        for event in simulate(&chain, &site, &light, 0, END_NS, &mut Noiseless)
+            .into_iter()
+            .filter_map(|fired| fired.recorded)
+        {
             let polarity = Polarity::from_bit(u8::from(event.polarity > 0));
-            events.push(Event { x: x as u16, y: y as u16, polarity, t: event.t_off_ns, t_in: Some(event.t_in_ns) });
+            events.push(Event {
+                x: x as u16,
+                y: y as u16,
+                polarity,
+                t: event.t_off_ns,
+                t_in: Some(event.t_in_ns),
+            });
         }
         let exposures: Vec<Exposure> = (0..times.len()).map(|l| times.exposure(l, y)).collect();
         dn.push(read_frames(&readout, &[], &site, &light, &exposures));
     }
     let mut random = Random::new(5, &[]);
-    let noisy = |l: usize, x: u32, y: u32| (dn[(y * EXTENT.width + x) as usize][l] + 3.0 * random.normal()) as f32;
+    let noisy =
+        |l: usize, x: u32, y: u32| (dn[(y * EXTENT.width + x) as usize][l] + 3.0 * random.normal()) as f32;
     (testing::stream(EXTENT, events), testing::captured(EXTENT, times.exposures.to_vec(), 20_000, noisy))
 }
 
 /// What the node makes of a recording and a description, and its note on that.
 fn run((events, frames): &(EventStream, FrameSequence), sensor: Option<&Arc<Sensor>>) -> (Out, String) {
-    let node = EstimateThresholds::build(Params { offset: Some(Duration::new(0)), pixels: 256, ..Params::default() }).unwrap();
+    let node = EstimateThresholds::build(Params {
+        offset: Some(Duration::new(0)),
+        pixels: 256,
+        ..Params::default()
+    })
+    .unwrap();
     let input = In { events: events.clone(), frames: frames.clone(), sensor: sensor.cloned() };
-    let (out, notes) = testing::with_context(frames.rows(), &["estimates", "sensor"], |cx| node.run(input, cx));
+    let (out, notes) =
+        testing::with_context(frames.rows(), &["estimates", "sensor"], |cx| node.run(input, cx));
     (out.unwrap(), notes.into_iter().filter(|note| note.contains("description")).collect())
 }
 
@@ -79,9 +108,16 @@ fn wrong_thresholds_are_replaced_by_those_of_the_recording() {
         assert!(is_near(used.0, RIGHT.0) && is_near(used.1, RIGHT.1), "{factors:?}: {note}");
         // Nothing else of the description changes.
         assert_eq!(with_thresholds(&passed, stated), *description);
-        assert!(note.contains(&format!("instead of the description's {:.3} and {:.3}", stated.0, stated.1)), "{note}");
-        assert_eq!((numbers(&out, "description")[..2].to_vec(), numbers(&out, "used")[..2].to_vec()), (vec![stated.0, stated.1], vec![used.0, used.1]));
-        let gain: Vec<f64> = ["value", "ci95_low", "ci95_high"].iter().map(|name| numbers(&out, name)[2]).collect();
+        assert!(
+            note.contains(&format!("instead of the description's {:.3} and {:.3}", stated.0, stated.1)),
+            "{note}"
+        );
+        assert_eq!(
+            (numbers(&out, "description")[..2].to_vec(), numbers(&out, "used")[..2].to_vec()),
+            (vec![stated.0, stated.1], vec![used.0, used.1])
+        );
+        let gain: Vec<f64> =
+            ["value", "ci95_low", "ci95_high"].iter().map(|name| numbers(&out, name)[2]).collect();
         assert!(0.03 < gain[1] && gain[1] < gain[0] && gain[0] < gain[2] && gain[0] < 1.0, "{gain:?}");
     }
 }
@@ -104,13 +140,28 @@ fn without_evidence_the_description_stays_and_the_note_says_why() {
         assert!(numbers(&out, "value")[2].is_nan(), "nothing was compared");
     };
     let (events, frames) = recording(3);
-    stays(&(events, frames.clone()), &description, "the description's thresholds stay: of 3 frames none can be held out, as 4 are needed");
+    stays(
+        &(events, frames.clone()),
+        &description,
+        "the description's thresholds stay: of 3 frames none can \
+                                                    be held out, as 4 are needed",
+    );
     let (_, many) = recording(6);
     let few = vec![Event { x: 3, y: 3, polarity: Polarity::On, t: 5_000_000, t_in: Some(4_990_000) }];
-    stays(&(testing::stream(EXTENT, few), many), &description, "0 events of 0 pixels in 0 tiles are too few, as 40 in 6 tiles are needed");
+    stays(
+        &(testing::stream(EXTENT, few), many),
+        &description,
+        "0 events of 0 pixels in 0 tiles are too \
+                                                            few, as 40 in 6 tiles are needed",
+    );
     let mut unknown = (*description).clone();
     unknown.frames.gain = None;
-    stays(&recording(6), &Arc::new(unknown.clone()), "the description's thresholds stay: solve/map needs `frames.gain`");
+    stays(
+        &recording(6),
+        &Arc::new(unknown.clone()),
+        "the description's thresholds stay: solve/map needs \
+                                                      `frames.gain`",
+    );
     unknown.comparator.threshold_on = None;
     stays(&recording(6), &Arc::new(unknown), "does not state both thresholds");
     let (out, _) = run(&recording(6), None);
@@ -133,7 +184,8 @@ fn any_number_of_threads_gives_the_same_bits() {
 fn the_description_is_planned_as_it_is_given() {
     let (events, frames) = recording(4);
     let node = EstimateThresholds::build(Params::default()).unwrap();
-    let streams = [("events", Meta::Events(events.meta.clone())), ("frames", Meta::Frames(frames.meta.clone()))];
+    let streams =
+        [("events", Meta::Events(events.meta.clone())), ("frames", Meta::Frames(frames.meta.clone()))];
     let metas = |sensor: Option<Meta>| {
         let inputs = streams.iter().cloned().chain(sensor.map(|sensor| ("sensor", sensor)));
         PortMetas::new(inputs.map(|(port, meta)| (port.to_string(), vec![meta])).collect::<BTreeMap<_, _>>())

@@ -1,9 +1,11 @@
 //! What a pixel's neighbours say about its light: their tracks, carried along the motion.
 //!
-//! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a moment later. So log light
-//! is read off where the path crosses the next [`LINES`] lines of pixels, backward and forward, never at the pixel itself and never more than
-//! `longest` away. How far that may be trusted is for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other.
-//! Where another motion explains the place nearly as well, what that predicts is asked as well: as far as the two differ the prediction is in doubt.
+//! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a
+//! moment later. So log light is read off where the path crosses the next [`LINES`] lines of pixels, backward
+//! and forward, never at the pixel itself and never more than `longest` away. How far that may be trusted is
+//! for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other. Where
+//! another motion explains the place nearly as well, what that predicts is asked as well: as far as the two
+//! differ the prediction is in doubt.
 
 use crate::refine::trust::Said;
 use photocurrent_scene::film::LogTracks;
@@ -31,8 +33,11 @@ pub(in crate::refine) fn neighbours(
     if libm::hypot(here[0] - there[0], here[1] - there[1]) < ALIKE {
         return Some(own);
     }
-    // What explains the place as well predicts something else, perhaps; where that is that nothing moves, it is the pixel's own track.
-    let rival = along(tracks, (&|x, y, t_ns| flow.rival_at(x, y, t_ns), params), (x, y), span, t_ns).map(|said| said.log).or_else(|| tracks.at(x, y, t_ns));
+    // What explains the place as well predicts something else, perhaps; where that is that nothing moves, it
+    // is the pixel's own track.
+    let rival = along(tracks, (&|x, y, t_ns| flow.rival_at(x, y, t_ns), params), (x, y), span, t_ns)
+        .map(|said| said.log)
+        .or_else(|| tracks.at(x, y, t_ns));
     let apart = rival.map_or(0.0, |rival| rival - own.log);
     Some(Said { doubt: doubt * apart * apart, ..own })
 }
@@ -50,7 +55,17 @@ fn along(
     let side = |direction: f64| -> Option<(f64, f64)> {
         let (mut sum, mut weights) = (0.0, 0.0);
         for (k, line_weight) in LINE_WEIGHTS.iter().enumerate() {
-            let Some((log, apart_ms)) = crossing(tracks, flow, (x, y), (span, longest_ms), t_ns, velocity, direction * (k + 1) as f64) else { break };
+            let Some((log, apart_ms)) = crossing(
+                tracks,
+                flow,
+                (x, y),
+                (span, longest_ms),
+                t_ns,
+                velocity,
+                direction * (k + 1) as f64,
+            ) else {
+                break;
+            };
             let stale = apart_ms / fresh_ms;
             let weight = line_weight / (1.0 + f64::min(stale * stale, params.stalest));
             sum += weight * log;
@@ -62,15 +77,22 @@ fn along(
         (Some((past, w0)), Some((future, w1))) => {
             let share = w1 / (w0 + w1);
             let apart = future - past;
-            Some(Said { t_ns, log: past + share * apart, contradiction: Some(share * (1.0 - share) * apart * apart), doubt: 0.0 })
+            Some(Said {
+                t_ns,
+                log: past + share * apart,
+                contradiction: Some(share * (1.0 - share) * apart * apart),
+                doubt: 0.0,
+            })
         }
-        (Some((log, _)), None) | (None, Some((log, _))) => Some(Said { t_ns, log, contradiction: None, doubt: 0.0 }),
+        (Some((log, _)), None) | (None, Some((log, _))) => {
+            Some(Said { t_ns, log, contradiction: None, doubt: 0.0 })
+        }
         (None, None) => None,
     }
 }
 
-/// Log light where the path crosses the line `lines` further along the motion, and how many milliseconds away the nearest event of the pixels
-/// there is; negative lines were crossed before.
+/// Log light where the path crosses the line `lines` further along the motion, and how many milliseconds away
+/// the nearest event of the pixels there is; negative lines were crossed before.
 fn crossing(
     tracks: &LogTracks,
     flow: &dyn Fn(f64, f64, i64) -> [f64; 2],
@@ -88,7 +110,11 @@ fn crossing(
     }
     // The velocity halfway is that of the whole way to second order.
     let half_ms = 0.5 * lines / velocity[axis].abs();
-    let middle = flow(x as f64 + velocity[0] * half_ms, y as f64 + velocity[1] * half_ms, t_ns + (half_ms * 1e6) as i64);
+    let middle = flow(
+        x as f64 + velocity[0] * half_ms,
+        y as f64 + velocity[1] * half_ms,
+        t_ns + (half_ms * 1e6) as i64,
+    );
     if middle[axis] * velocity[axis] <= 0.0 || !allowed(middle) {
         return None;
     }

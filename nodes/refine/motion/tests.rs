@@ -1,7 +1,9 @@
 //! Claims about the node, on small recordings whose light is known.
 
 use super::*;
-use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
+use crate::refine::fixtures::{
+    EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture,
+};
 use crate::refine::trust::{Measured, Posed};
 use crate::solve::paper::SolvePaper;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
@@ -11,7 +13,8 @@ use photocurrent_solve::{PaperOptions, ReadoutModel};
 
 fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence, rounds: u32) -> TrackSet {
     let node = RefineMotion::build(Params { rounds, ..Params::default() }).unwrap();
-    let input = In { tracks: tracks.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
+    let input =
+        In { tracks: tracks.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
     testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks
 }
 
@@ -44,16 +47,20 @@ fn options_of_the_solver_stand_next_to_those_of_the_node() {
     let (events, frames) = record(texture);
     let first = solve(&events, &frames);
     let with = |spacing: &str| {
-        let params = serde_json::from_value(serde_json::json!({ "rounds": 1, "knot_spacing": spacing })).unwrap();
-        let input = In { tracks: first.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
+        let params =
+            serde_json::from_value(serde_json::json!({ "rounds": 1, "knot_spacing": spacing })).unwrap();
+        let input =
+            In { tracks: first.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
         let node = RefineMotion::build(params).unwrap();
-        let tracks = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks;
+        let tracks =
+            testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks;
         tracks.read(EXTENT.rows()).unwrap().t.len()
     };
     assert!(with("500 us") < with("250 us"));
 }
 
-/// A texture whose tracks are its light, when the track of pixel (12, 8) is moved by `own`, natural-log units.
+/// A texture whose tracks are its light, when the track of pixel (12, 8) is moved by `own`, natural-log
+/// units.
 fn tracks_of_light(own: f64) -> LogTracks {
     let mut band = TrackBand::begin(0, EXTENT.width);
     for p in 0..EXTENT.pixels() {
@@ -68,16 +75,30 @@ fn tracks_of_light(own: f64) -> LogTracks {
 /// The hints of that pixel, when its frame is brighter by `brighter`.
 fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let tracks = tracks_of_light(own);
-    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1, is_lone: false };
+    let event = photocurrent_sensor::map::MapEvent {
+        t_in_ns: 20_000_000,
+        t_off_ns: 20_001_000,
+        polarity: 1,
+        is_lone: false,
+    };
     // The mean light of an exposure of 4 ms.
-    let light: f64 = (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;
+    let light: f64 =
+        (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;
     let dn = GAIN * 4e-3 * light * libm::exp(brighter);
     let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn, sigma_dn: 0.01, saturated: false };
     let (span, flow) = ((0, 39_900_000), Flow::uniform((24, 16), velocity, velocity));
     let model = Posed { model: photocurrent_sensor::model::Model::of(&sensor()), added: 0.0 };
-    let measured = Measured { sensor: &model, extent: EXTENT, place: (12, 8), events: &[event], frames: &[frame], threshold: 0.25 };
+    let measured = Measured {
+        sensor: &model,
+        extent: EXTENT,
+        place: (12, 8),
+        events: &[event],
+        frames: &[frame],
+        threshold: 0.25,
+    };
     let mut hints = Vec::new();
-    let say = |t_ns: i64| advect::neighbours(&tracks, (&flow, &MotionParams::default(), 0.5), (12, 8), span, t_ns);
+    let say =
+        |t_ns: i64| advect::neighbours(&tracks, (&flow, &MotionParams::default(), 0.5), (12, 8), span, t_ns);
     Trust::new(&TrustParams::default()).hints(say, &tracks, (span, 500_000), &measured, &mut hints);
     hints
 }
@@ -95,7 +116,8 @@ fn neighbours_along_the_motion_predict_a_pixel() {
 
 #[test]
 fn a_pixel_never_hints_itself_but_judges_its_hints() {
-    let said = |hints: &[Hint]| hints.iter().map(|hint| (hint.t_ns, hint.log_photocurrent)).collect::<Vec<_>>();
+    let said =
+        |hints: &[Hint]| hints.iter().map(|hint| (hint.t_ns, hint.log_photocurrent)).collect::<Vec<_>>();
     let plain = hints(0.0, 0.0, [0.7, 0.2]);
     assert_eq!(said(&plain), said(&hints(0.1, 0.0, [0.7, 0.2])));
     let moved = hints(0.0, 0.05, [0.7, 0.2]);
@@ -114,13 +136,25 @@ fn motions_that_explain_a_place_as_well_leave_a_doubt() {
         advect::neighbours(&tracks, (&flow, &params, doubt), (12, 8), span, t_ns).unwrap()
     };
     let (own, other) = (ask([0.7, 0.2], 0.5), [-0.5, 0.3]);
-    let alone = advect::neighbours(&tracks, (&Flow::uniform((24, 16), other, other), &params, 0.5), (12, 8), span, t_ns).unwrap();
+    let alone = advect::neighbours(
+        &tracks,
+        (&Flow::uniform((24, 16), other, other), &params, 0.5),
+        (12, 8),
+        span,
+        t_ns,
+    )
+    .unwrap();
     let doubt = |log: f64| 0.5 * (log - own.log) * (log - own.log);
     assert_eq!(own.doubt, 0.0);
     // It is what the other says, as a difference, and nothing else changes.
     let said = ask(other, 0.5);
     assert_eq!((said.log, said.contradiction), (own.log, own.contradiction));
-    assert!(doubt(alone.log) > 1e-3 && (said.doubt - doubt(alone.log)).abs() < 1e-12, "{} and {}", said.doubt, doubt(alone.log));
+    assert!(
+        doubt(alone.log) > 1e-3 && (said.doubt - doubt(alone.log)).abs() < 1e-12,
+        "{} and {}",
+        said.doubt,
+        doubt(alone.log)
+    );
     // That nothing moves is what the pixel's own track says.
     let still = tracks.at(12, 8, t_ns).unwrap();
     assert!((ask([0.0, 0.0], 0.5).doubt - doubt(still)).abs() < 1e-12);
@@ -148,11 +182,16 @@ fn threads_do_not_change_a_bit() {
 #[test]
 fn held_tracks_are_refused() {
     let (events, frames) = record(|x, _, _| 4.0 + 0.01 * x as f64);
-    let node = SolvePaper::build(PaperOptions { readout: ReadoutModel::None, ..PaperOptions::default() }).unwrap();
+    let node =
+        SolvePaper::build(PaperOptions { readout: ReadoutModel::None, ..PaperOptions::default() }).unwrap();
     let input = crate::solve::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
-    let held = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks;
+    let held =
+        testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks;
     let node = RefineMotion::build(Params::default()).unwrap();
-    let refused = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(In { tracks: held, events, frames, sensor: sensor() }, cx)).0;
+    let refused = testing::with_context(EXTENT.rows(), &["tracks"], |cx| {
+        node.run(In { tracks: held, events, frames, sensor: sensor() }, cx)
+    })
+    .0;
     let error = refused.err().unwrap();
     assert!(error.to_string().contains("log-linear"), "{error}");
     assert!(error.hint.is_some_and(|hint| hint.contains("solve/map")));

@@ -55,17 +55,30 @@ fn furthest(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).fold(0.0, |most, (a, b)| f32::max(most, (a - b).abs()))
 }
 
-/// `NAME.check.f32` was written by the training framework: a network's inputs of 32 x 48 values in their order (one number where there are no channels) and what it gives for
-/// them. The interpolator is trained with the refinement and run by `baseline/onnx`.
+/// `NAME.check.f32` was written by the training framework: a network's inputs of 32 x 48 values in their
+/// order (one number where there are no channels) and what it gives for them. The interpolator is trained
+/// with the refinement and run by `baseline/onnx`.
 #[test]
 fn networks_give_what_the_training_framework_gave() {
     let refine: &[(&str, usize)] = &[("frame", 1), ("sigma", 1), ("events", 2), ("captured", 1)];
-    let interpolator: &[(&str, usize)] = &[("before", 1), ("after", 1), ("voxel_before", 5), ("voxel_after", 5), ("voxel_exposures", 16), ("weight", 0)];
-    let networks =
-        [("refine", refine, OUTPUT), ("refine_no_cbam", refine, OUTPUT), ("refine_no_perceptual", refine, OUTPUT), ("interpolator", interpolator, "picture")];
+    let interpolator: &[(&str, usize)] = &[
+        ("before", 1),
+        ("after", 1),
+        ("voxel_before", 5),
+        ("voxel_after", 5),
+        ("voxel_exposures", 16),
+        ("weight", 0),
+    ];
+    let networks = [
+        ("refine", refine, OUTPUT),
+        ("refine_no_cbam", refine, OUTPUT),
+        ("refine_no_perceptual", refine, OUTPUT),
+        ("interpolator", interpolator, "picture"),
+    ];
     for (name, inputs, output) in networks {
         let bytes = std::fs::read(data(&format!("weights/{name}.check.f32"))).unwrap();
-        let numbers: Vec<f32> = bytes.chunks_exact(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect();
+        let numbers: Vec<f32> =
+            bytes.chunks_exact(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect();
         let mut left = numbers.as_slice();
         let mut take = |channels: usize| {
             let shape = if channels > 0 { vec![1, channels, 32, 48] } else { vec![1; 4] };
@@ -73,7 +86,8 @@ fn networks_give_what_the_training_framework_gave() {
             left = rest;
             Tensor { shape, values: values.to_vec() }
         };
-        let given: Vec<(&str, Tensor)> = inputs.iter().map(|&(input, channels)| (input, take(channels))).collect();
+        let given: Vec<(&str, Tensor)> =
+            inputs.iter().map(|&(input, channels)| (input, take(channels))).collect();
         let expected = take(1);
         assert!(left.is_empty(), "{name}: {} numbers too many", left.len());
         let given: Vec<(&str, &Tensor)> = given.iter().map(|(input, tensor)| (*input, tensor)).collect();
@@ -89,7 +103,8 @@ fn networks_give_what_the_training_framework_gave() {
 fn what_is_far_from_every_event_keeps_its_bits() {
     let (before, events) = (frames(), testing::stream(EXTENT, vec![event(40, 20)]));
     let stated = before.read_rows(before.rows()).unwrap().dn;
-    let after = run(Params { quiet: true, ..params() }, In { events: Some(events), ..only(before) }).unwrap().0;
+    let after =
+        run(Params { quiet: true, ..params() }, In { events: Some(events), ..only(before) }).unwrap().0;
     let mut changed = 0;
     for (at, (before, after)) in stated.iter().zip(&after).enumerate() {
         let (x, y) = ((at % 75) as i32, (at / 75) as i32);
@@ -107,7 +122,8 @@ fn pixels_that_never_fire_keep_their_bits() {
     let (before, events) = (frames(), testing::stream(EXTENT, vec![event(40, 20), event(43, 20)]));
     let stated = before.read_rows(before.rows()).unwrap().dn;
     let after = refined(In { events: Some(events), ..only(before) });
-    let changed: Vec<usize> = (0..stated.len()).filter(|&at| stated[at].to_bits() != after[at].to_bits()).collect();
+    let changed: Vec<usize> =
+        (0..stated.len()).filter(|&at| stated[at].to_bits() != after[at].to_bits()).collect();
     assert_eq!(changed, [20 * 75 + 40, 20 * 75 + 43]);
 }
 
@@ -116,7 +132,14 @@ fn values_change_by_their_standard_deviations_at_most() {
     let stated = frames().read_rows(EXTENT.rows()).unwrap().dn;
     // Pixels of unlike standard deviations; what is not known sets no limit.
     let sigma = |x: u32, _: u32| [0.0, 0.5, 2.0, f32::NAN][x as usize % 4];
-    let with = |most_sigmas| run(Params { most_sigmas, ..params() }, In { sigma: Some(frames_of(EXTENT, sigma)), ..only(frames()) }).unwrap().0;
+    let with = |most_sigmas| {
+        run(
+            Params { most_sigmas, ..params() },
+            In { sigma: Some(frames_of(EXTENT, sigma)), ..only(frames()) },
+        )
+        .unwrap()
+        .0
+    };
     let free = with(f64::INFINITY);
     for most in [1.0, 3.0] {
         for (at, (&after, &free)) in with(most).iter().zip(&free).enumerate() {
@@ -131,10 +154,17 @@ fn values_change_by_their_standard_deviations_at_most() {
 
 #[test]
 fn events_beyond_the_window_are_none() {
-    let input = || In { events: Some(testing::stream(EXTENT, vec![event(40, 20)])), ..only(frames_of(EXTENT, dn)) };
-    let late = |ns: i64| testing::captured(EXTENT, vec![Exposure::new(8_000_000 + ns, 12_000_000 + ns)], 0, |_, x, y| dn(x, y));
+    let input =
+        || In { events: Some(testing::stream(EXTENT, vec![event(40, 20)])), ..only(frames_of(EXTENT, dn)) };
+    let late = |ns: i64| {
+        testing::captured(EXTENT, vec![Exposure::new(8_000_000 + ns, 12_000_000 + ns)], 0, |_, x, y| dn(x, y))
+    };
     let stated = input().frames.read_rows(EXTENT.rows()).unwrap().dn;
-    let with = |window: Option<i64>, ns| run(Params { window: window.map(Duration::new), ..params() }, In { frames: late(ns), ..input() }).unwrap().0;
+    let with = |window: Option<i64>, ns| {
+        run(Params { window: window.map(Duration::new), ..params() }, In { frames: late(ns), ..input() })
+            .unwrap()
+            .0
+    };
     assert!(furthest(&with(None, 9_000_000), &stated) > 0.0);
     assert_eq!(with(None, 10_000_000), stated);
     assert_eq!(with(Some(3_000_000), 9_000_000), stated);
@@ -144,7 +174,8 @@ fn events_beyond_the_window_are_none() {
 fn tiles_show_no_seams() {
     // Two tiles along each side against one; what is left is what the surroundings do not reach.
     let extent = Extent { width: 200, height: 170 };
-    let with = |tile, overlap| run(Params { tile, overlap, ..params() }, only(frames_of(extent, dn))).unwrap().0;
+    let with =
+        |tile, overlap| run(Params { tile, overlap, ..params() }, only(frames_of(extent, dn))).unwrap().0;
     let whole = with(256, 64);
     let off = furthest(&with(112, 64), &whole);
     assert!(off < 0.02, "{off} DN of 200 between tiles and the whole");
@@ -163,7 +194,9 @@ fn colours_are_refined_one_after_the_other() {
         scale: FrameScale::Captured,
     };
     let mut block = FrameBlock::zeros(0..1, EXTENT.rows(), meta.row_values());
-    block.dn.iter_mut().enumerate().for_each(|(at, value)| *value = colour((at as u32 / 3) % EXTENT.width, at as u32 / 3 / EXTENT.width, at as u32 % 3));
+    block.dn.iter_mut().enumerate().for_each(|(at, value)| {
+        *value = colour((at as u32 / 3) % EXTENT.width, at as u32 / 3 / EXTENT.width, at as u32 % 3)
+    });
     let together = refined(only(FrameSequence::in_memory(Arc::new(meta), block)));
     for c in 0..3 {
         let alone = refined(only(frames_of(EXTENT, |x, y| colour(x, y, c))));
@@ -174,7 +207,11 @@ fn colours_are_refined_one_after_the_other() {
 
 #[test]
 fn a_captured_frame_of_twice_the_exposure_counts_as_half_as_bright() {
-    let captured = |ns: i64, factor: f32| testing::captured(EXTENT, vec![Exposure::new(10_000_000 - ns, 10_000_000 + ns)], 0, |_, x, y| factor * dn(y, x));
+    let captured = |ns: i64, factor: f32| {
+        testing::captured(EXTENT, vec![Exposure::new(10_000_000 - ns, 10_000_000 + ns)], 0, |_, x, y| {
+            factor * dn(y, x)
+        })
+    };
     let with = |captured| refined(In { captured: Some(captured), ..only(frames()) });
     let once = with(captured(2_000_000, 1.0));
     assert!(furthest(&once, &with(captured(4_000_000, 2.0))) < 1e-3);
@@ -185,7 +222,11 @@ fn a_captured_frame_of_twice_the_exposure_counts_as_half_as_bright() {
 #[test]
 fn the_standard_deviation_has_a_say() {
     let unlimited = || Params { most_sigmas: f64::INFINITY, ..params() };
-    let with = |sigma: f32| run(unlimited(), In { sigma: Some(frames_of(EXTENT, move |_, _| sigma)), ..only(frames()) }).unwrap().0;
+    let with = |sigma: f32| {
+        run(unlimited(), In { sigma: Some(frames_of(EXTENT, move |_, _| sigma)), ..only(frames()) })
+            .unwrap()
+            .0
+    };
     assert!(furthest(&with(2.0), &with(20.0)) > 0.1);
     assert_eq!(with(f32::NAN), with(0.0));
 }
@@ -194,7 +235,10 @@ fn the_standard_deviation_has_a_say() {
 fn unknown_values_stay_unknown_and_are_counted() {
     let input = only(frames_of(EXTENT, |x, y| if (x, y) == (3, 4) { f32::NAN } else { dn(x, y) }));
     let (after, notes) = run(params(), input).unwrap();
-    assert_eq!(after.iter().enumerate().filter(|(_, dn)| dn.is_nan()).map(|(at, _)| at).collect::<Vec<_>>(), [4 * 75 + 3]);
+    assert_eq!(
+        after.iter().enumerate().filter(|(_, dn)| dn.is_nan()).map(|(at, _)| at).collect::<Vec<_>>(),
+        [4 * 75 + 3]
+    );
     assert_eq!(notes, ["1 values are not known (NaN) and stay so; the network sees black there"]);
 }
 
@@ -202,10 +246,15 @@ fn unknown_values_stay_unknown_and_are_counted() {
 fn white_is_measured_where_it_is_not_stated() {
     // 1,000 values 1, 2 ... 1000: white lies above 999 of them.
     let extent = Extent { width: 40, height: 25 };
-    let (_, notes) = run(Params { white: None, ..params() }, only(frames_of(extent, |x, y| (40 * y + x + 1) as f32))).unwrap();
+    let (_, notes) =
+        run(Params { white: None, ..params() }, only(frames_of(extent, |x, y| (40 * y + x + 1) as f32)))
+            .unwrap();
     assert_eq!(notes, ["white is 1000.0 DN, below which 99.9 % of the values lie"]);
     let error = run(Params { white: None, ..params() }, only(frames_of(extent, |_, _| 0.0))).err().unwrap();
-    assert_eq!((error.message.as_str(), error.param.as_deref()), ("white, 0 DN, is not above black, 0 DN", Some("white")));
+    assert_eq!(
+        (error.message.as_str(), error.param.as_deref()),
+        ("white, 0 DN, is not above black, 0 DN", Some("white"))
+    );
 }
 
 #[test]
@@ -221,20 +270,32 @@ fn what_does_not_fit_is_refused_with_what_to_do() {
     let refused = |params: Params, input: In| run(params, input).err().unwrap();
     assert_eq!(RefineOnnx::build(Params::default()).err().unwrap().param.as_deref(), Some("weights"));
     let error = RefineOnnx::build(Params { tile: 100, ..params() }).err().unwrap();
-    assert_eq!((error.message.as_str(), error.hint.as_deref()), ("`tile` is 100, which is no multiple of 16", Some("set `tile = 112`")));
+    assert_eq!(
+        (error.message.as_str(), error.hint.as_deref()),
+        ("`tile` is 100, which is no multiple of 16", Some("set `tile = 112`"))
+    );
     let error = refused(Params { weights: InputPath::new("no/such.onnx"), ..params() }, only(frames()));
     assert_eq!(error.message, "cannot read no/such.onnx: there is no such file");
-    let error = refused(Params { weights: InputPath::new(data("networks/blend.onnx")), ..params() }, only(frames()));
-    assert!(error.message.starts_with("blend.onnx takes ") && error.param.as_deref() == Some("weights"), "{}", error.message);
+    let error =
+        refused(Params { weights: InputPath::new(data("networks/blend.onnx")), ..params() }, only(frames()));
+    assert!(
+        error.message.starts_with("blend.onnx takes ") && error.param.as_deref() == Some("weights"),
+        "{}",
+        error.message
+    );
     let other = Extent { width: 70, height: 50 };
     let error = refused(params(), In { sigma: Some(frames_of(other, dn)), ..only(frames()) });
     assert!(error.message.starts_with("`sigma` has 1 frames of 70 x 50 pixels"), "{}", error.message);
-    let error = refused(params(), In { events: Some(testing::stream(other, vec![event(1, 1)])), ..only(frames()) });
+    let error =
+        refused(params(), In { events: Some(testing::stream(other, vec![event(1, 1)])), ..only(frames()) });
     assert_eq!(error.message, "the events are of 70 x 50 pixels, and the frames of 75 x 50");
     let error = refused(params(), In { captured: Some(frames_of(other, dn)), ..only(frames()) });
     assert!(error.message.starts_with("the captured frames are of 70 x 50 pixels"), "{}", error.message);
     let mosaic = frames();
-    let meta = FramesMeta { colour: Colour::Bayer(photocurrent_core::colour::Order::Rggb), ..(*mosaic.meta).clone() };
+    let meta = FramesMeta {
+        colour: Colour::Bayer(photocurrent_core::colour::Order::Rggb),
+        ..(*mosaic.meta).clone()
+    };
     let block = mosaic.read_rows(mosaic.rows()).unwrap();
     let error = refused(params(), only(FrameSequence::in_memory(Arc::new(meta), block)));
     assert!(error.hint.unwrap().contains("render/demosaic"));
@@ -242,6 +303,10 @@ fn what_does_not_fit_is_refused_with_what_to_do() {
 
 #[test]
 fn the_files_that_matter_enter_the_key() {
-    let node = RefineOnnx::build(Params { runtime: Some(InputPath::new("libonnxruntime.so")), ..params() }).unwrap();
-    assert_eq!(node.files().iter().map(|file| file.param.as_str()).collect::<Vec<_>>(), ["weights", "runtime"]);
+    let node =
+        RefineOnnx::build(Params { runtime: Some(InputPath::new("libonnxruntime.so")), ..params() }).unwrap();
+    assert_eq!(
+        node.files().iter().map(|file| file.param.as_str()).collect::<Vec<_>>(),
+        ["weights", "runtime"]
+    );
 }

@@ -1,7 +1,7 @@
 //! Tiles: a large picture in squares that a network sees one at a time, each with some of its surroundings.
 //!
-//! Only what lies inside of a square is kept of what the network gives there, so every pixel is refined once. Where the surroundings reach as far as the
-//! network looks, the whole picture would have given the same.
+//! Only what lies inside of a square is kept of what the network gives there, so every pixel is refined once.
+//! Where the surroundings reach as far as the network looks, the whole picture would have given the same.
 
 /// A picture's width or height is a multiple of this for the network.
 pub const MULTIPLE: usize = 16;
@@ -19,7 +19,8 @@ pub struct Span {
     pub end: usize,
 }
 
-/// The spans of one side of a picture: `tile` kept pixels each, with `surroundings` on either side of them, both multiples of [`MULTIPLE`].
+/// The spans of one side of a picture: `tile` kept pixels each, with `surroundings` on either side of them,
+/// both multiples of [`MULTIPLE`].
 pub fn spans(side: usize, tile: usize, surroundings: usize) -> Vec<Span> {
     let padded = side.next_multiple_of(MULTIPLE);
     let span = |kept: usize| {
@@ -36,7 +37,9 @@ mod tests {
 
     #[test]
     fn every_pixel_is_kept_once_and_tiles_begin_where_cells_do() {
-        for (side, tile, surroundings) in [(1, 16, 16), (16, 16, 0), (100, 32, 16), (346, 256, 48), (260, 256, 48), (500, 64, 32)] {
+        for (side, tile, surroundings) in
+            [(1, 16, 16), (16, 16, 0), (100, 32, 16), (346, 256, 48), (260, 256, 48), (500, 64, 32)]
+        {
             let spans = spans(side, tile, surroundings);
             let kept: Vec<usize> = spans.iter().flat_map(|span| span.kept..span.end).collect();
             assert_eq!(kept, (0..side).collect::<Vec<_>>());

@@ -70,16 +70,24 @@ impl Pictures {
             Ok((count as f64 <= MOST_SELECTED * pixels as f64).then_some(selected))
         };
         // A part of the recording may select fewer pixels, never more.
-        let at_most = selected(case.span)?.map_or(pixels, |selected| selected.iter().filter(|is| **is).count());
+        let at_most =
+            selected(case.span)?.map_or(pixels, |selected| selected.iter().filter(|is| **is).count());
         let (count, most) = (case.frame_count(), setting.most_values / at_most);
         if count < FEWEST_FRAMES || most < FEWEST_FRAMES {
-            return Err(format!("{count} frames of {at_most} pixels, of which {most} are fitted at a time; a picture needs {FEWEST_FRAMES}"));
+            return Err(format!(
+                "{count} frames of {at_most} pixels, of which {most} are fitted at a time; a \
+                                picture needs {FEWEST_FRAMES}"
+            ));
         }
-        let nominal = Nominal { row_time_ns: case.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns), ..sensor.clone() };
+        let nominal = Nominal {
+            row_time_ns: case.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns),
+            ..sensor.clone()
+        };
         let fit = |from: usize, to: usize| -> Result<Part, String> {
             let mut part = case.part(from..to);
             let parts = MosaicSetting::default();
-            let parts = MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
+            let parts =
+                MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
             let source = scene_where(&part, &nominal, setting, &parts, selected(part.span)?.as_deref())?;
             let gate = source.gate(&part, LEAST_DN, SPREAD);
             part.events = PixelEvents::default();
@@ -90,10 +98,15 @@ impl Pictures {
         let number = if count <= most { 1 } else { (count - SHARED).div_ceil(most - SHARED.min(most - 1)) };
         let length = usize::min(most, count);
         let first = |n: usize| if number == 1 { 0 } else { n * (count - length) / (number - 1) };
-        let fitted: Vec<Result<Part, String>> = (0..number).map(|n| fit(first(n), first(n) + length)).collect();
+        let fitted: Vec<Result<Part, String>> =
+            (0..number).map(|n| fit(first(n), first(n) + length)).collect();
         let why = fitted.iter().find_map(|part| part.as_ref().err().cloned());
         let parts: Vec<Part> = fitted.into_iter().flatten().collect();
-        if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts, step_ns, least_exposures }) }
+        if parts.is_empty() {
+            Err(why.unwrap_or_default())
+        } else {
+            Ok(Pictures { parts, step_ns, least_exposures })
+        }
     }
 
     /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more
@@ -111,8 +124,13 @@ impl Pictures {
 
     /// The prediction for pixel `x` of a row by the part whose middle is nearest to an instant.
     pub fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
-        let inside = self.parts.iter().zip(&light.parts).filter(|(part, _)| (part.case.span.0..=part.case.span.1).contains(&t_ns));
-        let (part, said) = inside.min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
+        let inside = self
+            .parts
+            .iter()
+            .zip(&light.parts)
+            .filter(|(part, _)| (part.case.span.0..=part.case.span.1).contains(&t_ns));
+        let (part, said) = inside
+            .min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
         if !part.gate.keeps(row * light.at.len() + x, t_ns) {
             return None;
         }

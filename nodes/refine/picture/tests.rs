@@ -1,12 +1,15 @@
 //! Claims about the node, on small recordings whose light is known.
 
 use super::*;
-use crate::refine::fixtures::{EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
+use crate::refine::fixtures::{
+    EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture,
+};
 use photocurrent_core::{EventStream, FrameSequence, testing};
 
 fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence) -> TrackSet {
     let node = RefinePicture::build(Params::default()).unwrap();
-    let input = In { tracks: tracks.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
+    let input =
+        In { tracks: tracks.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
     testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks
 }
 
@@ -46,7 +49,13 @@ fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so()
     let nominal = photocurrent_scene::nominal::Nominal::of(&sensor());
     let pixels = EXTENT.pixels();
     let fit = |most_values: usize| {
-        Pictures::fit(&case, &nominal, &PictureSetting { most_values, ..PictureSetting::default() }, (250_000, 0.25), |_| vec![true; pixels])
+        Pictures::fit(
+            &case,
+            &nominal,
+            &PictureSetting { most_values, ..PictureSetting::default() },
+            (250_000, 0.25),
+            |_| vec![true; pixels],
+        )
     };
     // All five frames at once, and two parts of four.
     for most in [5, 4] {
@@ -64,7 +73,10 @@ fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so()
         }
         let rms = libm::sqrt(squares / count);
         assert!(count > 120.0 && rms < 0.03, "{most} frames at a time: {rms} of {count}");
-        assert!(pictures.predict(&rows[8], (12, 8), 60_000_000).is_none(), "nothing is said after the last frame");
+        assert!(
+            pictures.predict(&rows[8], (12, 8), 60_000_000).is_none(),
+            "nothing is said after the last frame"
+        );
     }
     assert!(fit(2 * pixels).err().unwrap().contains("2 are fitted at a time"));
 }

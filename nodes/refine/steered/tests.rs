@@ -10,14 +10,20 @@ use std::sync::Arc;
 
 fn steer_rows(tracks: &TrackSet, rows: Rows) -> TrackBand {
     let node = RefineSteered::build(Params::default()).unwrap();
-    testing::with_context(rows, &["tracks"], |cx| node.run(In { tracks: tracks.clone() }, cx)).0.unwrap().tracks.read(rows).unwrap()
+    testing::with_context(rows, &["tracks"], |cx| node.run(In { tracks: tracks.clone() }, cx))
+        .0
+        .unwrap()
+        .tracks
+        .read(rows)
+        .unwrap()
 }
 
 fn steer(tracks: &TrackSet) -> TrackSet {
     TrackSet::in_memory(tracks.meta.clone(), steer_rows(tracks, EXTENT.rows()))
 }
 
-/// Tracks of light whose logarithm is `log(x, y, ms)`, with knots every quarter millisecond that are off by `noise`.
+/// Tracks of light whose logarithm is `log(x, y, ms)`, with knots every quarter millisecond that are off by
+/// `noise`.
 fn tracks(log: impl Fn(usize, usize, f64) -> f64, noise: f64) -> TrackSet {
     let meta = TracksMeta {
         extent: EXTENT,
@@ -35,7 +41,8 @@ fn tracks(log: impl Fn(usize, usize, f64) -> f64, noise: f64) -> TrackSet {
         let first = 1_000 * (1 + p as i64 % 97);
         let knots = (0..).map(|n| first + n * 250_000).take_while(|&t| t < END_NS);
         band.push(knots.map(|t| {
-            let u = log(p % EXTENT.width as usize, p / EXTENT.width as usize, t as f64 * 1e-6) + noise * random.normal();
+            let u = log(p % EXTENT.width as usize, p / EXTENT.width as usize, t as f64 * 1e-6)
+                + noise * random.normal();
             (t, libm::exp(u) as f32)
         }));
     }
@@ -71,7 +78,8 @@ fn an_edge_that_moves_across_is_not_blurred_across_its_motion() {
         }
         worst
     };
-    // Noise of 0.035 is what the Gaussian may take; a mean over its window of 1.5 pixels would be off by about 0.25 next to the edge.
+    // Noise of 0.035 is what the Gaussian may take; a mean over its window of 1.5 pixels would be off by
+    // about 0.25 next to the edge.
     let (off, rough) = (worst(&steer(&exact)), tracks(edge, 0.05));
     assert!(off < 0.05, "{off}");
     let gain = decibels(error(&rough, edge), error(&steer(&rough), edge));
@@ -99,13 +107,18 @@ fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
     let mut holed = TrackBand::begin(0, EXTENT.width);
     for p in 0..EXTENT.pixels() {
         let track = band.pixel((p % 24) as u32, (p / 24) as u32);
-        holed.push(track.t.iter().copied().zip(track.photocurrent.iter().copied()).filter(|_| p != 8 * 24 + 12));
+        holed.push(
+            track.t.iter().copied().zip(track.photocurrent.iter().copied()).filter(|_| p != 8 * 24 + 12),
+        );
     }
     let after = steer(&TrackSet::in_memory(rough.meta.clone(), holed)).read(EXTENT.rows()).unwrap();
     assert!(after.pixel(12, 8).t.is_empty());
-    // Its neighbour is not drawn towards a light that nobody knows; what is left is noise of 0.02, at most five times.
+    // Its neighbour is not drawn towards a light that nobody knows; what is left is noise of 0.02, at most
+    // five times.
     let edge = after.pixel(13, 8);
-    let off = |k: usize| (libm::log(f64::from(edge.photocurrent[k])) - texture(13, 8, edge.t[k] as f64 * 1e-6)).abs();
+    let off = |k: usize| {
+        (libm::log(f64::from(edge.photocurrent[k])) - texture(13, 8, edge.t[k] as f64 * 1e-6)).abs()
+    };
     assert!((0..edge.t.len()).all(|k| off(k) < 0.1));
 }
 
@@ -142,11 +155,18 @@ fn what_the_papers_solver_gives_does_not_get_worse() {
 #[test]
 fn neither_threads_nor_bands_change_a_bit() {
     for tracks in [held(), tracks(edge, 0.05)] {
-        let with = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| steer_rows(&tracks, EXTENT.rows()));
+        let with = |threads: usize| {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap()
+                .install(|| steer_rows(&tracks, EXTENT.rows()))
+        };
         let whole = with(1);
         assert_eq!(whole, with(3));
         for height in [1, 5] {
-            let parts = EXTENT.rows().bands(height).into_iter().map(|rows| steer_rows(&tracks, rows)).collect();
+            let parts =
+                EXTENT.rows().bands(height).into_iter().map(|rows| steer_rows(&tracks, rows)).collect();
             assert_eq!(whole, TrackBand::concat(parts));
         }
     }
@@ -154,10 +174,26 @@ fn neither_threads_nor_bands_change_a_bit() {
 
 #[test]
 fn the_mean_of_a_hold_is_its_integral() {
-    let film = Film { rows: EXTENT.rows(), width: 24, start_ns: 0, step_ns: 10, count: 4, values: vec![], known: vec![] };
+    let film = Film {
+        rows: EXTENT.rows(),
+        width: 24,
+        start_ns: 0,
+        step_ns: 10,
+        count: 4,
+        values: vec![],
+        known: vec![],
+    };
     // 0 to 2 in the first step, level in the second, then down to -2, where it stays.
     let values = [0.0, 2.0, 2.0, -2.0];
-    for (from, to, expected) in [(0, 10, 1.0), (0, 20, 1.5), (5, 10, 1.5), (20, 30, 0.0), (12, 17, 2.0), (10, 10, 2.0), (25, 40, -25.0 / 15.0)] {
+    for (from, to, expected) in [
+        (0, 10, 1.0),
+        (0, 20, 1.5),
+        (5, 10, 1.5),
+        (20, 30, 0.0),
+        (12, 17, 2.0),
+        (10, 10, 2.0),
+        (25, 40, -25.0 / 15.0),
+    ] {
         let mean = film.mean(&values, from, to);
         assert!((mean - expected).abs() < 1e-12, "{from} to {to}: {mean}, not {expected}");
     }
@@ -165,6 +201,7 @@ fn the_mean_of_a_hold_is_its_integral() {
 
 #[test]
 fn colours_are_refused() {
-    let error = check(&TracksMeta { colour: Colour::Rgb, ..(*tracks(texture, 0.0).meta).clone() }).unwrap_err();
+    let error =
+        check(&TracksMeta { colour: Colour::Rgb, ..(*tracks(texture, 0.0).meta).clone() }).unwrap_err();
     assert!(error.message.contains("grey"), "{}", error.message);
 }

@@ -1,4 +1,5 @@
-//! Other readings of an edge spread function: a fitted Gaussian edge, and where the modulation transfer is one half.
+//! Other readings of an edge spread function: a fitted Gaussian edge, and where the modulation transfer is
+//! one half.
 
 use super::spread::Rise;
 use std::f64::consts::{PI, SQRT_2, TAU};
@@ -6,10 +7,13 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 /// 10 to 90 % of a Gaussian edge, in standard deviations.
 pub const TEN_TO_NINETY: f64 = 2.563_103_131_089_201;
 
-/// 10-90 % width of the Gaussian edge `(1 + erf((d - m) / (sigma sqrt 2))) / 2` that fits best; NaN when the fit does not settle.
+/// 10-90 % width of the Gaussian edge `(1 + erf((d - m) / (sigma sqrt 2))) / 2` that fits best; NaN when the
+/// fit does not settle.
 pub fn gaussian_width(profile: &[(f64, f64)], rise: &Rise) -> f64 {
     let model = |d: f64, m: f64, sigma: f64| 0.5 * (1.0 + libm::erf((d - m) / (sigma * SQRT_2)));
-    let cost = |m: f64, sigma: f64| profile.iter().map(|(d, share)| share - model(*d, m, sigma)).map(|error| error * error).sum::<f64>();
+    let cost = |m: f64, sigma: f64| {
+        profile.iter().map(|(d, share)| share - model(*d, m, sigma)).map(|error| error * error).sum::<f64>()
+    };
     let (mut m, mut sigma, mut damping) = (rise.half, (rise.width() / TEN_TO_NINETY).max(0.05), 1e-3);
     let mut best = cost(m, sigma);
     for _ in 0..60 {
@@ -50,9 +54,11 @@ pub fn gaussian_width(profile: &[(f64, f64)], rise: &Rise) -> f64 {
 /// Samples per pixel of the line spread function.
 const PER_PIXEL: f64 = 4.0;
 
-/// The frequency at which the modulation transfer function is one half, cycles per pixel; NaN when it does not fall so far below 1 cycle per pixel.
+/// The frequency at which the modulation transfer function is one half, cycles per pixel; NaN when it does
+/// not fall so far below 1 cycle per pixel.
 ///
-/// As in ISO 12233: derivative of the profile, Hamming window about the edge, Fourier transform, divided by that of the difference of two neighbours.
+/// As in ISO 12233: derivative of the profile, Hamming window about the edge, Fourier transform, divided by
+/// that of the difference of two neighbours.
 pub fn mtf50(profile: &[(f64, f64)], half: f64) -> f64 {
     let (Some(first), Some(last)) = (profile.first(), profile.last()) else { return f64::NAN };
     let reach = (half - first.0).min(last.0 - half);

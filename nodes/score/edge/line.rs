@@ -1,4 +1,5 @@
-//! Where an edge is: the centroid of the derivative of every line, and a straight line or a parabola through them.
+//! Where an edge is: the centroid of the derivative of every line, and a straight line or a parabola through
+//! them.
 
 use super::types::{Direction, Fit, Lines, Refusal};
 
@@ -27,19 +28,29 @@ impl Line {
     /// # Errors
     /// When the positions scatter, or the edge comes too close to the border.
     pub(crate) fn find(lines: &Lines, direction: Direction, fit: Fit) -> Result<Line, Refusal> {
-        // The first estimate looks at the whole line; the next ones only near the edge, where there is less noise to collect.
-        let mut line = Line::through(&lines.iter().map(|line| centroid(line, None)).collect::<Vec<_>>(), direction, fit).0;
+        // The first estimate looks at the whole line; the next ones only near the edge, where there is less
+        // noise to collect.
+        let mut line =
+            Line::through(&lines.iter().map(|line| centroid(line, None)).collect::<Vec<_>>(), direction, fit)
+                .0;
         let mut scatter = f64::INFINITY;
         for _ in 0..2 {
             let window = line.window(lines);
-            let positions: Vec<f64> = lines.iter().enumerate().map(|(j, values)| centroid(values, Some((line.at(j), window)))).collect();
+            let positions: Vec<f64> = lines
+                .iter()
+                .enumerate()
+                .map(|(j, values)| centroid(values, Some((line.at(j), window))))
+                .collect();
             (line, scatter) = Line::through(&positions, direction, fit);
         }
         if scatter.is_nan() || scatter > MOST_SCATTER {
             return Err(Refusal::NotStraight);
         }
         // A parabola may lie nearer to the border between its ends.
-        if (0..lines.len()).map(|j| line.at(j)).any(|at| !(LEAST_DISTANCE..=lines.across as f64 - 1.0 - LEAST_DISTANCE).contains(&at)) {
+        if (0..lines.len())
+            .map(|j| line.at(j))
+            .any(|at| !(LEAST_DISTANCE..=lines.across as f64 - 1.0 - LEAST_DISTANCE).contains(&at))
+        {
             return Err(Refusal::AtTheBorder);
         }
         Ok(line)
@@ -53,12 +64,17 @@ impl Line {
 
     /// Distance along the normal of a pixel `along` the edge on line `j`.
     ///
-    /// A bent edge is taken as its circle of curvature there, to second order: the tangent's distance less the sagitta at the foot of the normal.
+    /// A bent edge is taken as its circle of curvature there, to second order: the tangent's distance less
+    /// the sagitta at the foot of the normal.
     pub fn distance(&self, j: usize, along: f64) -> f64 {
         let slope = self.slope + 2.0 * self.bend * (j as f64 - self.half);
         let stretch = 1.0 + slope * slope;
         let tangent = along / stretch.sqrt();
-        if self.bend == 0.0 { tangent } else { tangent - self.bend / (stretch * stretch.sqrt()) * (tangent * slope) * (tangent * slope) }
+        if self.bend == 0.0 {
+            tangent
+        } else {
+            tangent - self.bend / (stretch * stretch.sqrt()) * (tangent * slope) * (tangent * slope)
+        }
     }
 
     /// Counts its lines by the quarter-pixel phase that the edge has on them.
@@ -87,7 +103,8 @@ impl Line {
         let half = (positions.len() as f64 - 1.0) / 2.0;
         let mut sorted = positions.to_vec();
         sorted.sort_by(f64::total_cmp);
-        let mut line = Line { middle: photocurrent_core::table::percentile(&sorted, 0.5), slope: 0.0, bend: 0.0, half };
+        let mut line =
+            Line { middle: photocurrent_core::table::percentile(&sorted, 0.5), slope: 0.0, bend: 0.0, half };
         let mut weights = vec![1.0; positions.len()];
         for _ in 0..4 {
             // Sums of the weights times powers of n, and of those times the positions.
@@ -107,13 +124,19 @@ impl Line {
                 (Direction::Normal, Fit::Straight) => 2,
                 (Direction::Normal, Fit::Quadratic) => 3,
             };
-            [line.middle, line.slope, line.bend] = least_squares(&of_n, &of_positions, terms).unwrap_or([of_positions[0] / of_n[0], 0.0, 0.0]);
-            let mut errors: Vec<f64> = positions.iter().enumerate().map(|(j, position)| (position - line.at(j)).abs()).collect();
+            [line.middle, line.slope, line.bend] =
+                least_squares(&of_n, &of_positions, terms).unwrap_or([of_positions[0] / of_n[0], 0.0, 0.0]);
+            let mut errors: Vec<f64> =
+                positions.iter().enumerate().map(|(j, position)| (position - line.at(j)).abs()).collect();
             let each = errors.clone();
             errors.sort_by(f64::total_cmp);
-            // Huber's weights at 1.5 standard deviations, these from the median; never tighter than a tenth of a pixel.
+            // Huber's weights at 1.5 standard deviations, these from the median; never tighter than a tenth
+            // of a pixel.
             let bound = (1.5 * 1.4826 * photocurrent_core::table::percentile(&errors, 0.5)).max(0.1);
-            weights.iter_mut().zip(&each).for_each(|(weight, error)| *weight = if *error <= bound { 1.0 } else { bound / error });
+            weights
+                .iter_mut()
+                .zip(&each)
+                .for_each(|(weight, error)| *weight = if *error <= bound { 1.0 } else { bound / error });
         }
         let square = |(j, position): (usize, &f64)| (position - line.at(j)) * (position - line.at(j));
         let scatter = positions.iter().enumerate().map(square).sum::<f64>() / positions.len() as f64;
@@ -121,7 +144,8 @@ impl Line {
     }
 }
 
-/// Coefficients of the polynomial of `terms` terms from the sums of powers; the others are 0. `None` where the points do not determine it.
+/// Coefficients of the polynomial of `terms` terms from the sums of powers; the others are 0. `None` where
+/// the points do not determine it.
 fn least_squares(of_n: &[f64; 5], of_positions: &[f64; 3], terms: usize) -> Option<[f64; 3]> {
     let mut rows = [[0.0; 4]; 3];
     for (i, row) in rows.iter_mut().take(terms).enumerate() {
@@ -154,12 +178,18 @@ fn centroid(line: &[f64], window: Option<(f64, f64)>) -> f64 {
         let at = i as f64 + 0.5;
         let weight = match window {
             None => 1.0,
-            Some((middle, half)) if (at - middle).abs() < half => 0.5 + 0.5 * libm::cos(std::f64::consts::PI * (at - middle) / half),
+            Some((middle, half)) if (at - middle).abs() < half => {
+                0.5 + 0.5 * libm::cos(std::f64::consts::PI * (at - middle) / half)
+            }
             Some(_) => 0.0,
         };
         sum += weight * (pair[1] - pair[0]);
         first += weight * (pair[1] - pair[0]) * at;
     }
     // A line without rise has no position: it stands at the middle, and scatters.
-    if sum > 0.0 { (first / sum).clamp(0.0, line.len() as f64 - 1.0) } else { 0.5 * (line.len() as f64 - 1.0) }
+    if sum > 0.0 {
+        (first / sum).clamp(0.0, line.len() as f64 - 1.0)
+    } else {
+        0.5 * (line.len() as f64 - 1.0)
+    }
 }

@@ -1,11 +1,13 @@
 //! The width of one blurred edge in a picture: `bew.v1`.
 //!
-//! Per line the edge is found as the centroid of the windowed derivative, a straight line is fitted through these, and all pixels are projected on one axis: their
-//! distance along the edge's normal. Averages in bins of a quarter pixel are the edge spread function (ESF). Between the plateaus (medians of the outer
-//! fifths) its 10 % and 90 % crossings nearest the 50 % crossing are the width.
+//! Per line the edge is found as the centroid of the windowed derivative, a straight line is fitted through
+//! these, and all pixels are projected on one axis: their distance along the edge's normal. Averages in bins
+//! of a quarter pixel are the edge spread function (ESF). Between the plateaus (medians of the outer fifths)
+//! its 10 % and 90 % crossings nearest the 50 % crossing are the width.
 //!
-//! An ideal step seen by square pixels has a width of 0.80 pixels along the normal; a smaller one comes from sharpening, and shows as overshoot.
-//! The source of the definition: edge spread functions as in ISO 12233, 10 to 90 % rise distance. What cannot be measured is refused with a reason.
+//! An ideal step seen by square pixels has a width of 0.80 pixels along the normal; a smaller one comes from
+//! sharpening, and shows as overshoot. The source of the definition: edge spread functions as in ISO 12233,
+//! 10 to 90 % rise distance. What cannot be measured is refused with a reason.
 
 pub mod fit;
 pub mod line;
@@ -140,9 +142,14 @@ pub fn measure(plane: &[f64], width: usize, question: &Question) -> Edge {
     }
 }
 
-/// Measures an edge in every one of several planes, and once more in all of them together, each by its own position: pictures of a moving edge fill the
-/// sub-pixel phases that one of them lacks. The joint edge is that of the planes in which the edge was found; the last value is their number.
-pub fn measure_all<'a>(planes: impl Iterator<Item = &'a [f64]>, width: usize, question: &Question) -> (Vec<Edge>, Edge, usize) {
+/// Measures an edge in every one of several planes, and once more in all of them together, each by its own
+/// position: pictures of a moving edge fill the sub-pixel phases that one of them lacks. The joint edge is
+/// that of the planes in which the edge was found; the last value is their number.
+pub fn measure_all<'a>(
+    planes: impl Iterator<Item = &'a [f64]>,
+    width: usize,
+    question: &Question,
+) -> (Vec<Edge>, Edge, usize) {
     let (mut edges, mut kept) = (Vec::new(), Vec::new());
     for plane in planes {
         let (edge, located) = locate(plane, width, question);
@@ -175,7 +182,10 @@ fn joined(edges: &[Edge], kept: &[(Lines, Line, spread::Plateaus, f64)], questio
     };
     edge.angle = typical(&mut kept.iter().map(|(.., angle)| *angle));
     let contrast = typical(&mut kept.iter().map(|(_, _, plateaus, _)| plateaus.contrast()));
-    let spread = Spread::joined(kept.iter().map(|(lines, line, plateaus, _)| (lines, line, plateaus)), question.direction);
+    let spread = Spread::joined(
+        kept.iter().map(|(lines, line, plateaus, _)| (lines, line, plateaus)),
+        question.direction,
+    );
     let mut phases = [0; 4];
     kept.iter().for_each(|(lines, line, ..)| line.count_phases(lines.len(), &mut phases));
     let judged = spread.plateaus().and_then(|plateaus| {
@@ -212,15 +222,22 @@ fn judged(mut edge: Edge, located: &Located, question: &Question) -> Edge {
     edge
 }
 
-/// Turns the plane so that lines run across the edge from dark to bright; says whether it was transposed and whether mirrored.
+/// Turns the plane so that lines run across the edge from dark to bright; says whether it was transposed and
+/// whether mirrored.
 fn oriented(plane: &[f64], width: usize, direction: Direction) -> (Lines, bool, bool) {
     let height = plane.len() / width;
     // The change from border to border is that of the edge; noise and texture cancel in the sums.
-    let rise_x: f64 = plane.chunks_exact(width).map(|row| row[width - 1] + row[width - 2] - row[0] - row[1]).sum::<f64>() / height as f64;
-    let rise_y: f64 = (0..width).map(|x| plane[plane.len() - width + x] - plane[x]).sum::<f64>() * 2.0 / width as f64;
+    let rise_x: f64 =
+        plane.chunks_exact(width).map(|row| row[width - 1] + row[width - 2] - row[0] - row[1]).sum::<f64>()
+            / height as f64;
+    let rise_y: f64 =
+        (0..width).map(|x| plane[plane.len() - width + x] - plane[x]).sum::<f64>() * 2.0 / width as f64;
     let transposed = direction == Direction::Normal && rise_y.abs() > rise_x.abs();
-    let (mut values, across) =
-        if transposed { ((0..width).flat_map(|x| (0..height).map(move |y| plane[y * width + x])).collect(), height) } else { (plane.to_vec(), width) };
+    let (mut values, across) = if transposed {
+        ((0..width).flat_map(|x| (0..height).map(move |y| plane[y * width + x])).collect(), height)
+    } else {
+        (plane.to_vec(), width)
+    };
     let mirrored = if transposed { rise_y < 0.0 } else { rise_x < 0.0 };
     if mirrored {
         values.chunks_exact_mut(across).for_each(<[f64]>::reverse);
@@ -228,7 +245,12 @@ fn oriented(plane: &[f64], width: usize, direction: Direction) -> (Lines, bool, 
     (Lines { values, across }, transposed, mirrored)
 }
 
-fn locate_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Question) -> Result<Located, Refusal> {
+fn locate_into(
+    edge: &mut Edge,
+    plane: &[f64],
+    width: usize,
+    question: &Question,
+) -> Result<Located, Refusal> {
     if plane.iter().any(|value| !value.is_finite()) {
         return Err(Refusal::Unknown);
     }
@@ -237,13 +259,16 @@ fn locate_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Question
         return Err(Refusal::TooSmall);
     }
     let (lines, transposed, mirrored) = oriented(plane, width, question.direction);
-    let is_small = lines.across < LEAST_ACROSS || (question.direction == Direction::Normal && lines.len() < LEAST_ALONG);
+    let is_small =
+        lines.across < LEAST_ACROSS || (question.direction == Direction::Normal && lines.len() < LEAST_ALONG);
     if is_small {
         return Err(Refusal::TooSmall);
     }
     // Border to border first: without contrast there is no edge to look for.
     let fifth = lines.across / 5;
-    let mean = |part: fn(&[f64], usize) -> &[f64]| lines.iter().flat_map(|line| part(line, fifth)).sum::<f64>() / (lines.len() * fifth) as f64;
+    let mean = |part: fn(&[f64], usize) -> &[f64]| {
+        lines.iter().flat_map(|line| part(line, fifth)).sum::<f64>() / (lines.len() * fifth) as f64
+    };
     edge.contrast = mean(|line, n| &line[line.len() - n..]) - mean(|line, n| &line[..n]);
     if edge.contrast < LEAST_CONTRAST * question.full_scale {
         return Err(Refusal::LowContrast);
@@ -266,7 +291,13 @@ fn locate_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Question
 }
 
 /// What the profile says; `phases` counts the lines in each quarter-pixel phase.
-fn judge(edge: &mut Edge, spread: &Spread, plateaus: &spread::Plateaus, phases: [usize; 4], question: &Question) -> Result<(), Refusal> {
+fn judge(
+    edge: &mut Edge,
+    spread: &Spread,
+    plateaus: &spread::Plateaus,
+    phases: [usize; 4],
+    question: &Question,
+) -> Result<(), Refusal> {
     edge.profile = spread.profile(plateaus, None);
     let halves = crossings(&edge.profile, 0.5);
     edge.ghosts = (halves.len() as u32).saturating_sub(1);
@@ -280,7 +311,10 @@ fn judge(edge: &mut Edge, spread: &Spread, plateaus: &spread::Plateaus, phases: 
     if plateaus.contrast() < LEAST_SNR * plateaus.noise {
         return Err(Refusal::Noisy);
     }
-    if question.direction == Direction::Normal && edge.angle < 2.0 && phases.iter().filter(|lines| **lines >= 2).count() < 3 {
+    if question.direction == Direction::Normal
+        && edge.angle < 2.0
+        && phases.iter().filter(|lines| **lines >= 2).count() < 3
+    {
         return Err(Refusal::Phases);
     }
     let rise = spread::rise(&edge.profile, question.thresholds.low())?;
@@ -300,7 +334,11 @@ fn judge(edge: &mut Edge, spread: &Spread, plateaus: &spread::Plateaus, phases: 
 /// Is a tenth of the pixels on the bright fifth at saturation or above?
 fn is_saturated(lines: &Lines, saturation: f64) -> bool {
     let fifth = lines.across / 5;
-    let clipped = lines.iter().flat_map(|line| &line[line.len() - fifth..]).filter(|value| **value >= saturation).count();
+    let clipped = lines
+        .iter()
+        .flat_map(|line| &line[line.len() - fifth..])
+        .filter(|value| **value >= saturation)
+        .count();
     10 * clipped >= lines.len() * fifth
 }
 

@@ -1,4 +1,5 @@
-//! The edge spread function: pixels by their distance to the edge, plateaus, and where thresholds are crossed.
+//! The edge spread function: pixels by their distance to the edge, plateaus, and where thresholds are
+//! crossed.
 
 use super::line::Line;
 use super::types::{Direction, Lines, Refusal};
@@ -11,7 +12,8 @@ const BINS_PER_PIXEL: f64 = 4.0;
 const LEAST_SAMPLES: u32 = 2;
 /// Widest hole between two bins of a rise along the normal, pixels.
 const WIDEST_HOLE: f64 = 0.75;
-/// A crossing counts as another one only after the profile went this far to the other side of the threshold, share of contrast.
+/// A crossing counts as another one only after the profile went this far to the other side of the threshold,
+/// share of contrast.
 const HYSTERESIS: f64 = 0.1;
 /// How much the outer fifth may differ from the next one, share of contrast.
 const MOST_CHANGE: f64 = 0.1;
@@ -54,7 +56,9 @@ impl Plateaus {
 
     /// Do values still change where the plateaus are?
     pub fn still_changes(&self) -> bool {
-        [self.next[0] - self.dark, self.bright - self.next[1]].iter().any(|change| change.abs() > MOST_CHANGE * self.contrast())
+        [self.next[0] - self.dark, self.bright - self.next[1]]
+            .iter()
+            .any(|change| change.abs() > MOST_CHANGE * self.contrast())
     }
 }
 
@@ -65,8 +69,12 @@ impl Spread {
         spread.sorted()
     }
 
-    /// Of several pictures of an edge, each by its own position; contrasts are 1 in all of them, so that values are shares.
-    pub(crate) fn joined<'a>(pictures: impl Iterator<Item = (&'a Lines, &'a Line, &'a Plateaus)>, direction: Direction) -> Spread {
+    /// Of several pictures of an edge, each by its own position; contrasts are 1 in all of them, so that
+    /// values are shares.
+    pub(crate) fn joined<'a>(
+        pictures: impl Iterator<Item = (&'a Lines, &'a Line, &'a Plateaus)>,
+        direction: Direction,
+    ) -> Spread {
         let mut spread = Spread::empty(direction);
         for (lines, line, plateaus) in pictures {
             spread.add(lines, line, |value| (value - plateaus.dark) / plateaus.contrast());
@@ -92,7 +100,10 @@ impl Spread {
                 };
                 let pieces = self.bins.entry(bin).or_default();
                 match pieces.last_mut().filter(|piece| piece.line == number) {
-                    Some(piece) => (piece.samples, piece.distance, piece.value) = (piece.samples + 1, piece.distance + distance, piece.value + value),
+                    Some(piece) => {
+                        (piece.samples, piece.distance, piece.value) =
+                            (piece.samples + 1, piece.distance + distance, piece.value + value)
+                    }
                     None => pieces.push(Piece { line: number, samples: 1, distance, value }),
                 }
             }
@@ -114,15 +125,23 @@ impl Spread {
     /// # Errors
     /// When one side is empty.
     pub fn plateaus(&self) -> Result<Plateaus, Refusal> {
-        let (Some(first), Some(last)) = (self.samples.first(), self.samples.last()) else { return Err(Refusal::TooSmall) };
+        let (Some(first), Some(last)) = (self.samples.first(), self.samples.last()) else {
+            return Err(Refusal::TooSmall);
+        };
         let part = |from: f64, to: f64| -> Result<Vec<f64>, Refusal> {
-            let mut values: Vec<f64> = self.samples.iter().filter(|(d, _)| *d >= from && *d <= to).map(|(_, value)| *value).collect();
+            let mut values: Vec<f64> = self
+                .samples
+                .iter()
+                .filter(|(d, _)| *d >= from && *d <= to)
+                .map(|(_, value)| *value)
+                .collect();
             values.sort_by(f64::total_cmp);
             if values.is_empty() { Err(Refusal::AtTheBorder) } else { Ok(values) }
         };
         let (low, high) = (first.0, last.0);
         let (dark, bright) = (part(low, 0.8 * low)?, part(0.8 * high, high)?);
-        let next = [percentile(&part(0.8 * low, 0.6 * low)?, 0.5), percentile(&part(0.6 * high, 0.8 * high)?, 0.5)];
+        let next =
+            [percentile(&part(0.8 * low, 0.6 * low)?, 0.5), percentile(&part(0.6 * high, 0.8 * high)?, 0.5)];
         let median = |values: &[f64]| percentile(values, 0.5);
         let mean_square = |values: &[f64]| {
             let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -143,7 +162,8 @@ impl Spread {
                 value += f64::from(times) * piece.value;
             }
             let n = f64::from(samples);
-            (samples >= self.least_samples).then(|| (distance / n, (value / n - plateaus.dark) / plateaus.contrast()))
+            (samples >= self.least_samples)
+                .then(|| (distance / n, (value / n - plateaus.dark) / plateaus.contrast()))
         };
         self.bins.values().filter_map(one).collect()
     }
@@ -202,7 +222,11 @@ pub fn rise(profile: &[(f64, f64)], low: f64) -> Result<Rise, Refusal> {
     let crosses = |i: &usize, share: f64| profile[*i].1 < share && profile[*i + 1].1 >= share;
     let steps = 0..profile.len().saturating_sub(1);
     let distance = |i: &usize| between(profile[*i], profile[*i + 1], 0.5).abs();
-    let half = steps.clone().filter(|i| crosses(i, 0.5)).min_by(|a, b| distance(a).total_cmp(&distance(b))).ok_or(Refusal::Holes)?;
+    let half = steps
+        .clone()
+        .filter(|i| crosses(i, 0.5))
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .ok_or(Refusal::Holes)?;
     let below = (0..=half).rev().find(|i| crosses(i, low)).ok_or(Refusal::Holes)?;
     let above = (half..steps.end).find(|i| crosses(i, 1.0 - low)).ok_or(Refusal::Holes)?;
     // Along rows the bins are a pixel apart.

@@ -1,16 +1,21 @@
-//! Edges of known width: Gaussian edges, ideal steps under square pixels, motion blur, ringing, ghosts, noise.
+//! Edges of known width: Gaussian edges, ideal steps under square pixels, motion blur, ringing, ghosts,
+//! noise.
 
 use super::fit::TEN_TO_NINETY;
 use super::*;
 
 const FULL_SCALE: f64 = 1000.0;
 
-/// A picture of 40 x 30 pixels of an edge through its middle, `tilt` degrees off the vertical; `profile` gives 0 to 1 at a distance along the normal.
+/// A picture of 40 x 30 pixels of an edge through its middle, `tilt` degrees off the vertical; `profile`
+/// gives 0 to 1 at a distance along the normal.
 fn picture(tilt: f64, profile: impl Fn(f64) -> f64) -> Vec<f64> {
     let (sin, cos) = (libm::sin(tilt.to_radians()), libm::cos(tilt.to_radians()));
     // 0.3 pixels from the middle: no symmetry with the pixels.
     let distance = |x: f64, y: f64| (x - 19.8) * cos + (y - 14.5) * sin;
-    (0..30).flat_map(|y| (0..40).map(move |x| (f64::from(x), f64::from(y)))).map(|(x, y)| 200.0 + 400.0 * profile(distance(x, y))).collect()
+    (0..30)
+        .flat_map(|y| (0..40).map(move |x| (f64::from(x), f64::from(y))))
+        .map(|(x, y)| 200.0 + 400.0 * profile(distance(x, y)))
+        .collect()
 }
 
 /// The same, averaged over square pixels.
@@ -19,7 +24,11 @@ fn under_square_pixels(tilt: f64, profile: impl Fn(f64) -> f64) -> Vec<f64> {
     let n = 16;
     let part = |k: i32| (f64::from(k) + 0.5) / f64::from(n) - 0.5;
     let value = |x: i32, y: i32| {
-        let sum: f64 = (0..n * n).map(|k| profile((f64::from(x) + part(k % n) - 19.8) * cos + (f64::from(y) + part(k / n) - 14.5) * sin)).sum();
+        let sum: f64 = (0..n * n)
+            .map(|k| {
+                profile((f64::from(x) + part(k % n) - 19.8) * cos + (f64::from(y) + part(k / n) - 14.5) * sin)
+            })
+            .sum();
         200.0 + 400.0 * sum / f64::from(n * n)
     };
     (0..30).flat_map(|y| (0..40).map(move |x| (x, y))).map(|(x, y)| value(x, y)).collect()
@@ -34,7 +43,14 @@ fn step(d: f64) -> f64 {
 }
 
 fn question() -> Question {
-    Question { thresholds: Thresholds::TenNinety, direction: Direction::Normal, fit: Fit::Straight, full_scale: FULL_SCALE, saturation: None, seed: 7 }
+    Question {
+        thresholds: Thresholds::TenNinety,
+        direction: Direction::Normal,
+        fit: Fit::Straight,
+        full_scale: FULL_SCALE,
+        saturation: None,
+        seed: 7,
+    }
 }
 
 fn measured(plane: &[f64]) -> Edge {
@@ -55,13 +71,31 @@ fn a_gaussian_edge_is_as_wide_as_its_sigma_says() {
             let truth = TEN_TO_NINETY * sigma;
             assert_eq!(edge.refusal, None, "sigma {sigma}, tilt {tilt}");
             // Bins of a quarter pixel widen a narrow edge: up to 3 % at sigma 0.5.
-            assert!((edge.width / truth - 1.0).abs() < 0.035, "sigma {sigma}, tilt {tilt}: {} for {truth}", edge.width);
-            assert!((edge.gaussian_width / truth - 1.0).abs() < 0.02, "sigma {sigma}, tilt {tilt}: {} for {truth}", edge.gaussian_width);
+            assert!(
+                (edge.width / truth - 1.0).abs() < 0.035,
+                "sigma {sigma}, tilt {tilt}: {} for {truth}",
+                edge.width
+            );
+            assert!(
+                (edge.gaussian_width / truth - 1.0).abs() < 0.02,
+                "sigma {sigma}, tilt {tilt}: {} for \
+                                                            {truth}",
+                edge.gaussian_width
+            );
             assert!((edge.angle - tilt.abs()).abs() < 0.3, "{} for {tilt}", edge.angle);
             // MTF50 of a Gaussian is sqrt(2 ln 2) / (2 pi sigma): the product with the width is 0.480.
-            assert!((edge.width * edge.mtf50 - 0.480).abs() < 0.02, "sigma {sigma}: {}", edge.width * edge.mtf50);
+            assert!(
+                (edge.width * edge.mtf50 - 0.480).abs() < 0.02,
+                "sigma {sigma}: {}",
+                edge.width * edge.mtf50
+            );
             assert!(edge.overshoot < 0.5 && edge.undershoot < 0.5 && edge.ghosts == 0);
-            assert!((edge.contrast - 400.0).abs() < 1.0 && (edge.middle[0] - 19.8).abs() < 0.1 && edge.middle[1] == 14.5, "{edge:?}");
+            assert!(
+                (edge.contrast - 400.0).abs() < 1.0
+                    && (edge.middle[0] - 19.8).abs() < 0.1
+                    && edge.middle[1] == 14.5,
+                "{edge:?}"
+            );
         }
     }
 }
@@ -84,13 +118,19 @@ fn motion_blur_is_four_fifths_of_its_length() {
 
 #[test]
 fn motion_blur_under_square_pixels_has_the_width_of_both() {
-    // A box of 1 pixel and one of L make a trapezoid: 10 % are reached after sqrt(0.2 L) pixels (L < 5), so the width is L + 1 - 2 sqrt(0.2 L).
+    // A box of 1 pixel and one of L make a trapezoid: 10 % are reached after sqrt(0.2 L) pixels (L < 5), so
+    // the width is L + 1 - 2 sqrt(0.2 L).
     for length in [1.3_f64, 2.6] {
         for tilt in [5.0, 11.0] {
             let edge = measured(&under_square_pixels(tilt, |d| (d / length + 0.5).clamp(0.0, 1.0)));
             let truth = length + 1.0 - 2.0 * (0.2 * length).sqrt();
             // Bins widen narrow edges, and a tilted pixel is wider than an upright one.
-            assert!((truth - 0.01..truth + 0.07).contains(&edge.width), "{length}, tilt {tilt}: {} for {truth}", edge.width);
+            assert!(
+                (truth - 0.01..truth + 0.07).contains(&edge.width),
+                "{length}, tilt {tilt}: {} for \
+                                                            {truth}",
+                edge.width
+            );
         }
     }
 }
@@ -106,7 +146,11 @@ fn clipped_edges_look_sharp_and_are_refused() {
 
 #[test]
 fn the_other_thresholds_give_another_width() {
-    let edge = measure(&picture(5.0, gaussian(1.0)), 40, &Question { thresholds: Thresholds::TwentyEighty, ..question() });
+    let edge = measure(
+        &picture(5.0, gaussian(1.0)),
+        40,
+        &Question { thresholds: Thresholds::TwentyEighty, ..question() },
+    );
     // 20 to 80 % of a Gaussian edge: 1.683 sigma.
     assert!((edge.width - 1.683).abs() < 0.05, "{}", edge.width);
 }
@@ -117,7 +161,12 @@ fn ringing_narrows_the_edge_and_is_reported() {
     let ringing = |d: f64| step(d) + if d.abs() < 3.0 { 0.07 * d.signum() } else { 0.0 };
     let edge = measured(&under_square_pixels(5.0, ringing));
     assert!(edge.width < 0.78, "{}", edge.width);
-    assert!((edge.overshoot - 7.0).abs() < 1.0 && (edge.undershoot - 7.0).abs() < 1.0, "{} {}", edge.overshoot, edge.undershoot);
+    assert!(
+        (edge.overshoot - 7.0).abs() < 1.0 && (edge.undershoot - 7.0).abs() < 1.0,
+        "{} {}",
+        edge.overshoot,
+        edge.undershoot
+    );
 }
 
 #[test]
@@ -126,7 +175,8 @@ fn an_edge_may_lie_or_stand_and_rise_or_fall() {
     let expected = measured(&upright).width;
     let falling: Vec<f64> = upright.iter().map(|value| 800.0 - value).collect();
     assert!((measured(&falling).width - expected).abs() < 1e-9);
-    let lying: Vec<f64> = (0..40).flat_map(|x| (0..30).map(|y| upright[y * 40 + x]).collect::<Vec<_>>()).collect();
+    let lying: Vec<f64> =
+        (0..40).flat_map(|x| (0..30).map(|y| upright[y * 40 + x]).collect::<Vec<_>>()).collect();
     let edge = measure(&lying, 30, &question());
     assert!((edge.width - expected).abs() < 1e-9);
     assert_eq!(edge.middle[0], 14.5);
@@ -139,7 +189,12 @@ fn the_interval_covers_the_width_and_grows_with_noise() {
     for edge in &edges {
         assert_eq!(edge.refusal, None);
         let [low, high] = edge.interval;
-        assert!(low < edge.width && edge.width < high && (edge.width - truth).abs() < 0.4, "{:?} {}", edge.interval, edge.width);
+        assert!(
+            low < edge.width && edge.width < high && (edge.width - truth).abs() < 0.4,
+            "{:?} {}",
+            edge.interval,
+            edge.width
+        );
     }
     let size = |edge: &Edge| edge.interval[1] - edge.interval[0];
     assert!(size(&edges[1]) > 1.5 * size(&edges[0]), "{} {}", size(&edges[0]), size(&edges[1]));
@@ -149,13 +204,15 @@ fn the_interval_covers_the_width_and_grows_with_noise() {
 fn a_row_profile_reads_what_stands_on_the_segment() {
     let segment: Vec<f64> = (0..40).map(|x| 200.0 + 400.0 * gaussian(2.0)(f64::from(x) - 18.3)).collect();
     let edge = measure(&segment, 40, &Question { direction: Direction::Row, ..question() });
-    // A straight line between two columns lies up to f''/8 off the curve, f'' = 1.282 phi(1.282) / sigma^2: 0.08 pixels at either threshold, outwards.
+    // A straight line between two columns lies up to f''/8 off the curve, f'' = 1.282 phi(1.282) / sigma^2:
+    // 0.08 pixels at either threshold, outwards.
     assert!((0.0..0.16).contains(&(edge.width - 2.0 * TEN_TO_NINETY)), "{}", edge.width);
     assert!(edge.interval[0].is_nan(), "one row has nothing to draw from");
     assert_eq!(edge.profile.len(), 40);
     // An ideal step on a single row: 0.8 to 1.6 pixels, as its phase will have it.
     for phase in [0.0, 0.25, 0.5] {
-        let row: Vec<f64> = (0..40).map(|x| 200.0 + 400.0 * (f64::from(x) - 20.0 + phase).clamp(0.0, 1.0)).collect();
+        let row: Vec<f64> =
+            (0..40).map(|x| 200.0 + 400.0 * (f64::from(x) - 20.0 + phase).clamp(0.0, 1.0)).collect();
         let width = measure(&row, 40, &Question { direction: Direction::Row, ..question() }).width;
         assert!((0.79..1.61).contains(&width), "phase {phase}: {width}");
     }
@@ -180,7 +237,10 @@ fn what_cannot_be_measured_is_refused_with_a_reason() {
     };
     assert_eq!(refused(&vec![300.0; 1200]), Some(Refusal::LowContrast));
     // 4 % of full scale.
-    assert_eq!(refused(&sharp(5.0).iter().map(|value| value / 10.0).collect::<Vec<_>>()), Some(Refusal::LowContrast));
+    assert_eq!(
+        refused(&sharp(5.0).iter().map(|value| value / 10.0).collect::<Vec<_>>()),
+        Some(Refusal::LowContrast)
+    );
     assert_eq!(refused(&noisy(sharp(5.0), 30.0, 3)), Some(Refusal::Noisy));
     assert_eq!(refused(&sharp(0.0)), Some(Refusal::Phases));
     let mut holes = sharp(5.0);
@@ -189,12 +249,15 @@ fn what_cannot_be_measured_is_refused_with_a_reason() {
     assert_eq!(refused(&picture(5.0, |d| gaussian(1.0)(d - 17.0))), Some(Refusal::AtTheBorder));
     assert_eq!(refused(&picture(5.0, |d| (d / 60.0 + 0.5).clamp(0.0, 1.0))), Some(Refusal::NoPlateau));
     // A zigzag of 12 pixels.
-    let zigzag: Vec<f64> = (0..30).flat_map(|y| (0..40).map(move |x| if x < 14 + 12 * (y / 5 % 2) { 200.0 } else { 600.0 })).collect();
+    let zigzag: Vec<f64> = (0..30)
+        .flat_map(|y| (0..40).map(move |x| if x < 14 + 12 * (y / 5 % 2) { 200.0 } else { 600.0 }))
+        .collect();
     assert_eq!(refused(&zigzag), Some(Refusal::NotStraight));
     assert_eq!(measure(&sharp(5.0)[..400], 40, &question()).refusal, Some(Refusal::TooSmall));
 }
 
-/// A disk of radius `r` whose rim stands at column 19.8 of the middle row, `tilt` degrees off the vertical there; its edge is a Gaussian of sigma 1.
+/// A disk of radius `r` whose rim stands at column 19.8 of the middle row, `tilt` degrees off the vertical
+/// there; its edge is a Gaussian of sigma 1.
 fn rim(r: f64, tilt: f64) -> Vec<f64> {
     let (sin, cos) = (libm::sin(tilt.to_radians()), libm::cos(tilt.to_radians()));
     let value = |x: i32, y: i32| {
@@ -208,7 +271,8 @@ fn rim(r: f64, tilt: f64) -> Vec<f64> {
 fn a_bent_edge_needs_a_parabola() {
     let of = |r: f64, tilt, fit| measure(&rim(r, tilt), 40, &Question { fit, ..question() });
     for (r, tilt) in [(60.0, 5.0), (40.0, 8.0)] {
-        // A rim of 30 rows is 1.9 or 2.9 pixels behind at its ends: a straight line mixes that into the width.
+        // A rim of 30 rows is 1.9 or 2.9 pixels behind at its ends: a straight line mixes that into the
+        // width.
         let (straight, bent) = (of(r, tilt, Fit::Straight), of(r, tilt, Fit::Quadratic));
         assert!(straight.width > 1.08 * TEN_TO_NINETY, "{r}: {} {:?}", straight.width, straight.refusal);
         assert!((bent.width / TEN_TO_NINETY - 1.0).abs() < 0.035, "{r}: {} {:?}", bent.width, bent.refusal);
@@ -225,9 +289,12 @@ fn a_bent_edge_needs_a_parabola() {
 
 #[test]
 fn pictures_of_a_moving_edge_fill_each_others_phases() {
-    // Upright: no picture has a width by itself. Where the edge stands differs by a third of a pixel from picture to picture, and so does the light.
+    // Upright: no picture has a width by itself. Where the edge stands differs by a third of a pixel from
+    // picture to picture, and so does the light.
     let at = |n: u32| -> Vec<f64> {
-        let value = |x: u32| f64::from(3 + n) * 100.0 * (1.0 + gaussian(1.0)(f64::from(x) - 18.0 - f64::from(n) / 3.0));
+        let value = |x: u32| {
+            f64::from(3 + n) * 100.0 * (1.0 + gaussian(1.0)(f64::from(x) - 18.0 - f64::from(n) / 3.0))
+        };
         (0..30 * 40).map(|i| value(i % 40)).collect()
     };
     let pictures: Vec<Vec<f64>> = (0..4).map(at).collect();
@@ -245,7 +312,8 @@ fn pictures_of_a_moving_edge_fill_each_others_phases() {
 #[test]
 fn pictures_without_the_edge_take_no_part() {
     let (flat, sharp) = (vec![300.0; 1200], picture(5.0, gaussian(1.0)));
-    let (edges, joint, count) = measure_all([flat.as_slice(), sharp.as_slice(), flat.as_slice()].into_iter(), 40, &question());
+    let (edges, joint, count) =
+        measure_all([flat.as_slice(), sharp.as_slice(), flat.as_slice()].into_iter(), 40, &question());
     assert_eq!((count, edges.len()), (1, 3));
     assert!((joint.width - edges[1].width).abs() < 1e-9, "{} {}", joint.width, edges[1].width);
     let (_, joint, count) = measure_all([flat.as_slice()].into_iter(), 40, &question());

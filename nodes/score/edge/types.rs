@@ -10,7 +10,8 @@ pub enum Direction {
     /// Along the normal of the fitted edge, in bins of a quarter pixel.
     #[default]
     Normal,
-    /// Along the rows, one value a column, the rows of the region averaged: a plot of DN against position on a segment, such as 40 pixels.
+    /// Along the rows, one value a column, the rows of the region averaged: a plot of DN against position on
+    /// a segment, such as 40 pixels.
     Row,
 }
 
@@ -60,11 +61,20 @@ impl Refusal {
             Refusal::Saturated => "the bright side is saturated: clipping makes an edge look sharp",
             Refusal::LowContrast => "no edge, or too little contrast: less than 5 % of full scale",
             Refusal::Noisy => "too noisy: contrast is less than 20 times the noise",
-            Refusal::NotStraight => "no straight edge, nor a bent one where `fit` allows it: its positions scatter by more than 2 pixels",
+            Refusal::NotStraight => {
+                "no straight edge, nor a bent one where `fit` allows it: its positions \
+                                     scatter by more than 2 pixels"
+            }
             Refusal::AtTheBorder => "the edge leaves the region, or comes closer than 5 pixels to its border",
             Refusal::TooSmall => "the region has less than 20 pixels across the edge or 12 along it",
-            Refusal::Phases => "the edge is parallel to the pixels (less than 2 degrees) and fewer than 3 of 4 sub-pixel phases are seen",
-            Refusal::NoPlateau => "no plateau: values still change by a tenth of the contrast near the region's border",
+            Refusal::Phases => {
+                "the edge is parallel to the pixels (less than 2 degrees) and fewer than 3 \
+                                of 4 sub-pixel phases are seen"
+            }
+            Refusal::NoPlateau => {
+                "no plateau: values still change by a tenth of the contrast near the \
+                                   region's border"
+            }
             Refusal::Holes => "the profile has holes near the edge, or does not reach the thresholds",
             Refusal::Ghosts => "ghosts: the profile crosses 50 % more than once",
         }

@@ -1,4 +1,5 @@
-//! A photo that moves: the picture as a smooth function ([`spline`]) under a motion that is exact at any instant ([`motion`]).
+//! A photo that moves: the picture as a smooth function ([`spline`]) under a motion that is exact at any
+//! instant ([`motion`]).
 
 pub mod motion;
 pub mod spline;
@@ -47,14 +48,24 @@ mod tests {
 
     #[test]
     fn nothing_crosses_a_pixel_faster_than_the_scene_says() {
-        // A slope of the photo's light times the speed bounds what changes; this photo's steepest slope is 0.4 of 16 / TAU a pixel.
-        let wave = |x: usize, y: usize| 0.5 + 0.4 * libm::sin((x as f64 + 0.5 * y as f64) * std::f64::consts::TAU / 16.0);
-        let photo = Spline::new(64, 48, (0..48).flat_map(|y| (0..64).map(move |x| wave(x, y))).collect(), Outside::Mirror);
+        // A slope of the photo's light times the speed bounds what changes; this photo's steepest slope is
+        // 0.4 of 16 / TAU a pixel.
+        let wave = |x: usize, y: usize| {
+            0.5 + 0.4 * libm::sin((x as f64 + 0.5 * y as f64) * std::f64::consts::TAU / 16.0)
+        };
+        let photo = Spline::new(
+            64,
+            48,
+            (0..48).flat_map(|y| (0..64).map(move |x| wave(x, y))).collect(),
+            Outside::Mirror,
+        );
         let steepest = 0.4 * std::f64::consts::TAU / 16.0 * 1.25_f64.sqrt() * 1.01;
         let end = 80_000_000;
         let scene = MovingPhoto::new(&photo, lively(), 0.01, end);
         let mut most: f64 = 0.0;
-        for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (f64::from(x), f64::from(y)))).step_by(37) {
+        for (x, y) in
+            (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (f64::from(x), f64::from(y)))).step_by(37)
+        {
             for t in (0..79).map(|k| k * 1_000_000 + 137) {
                 let change = (scene.reflectance(x, y, t + 1000) - scene.reflectance(x, y, t)).abs() / 1000.0;
                 most = most.max(change / (steepest * scene.speed(x, y)));

@@ -4,9 +4,10 @@
 //!
 //! `p(t) = c + exp(z t) R(w t) (q - c) + v t + a sin(TAU f t) d`
 //!
-//! with the centre `c`, the zoom rate `z`, the rotation by `w t` clockwise (`y` points down), the velocity `v`, and the shake of amplitude `a` and frequency
-//! `f` along `d`. So the picture turns and grows about the point of the photo that stands at the centre at time 0, and this point moves with `v` and the
-//! shake. A sensor's pixel sees the place that this equation, solved for `q`, leads to.
+//! with the centre `c`, the zoom rate `z`, the rotation by `w t` clockwise (`y` points down), the velocity
+//! `v`, and the shake of amplitude `a` and frequency `f` along `d`. So the picture turns and grows about the
+//! point of the photo that stands at the centre at time 0, and this point moves with `v` and the shake. A
+//! sensor's pixel sees the place that this equation, solved for `q`, leads to.
 
 use std::f64::consts::TAU;
 
@@ -47,8 +48,12 @@ impl Motion {
     pub fn seen(&self, x: f64, y: f64, t_ns: i64) -> Seen {
         let t = t_ns as f64 * 1e-9;
         let shaken = if self.shaking == 0.0 { 0.0 } else { libm::sin(wrapped(self.shaking * t)) };
-        let from = |p: f64, centre: f64, velocity: f64, shake: f64| p - centre - velocity * t - shake * shaken;
-        let mut q = (from(x, self.centre.0, self.velocity.0, self.shake.0), from(y, self.centre.1, self.velocity.1, self.shake.1));
+        let from =
+            |p: f64, centre: f64, velocity: f64, shake: f64| p - centre - velocity * t - shake * shaken;
+        let mut q = (
+            from(x, self.centre.0, self.velocity.0, self.shake.0),
+            from(y, self.centre.1, self.velocity.1, self.shake.1),
+        );
         if self.turning != 0.0 {
             let angle = wrapped(self.turning * t);
             let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
@@ -56,7 +61,11 @@ impl Motion {
         }
         let grown = if self.zoom == 0.0 { self.scale } else { self.scale * libm::exp(self.zoom * t) };
         let place = |q: f64, centre: f64, origin: f64| q / grown + (centre - origin) / self.scale;
-        Seen { x: place(q.0, self.centre.0, self.origin.0), y: place(q.1, self.centre.1, self.origin.1), spacing: 1.0 / grown }
+        Seen {
+            x: place(q.0, self.centre.0, self.origin.0),
+            y: place(q.1, self.centre.1, self.origin.1),
+            spacing: 1.0 / grown,
+        }
     }
 
     /// Does nothing move?
@@ -65,13 +74,17 @@ impl Motion {
         self.velocity == (0.0, 0.0) && self.turning == 0.0 && self.zoom == 0.0 && !shakes
     }
 
-    /// A bound, from 0 to `end_ns`, on how fast the photo passes the pixel at (x, y): pixels of the photo per nanosecond.
+    /// A bound, from 0 to `end_ns`, on how fast the photo passes the pixel at (x, y): pixels of the photo per
+    /// nanosecond.
     pub fn fastest(&self, x: f64, y: f64, end_ns: i64) -> f64 {
         let end = end_ns as f64 * 1e-9;
         let length = |(x, y): (f64, f64)| libm::sqrt(x * x + y * y);
         let speed = length(self.velocity) + length(self.shake) * self.shaking;
-        // The centre moves along a line: a pixel is furthest from it at the beginning or at the end, but for the shake.
-        let away = |t: f64| length((x - self.centre.0 - self.velocity.0 * t, y - self.centre.1 - self.velocity.1 * t));
+        // The centre moves along a line: a pixel is furthest from it at the beginning or at the end, but for
+        // the shake.
+        let away = |t: f64| {
+            length((x - self.centre.0 - self.velocity.0 * t, y - self.centre.1 - self.velocity.1 * t))
+        };
         let furthest = away(0.0).max(away(end)) + if self.shaking == 0.0 { 0.0 } else { length(self.shake) };
         let smallest = self.scale * libm::exp((self.zoom * end).min(0.0));
         (speed + (self.turning.abs() + self.zoom.abs()) * furthest) / smallest * 1e-9
@@ -111,8 +124,14 @@ pub(super) mod tests {
         let grown = libm::exp(motion.zoom * t);
         let shaken = libm::sin(motion.shaking * t);
         (
-            motion.centre.0 + grown * (cosine * dx - sine * dy) + motion.velocity.0 * t + motion.shake.0 * shaken,
-            motion.centre.1 + grown * (sine * dx + cosine * dy) + motion.velocity.1 * t + motion.shake.1 * shaken,
+            motion.centre.0
+                + grown * (cosine * dx - sine * dy)
+                + motion.velocity.0 * t
+                + motion.shake.0 * shaken,
+            motion.centre.1
+                + grown * (sine * dx + cosine * dy)
+                + motion.velocity.1 * t
+                + motion.shake.1 * shaken,
         )
     }
 
@@ -123,16 +142,29 @@ pub(super) mod tests {
             for photo in [(0.0, 0.0), (31.5, 7.25), (-4.0, 60.0)] {
                 let (x, y) = forward(&motion, photo, t_ns as f64 * 1e-9);
                 let seen = motion.seen(x, y, t_ns);
-                assert!((seen.x - photo.0).abs() < 1e-9 && (seen.y - photo.1).abs() < 1e-9, "{photo:?} at {t_ns}: {seen:?}");
+                assert!(
+                    (seen.x - photo.0).abs() < 1e-9 && (seen.y - photo.1).abs() < 1e-9,
+                    "{photo:?} at {t_ns}: {seen:?}"
+                );
             }
         }
     }
 
     #[test]
     fn single_motions_are_as_stated() {
-        let rest = Motion { velocity: (0.0, 0.0), turning: 0.0, zoom: 0.0, shake: (0.0, 0.0), scale: 1.0, origin: (0.0, 0.0), ..lively() };
+        let rest = Motion {
+            velocity: (0.0, 0.0),
+            turning: 0.0,
+            zoom: 0.0,
+            shake: (0.0, 0.0),
+            scale: 1.0,
+            origin: (0.0, 0.0),
+            ..lively()
+        };
         assert!(rest.rests() && !lively().rests());
-        let close = |seen: Seen, x: f64, y: f64| assert!((seen.x - x).abs() < 1e-9 && (seen.y - y).abs() < 1e-9, "{seen:?}, ({x}, {y}) expected");
+        let close = |seen: Seen, x: f64, y: f64| {
+            assert!((seen.x - x).abs() < 1e-9 && (seen.y - y).abs() < 1e-9, "{seen:?}, ({x}, {y}) expected")
+        };
         close(rest.seen(5.0, 6.0, 123_456_789), 5.0, 6.0);
         // 100 pixels per second to the right: after 30 ms a pixel sees what stood 3 pixels left of it.
         close(Motion { velocity: (100.0, 0.0), ..rest }.seen(5.0, 6.0, 30_000_000), 2.0, 6.0);
@@ -144,6 +176,10 @@ pub(super) mod tests {
         close(zoomed, 25.0, 32.0);
         assert!((zoomed.spacing - 0.5).abs() < 1e-12);
         // A quarter of a period: the whole amplitude.
-        close(Motion { shake: (2.0, -1.0), shaking: TAU * 10.0, ..rest }.seen(5.0, 6.0, 25_000_000), 3.0, 7.0);
+        close(
+            Motion { shake: (2.0, -1.0), shaking: TAU * 10.0, ..rest }.seen(5.0, 6.0, 25_000_000),
+            3.0,
+            7.0,
+        );
     }
 }

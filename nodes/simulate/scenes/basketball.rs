@@ -1,7 +1,9 @@
-//! `basketball`: a ball with seams and pebbled skin that spins, bounces on the floor and runs between the walls.
+//! `basketball`: a ball with seams and pebbled skin that spins, bounces on the floor and runs between the
+//! walls.
 //!
-//! The ball is a sphere seen from far away: a pixel inside the outline is a point of the surface, turned back by the spin to find what is there.
-//! Outline and seams are anti-aliased by coverage; light comes from above left.
+//! The ball is a sphere seen from far away: a pixel inside the outline is a point of the surface, turned back
+//! by the spin to find what is there. Outline and seams are anti-aliased by coverage; light comes from above
+//! left.
 
 use super::shapes::{Texture, arrival, blend, bounce, covered, hypot};
 use super::{DARKEST, Scene};
@@ -32,7 +34,12 @@ pub struct BasketballParams {
 
 impl Default for BasketballParams {
     fn default() -> Self {
-        BasketballParams { radius: 0.22, spin: Rotation::new(150.0), bounce: Duration::new(300_000_000), speed: 0.6 }
+        BasketballParams {
+            radius: 0.22,
+            spin: Rotation::new(150.0),
+            bounce: Duration::new(300_000_000),
+            speed: 0.6,
+        }
     }
 }
 
@@ -40,7 +47,8 @@ impl Default for BasketballParams {
 const SEAM: f64 = 0.03;
 const OUTER_SEAM: f64 = 0.62;
 
-/// Reflectance of the leather where a pebble is brightest, and the darkest and the brightest place of its skin as parts of that.
+/// Reflectance of the leather where a pebble is brightest, and the darkest and the brightest place of its
+/// skin as parts of that.
 const LEATHER: f64 = 0.6;
 const PEBBLES: (f64, f64) = (0.45, 1.0);
 
@@ -74,9 +82,11 @@ impl Basketball {
     pub fn new(params: &BasketballParams, extent: Extent, seed: u64) -> Basketball {
         let mut random = Random::new(seed, &[0]);
         let (width, height) = (f64::from(extent.width), f64::from(extent.height));
-        // Mostly towards the viewer, so that seams turn in the picture; tilted, so that they also come and go.
+        // Mostly towards the viewer, so that seams turn in the picture; tilted, so that they also come and
+        // go.
         let (tilt, around) = (0.4 + 0.4 * random.uniform(), TAU * random.uniform());
-        let axis = [libm::sin(tilt) * libm::cos(around), libm::sin(tilt) * libm::sin(around), libm::cos(tilt)];
+        let axis =
+            [libm::sin(tilt) * libm::cos(around), libm::sin(tilt) * libm::sin(around), libm::cos(tilt)];
         Basketball {
             radius: params.radius * width.min(height),
             size: (width, height),
@@ -101,7 +111,10 @@ impl Basketball {
         let flight = (t / self.bounce_ns + 0.5).rem_euclid(1.0);
         let up = 1.0 - (2.0 * flight - 1.0) * (2.0 * flight - 1.0);
         let walls = (self.radius, self.size.0 - 1.0 - self.radius);
-        (bounce(self.start + self.speed * t, walls.0, walls.1), self.size.1 - 1.0 - self.radius - self.rise() * up)
+        (
+            bounce(self.start + self.speed * t, walls.0, walls.1),
+            self.size.1 - 1.0 - self.radius - self.rise() * up,
+        )
     }
 
     fn fastest(&self) -> f64 {
@@ -120,11 +133,13 @@ impl Basketball {
         // Near the rim the surface is seen at a slant and a seam takes fewer pixels.
         let pixels = self.radius * normal[2].max(RIM);
         let seam = covered((to_seam - SEAM) * pixels) * (2.0 * SEAM * pixels).min(1.0);
-        // There a pixel holds many pebbles and shows their mean. The skin is laid on along each axis, weighted by how squarely it lies there: one plane
-        // alone would draw streaks where the sphere turns away from it.
+        // There a pixel holds many pebbles and shows their mean. The skin is laid on along each axis,
+        // weighted by how squarely it lies there: one plane alone would draw streaks where the sphere turns
+        // away from it.
         let laid = |u: f64, v: f64| self.skin.at(self.radius * u, self.radius * v);
         let pebbles = bx * bx * laid(by, bz) + by * by * laid(bz, bx) + bz * bz * laid(bx, by);
-        let skin = LEATHER * blend((PEBBLES.0 * PEBBLES.1).sqrt(), pebbles, (2.0 * (normal[2] - RIM)).clamp(0.0, 1.0));
+        let skin = LEATHER
+            * blend((PEBBLES.0 * PEBBLES.1).sqrt(), pebbles, (2.0 * (normal[2] - RIM)).clamp(0.0, 1.0));
         let shade = 0.35 + 0.65 * dot(normal, LIGHT).max(0.0);
         (shade * blend(skin, 0.05, seam)).max(DARKEST)
     }
@@ -140,7 +155,8 @@ impl Scene for Basketball {
         if inside == 0.0 {
             return wall;
         }
-        // On the outline the surface just inside is meant: seen at a slant at which it does not yet change all at once.
+        // On the outline the surface just inside is meant: seen at a slant at which it does not yet change
+        // all at once.
         let shrink = ((1.0 - RIM * RIM).sqrt() * self.radius / distance.max(1e-9)).min(1.0) / self.radius;
         let (nx, ny) = (dx * shrink, dy * shrink);
         blend(wall, self.surface([nx, ny, (1.0 - nx * nx - ny * ny).max(0.0).sqrt()], t_ns), inside)
@@ -164,10 +180,14 @@ mod tests {
 
     #[test]
     fn the_ball_stays_inside_and_touches_the_floor() {
-        let ball = Basketball::new(&BasketballParams { speed: 3.0, ..BasketballParams::default() }, EXTENT, 7);
+        let ball =
+            Basketball::new(&BasketballParams { speed: 3.0, ..BasketballParams::default() }, EXTENT, 7);
         for t in (0..1000).map(|k| k * 1_370_000) {
             let (x, y) = ball.centre(t);
-            assert!(x >= ball.radius && x <= 79.0 - ball.radius && y >= ball.radius && y <= 59.0 - ball.radius, "({x}, {y})");
+            assert!(
+                x >= ball.radius && x <= 79.0 - ball.radius && y >= ball.radius && y <= 59.0 - ball.radius,
+                "({x}, {y})"
+            );
         }
         // From the top, half of 300 ms later.
         assert!((ball.centre(150_000_000).1 - (59.0 - ball.radius)).abs() < 1e-9);
@@ -183,9 +203,15 @@ mod tests {
 
     #[test]
     fn after_a_whole_turn_the_seams_stand_where_they_stood() {
-        let ball = Basketball::new(&BasketballParams { spin: Rotation::new(600.0), ..BasketballParams::default() }, EXTENT, 7);
+        let ball = Basketball::new(
+            &BasketballParams { spin: Rotation::new(600.0), ..BasketballParams::default() },
+            EXTENT,
+            7,
+        );
         let normal = [0.3, 0.2, (1.0_f64 - 0.13).sqrt()];
         assert!((ball.surface(normal, 0) - ball.surface(normal, 100_000_000)).abs() < 1e-6);
-        assert!((0..100).any(|k| (ball.surface(normal, 0) - ball.surface(normal, k * 1_000_000)).abs() > 0.1));
+        assert!(
+            (0..100).any(|k| (ball.surface(normal, 0) - ball.surface(normal, k * 1_000_000)).abs() > 0.1)
+        );
     }
 }

@@ -1,6 +1,7 @@
 //! `checkerboard`: a board of squares without end that slides and turns.
 //!
-//! The mean over a pixel is taken along the board's own axes, where it is a product of two means in closed form.
+//! The mean over a pixel is taken along the board's own axes, where it is a product of two means in closed
+//! form.
 
 use super::Scene;
 use super::shapes::{arrival, blend, hypot, stripes, to_border, turned};
@@ -63,7 +64,8 @@ impl Checkerboard {
         }
     }
 
-    /// A place on the board, in squares. The board first turns around the picture's middle; what slides is the board before it is turned.
+    /// A place on the board, in squares. The board first turns around the picture's middle; what slides is
+    /// the board before it is turned.
     fn on_board(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let t = t_ns as f64;
         let angle = -(self.angle + self.turning * t);
@@ -114,7 +116,8 @@ mod tests {
         // Without an angle, whole squares fill the picture: 8 by 6 of side 10.
         let params = CheckerboardParams { square: 10.0, angle: 0.0, ..CheckerboardParams::default() };
         let board = Checkerboard::new(&params, EXTENT);
-        let pixels = EXTENT.rows().iter().flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y))));
+        let pixels =
+            EXTENT.rows().iter().flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y))));
         let mean = pixels.map(|(x, y)| board.reflectance(x, y, 0)).sum::<f64>() / EXTENT.pixels() as f64;
         assert!((mean - 0.45).abs() < 1e-9, "{mean}");
     }

@@ -1,7 +1,8 @@
 //! `colour_wheel`: a rotating disk with sectors of different colours.
 //!
-//! The hard case for a sensor whose event pixels see a mixture of colours: at a border between two sectors every channel changes by another factor, the
-//! mixture by yet another, and between some colours hardly at all. In grey, the disk is its luminance.
+//! The hard case for a sensor whose event pixels see a mixture of colours: at a border between two sectors
+//! every channel changes by another factor, the mixture by yet another, and between some colours hardly at
+//! all. In grey, the disk is its luminance.
 
 use super::Scene;
 use super::disk::{Disk, WALL};
@@ -34,7 +35,14 @@ impl Default for ColourWheelParams {
 }
 
 /// Reflectances of red, green and blue: red, yellow, green, cyan, blue, magenta of saturated paint.
-const COLOURS: [[f64; 3]; 6] = [[0.60, 0.08, 0.05], [0.85, 0.65, 0.06], [0.12, 0.45, 0.12], [0.08, 0.42, 0.55], [0.06, 0.10, 0.45], [0.60, 0.10, 0.40]];
+const COLOURS: [[f64; 3]; 6] = [
+    [0.60, 0.08, 0.05],
+    [0.85, 0.65, 0.06],
+    [0.12, 0.45, 0.12],
+    [0.08, 0.42, 0.55],
+    [0.06, 0.10, 0.45],
+    [0.60, 0.10, 0.40],
+];
 
 /// The scene.
 pub struct ColourWheel {
@@ -76,7 +84,9 @@ impl ColourWheel {
 
 impl Scene for ColourWheel {
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.mean(x, y, t_ns, |colour| colour.iter().zip(LUMINANCE).map(|(reflectance, share)| reflectance * share).sum())
+        self.mean(x, y, t_ns, |colour| {
+            colour.iter().zip(LUMINANCE).map(|(reflectance, share)| reflectance * share).sum()
+        })
     }
 
     fn channel(&self, channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
@@ -100,15 +110,24 @@ mod tests {
     #[test]
     fn sectors_have_their_colours_and_turn() {
         // Six sectors of 60 degrees; 500 rpm is 3 degrees a millisecond, 60 degrees in 20 ms.
-        let params = ColourWheelParams { sectors: 6, speed: Rotation::new(500.0), ..ColourWheelParams::default() };
+        let params =
+            ColourWheelParams { sectors: 6, speed: Rotation::new(500.0), ..ColourWheelParams::default() };
         let wheel = ColourWheel::new(&params, EXTENT);
         for (turns, sector) in [(0, 0), (1, 1), (4, 3), (6, 5)] {
-            // The middle of a sector at that time, 18 pixels from the centre: clockwise on the screen, y down.
+            // The middle of a sector at that time, 18 pixels from the centre: clockwise on the screen, y
+            // down.
             let angle = (60.0 * (f64::from(sector) + 0.5) + 60.0 * f64::from(turns)).to_radians();
-            let (x, y) = (wheel.disk.centre.0 + 18.0 * libm::cos(angle), wheel.disk.centre.1 + 18.0 * libm::sin(angle));
+            let (x, y) = (
+                wheel.disk.centre.0 + 18.0 * libm::cos(angle),
+                wheel.disk.centre.1 + 18.0 * libm::sin(angle),
+            );
             for channel in 0..3 {
                 let found = wheel.channel(channel, x, y, i64::from(turns) * 20_000_000);
-                assert!((found - COLOURS[sector as usize][channel]).abs() < 1e-9, "sector {sector}, channel {channel}: {found}");
+                assert!(
+                    (found - COLOURS[sector as usize][channel]).abs() < 1e-9,
+                    "sector {sector}, channel \
+                                                            {channel}: {found}"
+                );
             }
         }
     }
@@ -117,7 +136,8 @@ mod tests {
     fn luminance_is_the_weighted_sum_of_the_channels_everywhere() {
         let wheel = ColourWheel::new(&ColourWheelParams::default(), EXTENT);
         for (x, y) in [(40.0, 30.0), (39.0, 29.0), (52.3, 20.1), (66.9, 30.0), (2.0, 2.0)] {
-            let sum: f64 = (0..3).map(|channel| LUMINANCE[channel] * wheel.channel(channel, x, y, 3_333_333)).sum();
+            let sum: f64 =
+                (0..3).map(|channel| LUMINANCE[channel] * wheel.channel(channel, x, y, 3_333_333)).sum();
             assert!((wheel.reflectance(x, y, 3_333_333) - sum).abs() < 1e-12);
         }
     }

@@ -51,7 +51,8 @@ impl Disk {
         self.turning * hypot(x - self.centre.0, y - self.centre.1).clamp(1.0, self.radius + 1.0)
     }
 
-    /// When the next border between parts may come to a pixel that is so far from the middle, and at `at` in parts.
+    /// When the next border between parts may come to a pixel that is so far from the middle, and at `at` in
+    /// parts.
     pub fn still_until(&self, (distance, at): (f64, f64), t_ns: i64) -> i64 {
         if distance >= self.radius + 0.5 {
             return i64::MAX;

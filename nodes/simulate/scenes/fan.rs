@@ -1,6 +1,7 @@
 //! `fan`: rotating blades before a textured wall.
 //!
-//! Blades are sectors bent backwards, each of its own even grey, around a dark hub. Their edges are all that changes.
+//! Blades are sectors bent backwards, each of its own even grey, around a dark hub. Their edges are all that
+//! changes.
 
 use super::shapes::{Texture, arrival, blend, covered, hypot};
 use super::{DARKEST, Scene};
@@ -64,7 +65,8 @@ impl Fan {
         }
     }
 
-    /// Distance from the centre, and the place between blades: 0 to `cover` is on the blade whose number comes third.
+    /// Distance from the centre, and the place between blades: 0 to `cover` is on the blade whose number
+    /// comes third.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64, f64) {
         let (dx, dy) = (x - self.centre.0, y - self.centre.1);
         let distance = hypot(dx, dy);
@@ -93,8 +95,11 @@ impl Scene for Fan {
         let arc = self.arc(distance).max(1e-9);
         // Across the gap's middle the nearest blade is the next one.
         let middle = (1.0 + self.cover) / 2.0;
-        let (from_first, from_last, blade) =
-            if part < middle { (-part, part - self.cover, blade) } else { (1.0 - part, part - 1.0 - self.cover, (blade + 1.0).rem_euclid(self.blades)) };
+        let (from_first, from_last, blade) = if part < middle {
+            (-part, part - self.cover, blade)
+        } else {
+            (1.0 - part, part - 1.0 - self.cover, (blade + 1.0).rem_euclid(self.blades))
+        };
         let on_blade = (covered(from_first * arc) + covered(from_last * arc) - 1.0).max(0.0);
         let disk = blend(blend(wall, grey(blade), on_blade), DARKEST, hub);
         blend(wall, disk, reach)
@@ -110,7 +115,8 @@ impl Scene for Fan {
             return i64::MAX;
         }
         let to_edge = part.min(1.0 - part).min((part - self.cover).abs());
-        // Edges count as one pixel wide on both sides: the middle of a narrow gap is where the nearest blade changes.
+        // Edges count as one pixel wide on both sides: the middle of a narrow gap is where the nearest blade
+        // changes.
         arrival(t_ns, to_edge * self.arc(distance), self.turning * distance)
     }
 }
@@ -122,7 +128,8 @@ mod tests {
 
     #[test]
     fn after_one_blades_turn_the_next_blade_stands_there() {
-        let fan = Fan::new(&FanParams { speed: Rotation::new(60_000.0 / 5.0), ..FanParams::default() }, EXTENT, 7);
+        let fan =
+            Fan::new(&FanParams { speed: Rotation::new(60_000.0 / 5.0), ..FanParams::default() }, EXTENT, 7);
         // 200 turns per second and five blades: one blade further every millisecond.
         let (x, y) = (fan.centre.0 + 14.0, fan.centre.1 - 5.0);
         for t in [0, 137_000, 420_000] {
@@ -140,7 +147,8 @@ mod tests {
         let (x, y) = (fan.centre.0 + 20.0, fan.centre.1);
         let n = 4000;
         // One turn lasts 1 / 15 s; blades are brighter than 0.4, the wall is darker.
-        let on = (0..n).filter(|k| fan.reflectance(x, y, i64::from(*k) * 66_666_667 / i64::from(n)) > 0.4).count();
+        let on =
+            (0..n).filter(|k| fan.reflectance(x, y, i64::from(*k) * 66_666_667 / i64::from(n)) > 0.4).count();
         assert!((on as f64 / f64::from(n) - 0.3).abs() < 0.02, "{on} of {n}");
     }
 }

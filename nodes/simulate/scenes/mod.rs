@@ -1,8 +1,10 @@
 //! Scenes: what a simulated sensor may look at, each known in closed form at any instant.
 //!
-//! A scene says what share of the light a pixel sends back, 0 to 1, at a place and an instant. Pixels are unit squares with their centre at whole
-//! numbers, `x` to the right and `y` down. What has edges is anti-aliased: a scene gives the mean over a pixel, from coverage in closed form, so that
-//! an edge that crosses a pixel makes a ramp and not a jump. Two hints make sampling quick: how fast things move, and until when nothing changes.
+//! A scene says what share of the light a pixel sends back, 0 to 1, at a place and an instant. Pixels are
+//! unit squares with their centre at whole numbers, `x` to the right and `y` down. What has edges is
+//! anti-aliased: a scene gives the mean over a pixel, from coverage in closed form, so that an edge that
+//! crosses a pixel makes a ramp and not a jump. Two hints make sampling quick: how fast things move, and
+//! until when nothing changes.
 //!
 //! Every scene is one file: its parameters, its struct, its tests. Random shapes come from the seed alone.
 
@@ -32,15 +34,18 @@ pub trait Scene: Send + Sync {
     /// Mean reflectance of the pixel centred at (x, y) at an instant: [`DARKEST`] to [`BRIGHTEST`].
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64;
 
-    /// The same behind a filter of red (0), green (1) or blue (2); grey things look alike behind each. Both hints hold for it, too.
+    /// The same behind a filter of red (0), green (1) or blue (2); grey things look alike behind each. Both
+    /// hints hold for it, too.
     fn channel(&self, _channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
         self.reflectance(x, y, t_ns)
     }
 
-    /// Upper bound on how fast anything crosses this pixel, pixels per nanosecond. Sampling steps follow from it.
+    /// Upper bound on how fast anything crosses this pixel, pixels per nanosecond. Sampling steps follow from
+    /// it.
     fn speed(&self, x: f64, y: f64) -> f64;
 
-    /// The pixel's reflectance is constant from `t_ns` to the instant given, at least; `t_ns` where nothing can be said, `i64::MAX` for ever.
+    /// The pixel's reflectance is constant from `t_ns` to the instant given, at least; `t_ns` where nothing
+    /// can be said, `i64::MAX` for ever.
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64;
 }
 
@@ -121,7 +126,9 @@ impl Details {
             Name::Pellet => Box::new(pellet::Pellets::new(&self.pellet, extent, seed)),
             Name::RunningMan => Box::new(running_man::RunningMan::new(&self.running_man, extent, seed)),
             Name::SiemensDisk => Box::new(siemens_disk::SiemensDisk::new(&self.siemens_disk, extent)),
-            Name::SlingshotEgg => Box::new(slingshot_egg::SlingshotEgg::new(&self.slingshot_egg, extent, seed)),
+            Name::SlingshotEgg => {
+                Box::new(slingshot_egg::SlingshotEgg::new(&self.slingshot_egg, extent, seed))
+            }
             Name::Texture => Box::new(texture::SlidingTexture::new(&self.texture, seed)),
         }
     }
@@ -161,7 +168,11 @@ pub(crate) mod tests {
             for t in instants() {
                 for (x, y) in pixels() {
                     let value = scene.reflectance(x, y, t);
-                    assert!((DARKEST - 1e-9..=BRIGHTEST + 1e-9).contains(&value), "{name:?} is {value} at ({x}, {y}), {t} ns");
+                    assert!(
+                        (DARKEST - 1e-9..=BRIGHTEST + 1e-9).contains(&value),
+                        "{name:?} is {value} at \
+                                                            ({x}, {y}), {t} ns"
+                    );
                     (least, most) = (least.min(value), most.max(value));
                 }
             }
@@ -184,20 +195,28 @@ pub(crate) mod tests {
                     for share in [0.1, 0.5, 0.9, 1.0] {
                         let later = t + ((until - t) as f64 * share) as i64;
                         let then = scene.reflectance(x, y, later);
-                        assert!((then - now).abs() < 1e-9, "{name:?} at ({x}, {y}) goes from {now} at {t} to {then} at {later}, {until} promised");
+                        assert!(
+                            (then - now).abs() < 1e-9,
+                            "{name:?} at ({x}, {y}) goes from {now} at {t} \
+                                                            to {then} at {later}, {until} promised"
+                        );
                     }
                     skipped += i32::from(until > t);
                     moved += i32::from((scene.reflectance(x, y, t + 4_000_000) - now).abs() > 0.02);
                 }
             }
             assert!(moved > 200, "{name:?}: {moved}");
-            assert!(skipped > 0 || name == Name::Texture || name == Name::Basketball, "{name:?} never stands still");
+            assert!(
+                skipped > 0 || name == Name::Texture || name == Name::Basketball,
+                "{name:?} never stands still"
+            );
         }
     }
 
     #[test]
     fn nothing_crosses_a_pixel_faster_than_the_scene_says() {
-        // With the mean over a pixel, a step of one pixel changes reflectance by its whole range at most; twice that for slanted edges.
+        // With the mean over a pixel, a step of one pixel changes reflectance by its whole range at most;
+        // twice that for slanted edges.
         let range = BRIGHTEST - DARKEST;
         for name in ALL {
             let scene = Details::default().scene(name, EXTENT, 7);
@@ -206,7 +225,11 @@ pub(crate) mod tests {
                     let speed = scene.speed(x, y);
                     let step = 2_000;
                     let change = (scene.reflectance(x, y, t + step) - scene.reflectance(x, y, t)).abs();
-                    assert!(change <= 2.0 * range * speed * step as f64 + 1e-9, "{name:?} at ({x}, {y}), {t} ns: {change} at {speed} px/ns");
+                    assert!(
+                        change <= 2.0 * range * speed * step as f64 + 1e-9,
+                        "{name:?} at ({x}, {y}), \
+                                                            {t} ns: {change} at {speed} px/ns"
+                    );
                 }
             }
         }

@@ -45,7 +45,12 @@ impl Flights {
             .map(|_| {
                 let speed = speed * (0.5 + 0.5 * random.uniform()) * 1e-6;
                 let angle = std::f64::consts::TAU * random.uniform();
-                [random.uniform() * width, random.uniform() * height, speed * libm::cos(angle), speed * libm::sin(angle)]
+                [
+                    random.uniform() * width,
+                    random.uniform() * height,
+                    speed * libm::cos(angle),
+                    speed * libm::sin(angle),
+                ]
             })
             .collect();
         Flights { flights, radius, width, height }
@@ -55,8 +60,12 @@ impl Flights {
     pub fn centres(&self, t_ns: i64) -> impl Iterator<Item = (f64, f64)> {
         let inside = |size: f64| size - 1.0 - self.radius;
         let t = t_ns as f64;
-        let centre =
-            move |[x, y, vx, vy]: &[f64; 4]| (bounce(x + vx * t, self.radius, inside(self.width)), bounce(y + vy * t, self.radius, inside(self.height)));
+        let centre = move |[x, y, vx, vy]: &[f64; 4]| {
+            (
+                bounce(x + vx * t, self.radius, inside(self.width)),
+                bounce(y + vy * t, self.radius, inside(self.height)),
+            )
+        };
         self.flights.iter().map(centre)
     }
 
@@ -110,7 +119,12 @@ impl Scene for Pellets {
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
         let pellets = self.flights.centres(t_ns).zip(self.flights.speeds());
-        pellets.map(|((cx, cy), speed)| arrival(t_ns, (hypot(x - cx, y - cy) - self.flights.radius).abs(), speed)).min().unwrap_or(i64::MAX)
+        pellets
+            .map(|((cx, cy), speed)| {
+                arrival(t_ns, (hypot(x - cx, y - cy) - self.flights.radius).abs(), speed)
+            })
+            .min()
+            .unwrap_or(i64::MAX)
     }
 }
 

@@ -1,7 +1,8 @@
 //! `running_man`: a figure of head, trunk and limbs that runs, slowly.
 //!
-//! Limbs are lines with thickness, their joints swing with the stride. A stride is tabulated finely and linear between the table's poses, so that a
-//! pose costs little at any instant. The figure that leaves on the right comes back on the left.
+//! Limbs are lines with thickness, their joints swing with the stride. A stride is tabulated finely and
+//! linear between the table's poses, so that a pose costs little at any instant. The figure that leaves on
+//! the right comes back on the left.
 
 use super::shapes::{Texture, arrival, blend, covered, hypot, to_line};
 use super::{DARKEST, Scene};
@@ -38,7 +39,8 @@ const POSES: usize = 512;
 
 type Place = (f64, f64);
 
-/// A limb: from joint to joint, half its thickness in heights of the figure, its grey. From the back to the front.
+/// A limb: from joint to joint, half its thickness in heights of the figure, its grey. From the back to the
+/// front.
 const LIMBS: [(usize, usize, f64, f64); 11] = [
     (NECK, FAR_ELBOW, 0.028, 0.35),
     (FAR_ELBOW, FAR_ELBOW + 1, 0.022, 0.45),
@@ -64,10 +66,13 @@ const FAR_KNEE: usize = 9;
 const TOE: usize = 11;
 const JOINTS: usize = 12;
 
-/// Where the joints are at a phase of the stride, in heights of the figure from the ground below its hip; up is negative.
+/// Where the joints are at a phase of the stride, in heights of the figure from the ground below its hip; up
+/// is negative.
 fn pose(phase: f64) -> [Place; JOINTS] {
     // A bone hangs down at angle 0 and swings forwards (to the right) for positive ones.
-    let bone = |from: Place, length: f64, angle: f64| (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle));
+    let bone = |from: Place, length: f64, angle: f64| {
+        (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle))
+    };
     let mut joints = [(0.0, 0.0); JOINTS];
     joints[HIP] = (0.0, -0.50 - 0.02 * libm::cos(2.0 * phase));
     joints[NECK] = bone(joints[HIP], -0.30, -0.15);
@@ -110,13 +115,17 @@ impl RunningMan {
         let figure = params.height * width.min(height);
         let mut random = Random::new(seed, &[0]);
         let first = TAU * random.uniform();
-        let poses: Vec<[Place; JOINTS]> = (0..POSES).map(|k| pose(first + TAU * k as f64 / POSES as f64).map(|(x, y)| (x * figure, y * figure))).collect();
+        let poses: Vec<[Place; JOINTS]> = (0..POSES)
+            .map(|k| pose(first + TAU * k as f64 / POSES as f64).map(|(x, y)| (x * figure, y * figure)))
+            .collect();
         let stride_ns = params.stride.ns() as f64;
         let step_ns = stride_ns / POSES as f64;
         let swing = (0..POSES)
             .flat_map(|k| {
                 let (now, next) = (&poses[k], &poses[(k + 1) % POSES]);
-                (0..JOINTS).map(move |joint| hypot(next[joint].0 - now[joint].0, next[joint].1 - now[joint].1)).collect::<Vec<_>>()
+                (0..JOINTS)
+                    .map(move |joint| hypot(next[joint].0 - now[joint].0, next[joint].1 - now[joint].1))
+                    .collect::<Vec<_>>()
             })
             .fold(0.0, f64::max);
         let speed = params.speed * 1e-6;
@@ -191,7 +200,10 @@ mod tests {
         for k in 0..200 {
             let joints = pose(TAU * f64::from(k) / 200.0);
             let length = |a: usize, b: usize| hypot(joints[a].0 - joints[b].0, joints[a].1 - joints[b].1);
-            assert!((length(HIP, NEAR_KNEE) - 0.24).abs() < 1e-12 && (length(FAR_KNEE, FAR_KNEE + 1) - 0.23).abs() < 1e-12);
+            assert!(
+                (length(HIP, NEAR_KNEE) - 0.24).abs() < 1e-12
+                    && (length(FAR_KNEE, FAR_KNEE + 1) - 0.23).abs() < 1e-12
+            );
             for (from, to, half, _) in LIMBS {
                 for (x, y) in [joints[from], joints[to]] {
                     assert!(hypot(x, y + 0.5) + half < 0.62, "a joint at ({x}, {y})");
@@ -209,8 +221,12 @@ mod tests {
     #[test]
     fn after_a_stride_the_figure_is_the_same_further_on() {
         let man = RunningMan::new(&RunningManParams::default(), EXTENT, 7);
-        // 700 ms at 0.2 px/ms: 140 pixels, and the wall is left out of the comparison by looking at distances.
-        let (before, after) = (man.distances(man.in_figure(30.0, 30.0, 0), 0), man.distances(man.in_figure(170.0, 30.0, 700_000_000), 700_000_000));
+        // 700 ms at 0.2 px/ms: 140 pixels, and the wall is left out of the comparison by looking at
+        // distances.
+        let (before, after) = (
+            man.distances(man.in_figure(30.0, 30.0, 0), 0),
+            man.distances(man.in_figure(170.0, 30.0, 700_000_000), 700_000_000),
+        );
         assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-6));
     }
 }

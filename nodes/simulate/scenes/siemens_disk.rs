@@ -1,6 +1,7 @@
 //! `siemens_disk`: a rotating disk with spokes, on which the sharpness of edges is measured.
 //!
-//! Spokes are stripes along circles, averaged over a pixel in closed form, so the middle fades to grey without moire.
+//! Spokes are stripes along circles, averaged over a pixel in closed form, so the middle fades to grey
+//! without moire.
 
 use super::disk::{Disk, WALL};
 use super::shapes::{blend, stripes};
@@ -89,12 +90,17 @@ mod tests {
 
     #[test]
     fn an_edge_turns_by_speed_times_time() {
-        let disk = SiemensDisk::new(&SiemensDiskParams { speed: Rotation::new(300.0), ..SiemensDiskParams::default() }, EXTENT);
+        let disk = SiemensDisk::new(
+            &SiemensDiskParams { speed: Rotation::new(300.0), ..SiemensDiskParams::default() },
+            EXTENT,
+        );
         let middle = (disk.dark + disk.bright) / 2.0;
         // At t = 0 an edge points along +x; 300 rpm is 1.8 degrees per millisecond.
         for ms in [0, 3, 10, 41] {
             let angle = 1.8_f64.to_radians() * f64::from(ms);
-            let place = |angle: f64| (disk.disk.centre.0 + 20.0 * libm::cos(angle), disk.disk.centre.1 + 20.0 * libm::sin(angle));
+            let place = |angle: f64| {
+                (disk.disk.centre.0 + 20.0 * libm::cos(angle), disk.disk.centre.1 + 20.0 * libm::sin(angle))
+            };
             let at = |angle: f64| {
                 let (x, y) = place(angle);
                 disk.reflectance(x, y, i64::from(ms) * 1_000_000)
@@ -110,8 +116,15 @@ mod tests {
         for distance in [1.0, 3.0, 8.0, 20.0] {
             let n = 3600;
             let ring = (0..n).map(|k| TAU * f64::from(k) / f64::from(n));
-            let sum: f64 =
-                ring.map(|a| disk.reflectance(disk.disk.centre.0 + distance * libm::cos(a), disk.disk.centre.1 + distance * libm::sin(a), 5_000_000)).sum();
+            let sum: f64 = ring
+                .map(|a| {
+                    disk.reflectance(
+                        disk.disk.centre.0 + distance * libm::cos(a),
+                        disk.disk.centre.1 + distance * libm::sin(a),
+                        5_000_000,
+                    )
+                })
+                .sum();
             assert!((sum / f64::from(n) - (disk.dark + disk.bright) / 2.0).abs() < 2e-3);
         }
     }

@@ -1,8 +1,9 @@
 //! `slingshot_egg`: a small fast pellet hits an egg, and the debris flies apart.
 //!
-//! The egg is cut into shards: bands of random height across a slanted frame, each cut at random places. At the instant of the hit they still make the
-//! whole egg, without a seam; from then on each flies straight, away from the hit and forwards, and tumbles. The pellet goes on behind, slower. Where
-//! shards overlap, the pixel is their mean by coverage.
+//! The egg is cut into shards: bands of random height across a slanted frame, each cut at random places. At
+//! the instant of the hit they still make the whole egg, without a seam; from then on each flies straight,
+//! away from the hit and forwards, and tumbles. The pellet goes on behind, slower. Where shards overlap, the
+//! pixel is their mean by coverage.
 
 use super::shapes::{Texture, arrival, blend, covered, hypot, turned};
 use super::{BRIGHTEST, Scene};
@@ -67,7 +68,8 @@ impl Piece {
     }
 }
 
-/// Cuts `-reach` to `reach` into stretches of random length, 0.5 to 1.5 of `mean`: middle and half length of each. The last one may stand over.
+/// Cuts `-reach` to `reach` into stretches of random length, 0.5 to 1.5 of `mean`: middle and half length of
+/// each. The last one may stand over.
 fn cut(reach: f64, mean: f64, random: &mut Random) -> Vec<(f64, f64)> {
     let mut stretches = Vec::new();
     let mut at = -reach;
@@ -113,7 +115,8 @@ impl SlingshotEgg {
         for (v, half_v) in cut(reach, mean, &mut random) {
             for (u, half_u) in cut(reach, mean, &mut random) {
                 let (home, half) = (turned((u, v), (libm::sin(SLANT), libm::cos(SLANT))), (half_u, half_v));
-                // The distance is exact at the outline only, so there is room to spare: what has no shell costs a little time and shows nothing.
+                // The distance is exact at the outline only, so there is room to spare: what has no shell
+                // costs a little time and shows nothing.
                 if outside_ellipse(home, axes) > 1.5 * hypot(half_u, half_v) + 1.0 {
                     continue;
                 }
@@ -122,7 +125,8 @@ impl SlingshotEgg {
                 let speed = params.debris_speed * 1e-6 * (0.3 + 0.7 * random.uniform()) / 1.4;
                 // Away from the hit and forwards, and a little askew: not faster than 1.4 of that in all.
                 let askew = 0.3 * (random.uniform() - 0.5);
-                let velocity = (speed * (away_x / distance * 0.9 + 0.3), speed * (away_y / distance * 0.9 + askew));
+                let velocity =
+                    (speed * (away_x / distance * 0.9 + 0.3), speed * (away_y / distance * 0.9 + askew));
                 // Up to ten turns per second.
                 let spin = TAU * 20e-9 * (random.uniform() - 0.5);
                 let fastest = hypot(velocity.0, velocity.1) + spin.abs() * (hypot(half_u, half_v) + 0.5);
@@ -153,7 +157,8 @@ impl SlingshotEgg {
         (0.93 - 0.2 * (u * u + v * v)).clamp(0.3, BRIGHTEST)
     }
 
-    /// Share of the pixel that egg covers (more than one where pieces overlap), and that times its reflectance.
+    /// Share of the pixel that egg covers (more than one where pieces overlap), and that times its
+    /// reflectance.
     fn egg(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let (x, y) = (x - self.centre.0, y - self.centre.1);
         if t_ns <= self.impact_ns {
@@ -163,7 +168,8 @@ impl SlingshotEgg {
         let since = (t_ns - self.impact_ns) as f64;
         let (mut shares, mut light) = (0.0, 0.0);
         for piece in &self.pieces {
-            let (dx, dy) = (x - piece.home.0 - piece.velocity.0 * since, y - piece.home.1 - piece.velocity.1 * since);
+            let (dx, dy) =
+                (x - piece.home.0 - piece.velocity.0 * since, y - piece.home.1 - piece.velocity.1 * since);
             if hypot(dx, dy) > piece.corner() + 1.0 {
                 continue;
             }
@@ -210,7 +216,8 @@ impl Scene for SlingshotEgg {
         let since = (t_ns - self.impact_ns).max(0) as f64;
         let start = t_ns.max(self.impact_ns);
         let arrivals = self.pieces.iter().map(|piece| {
-            let (dx, dy) = (x - piece.home.0 - piece.velocity.0 * since, y - piece.home.1 - piece.velocity.1 * since);
+            let (dx, dy) =
+                (x - piece.home.0 - piece.velocity.0 * since, y - piece.home.1 - piece.velocity.1 * since);
             // Half a pixel of the filter goes round the corner of a shard.
             arrival(start, hypot(dx, dy) - piece.corner() - 0.25, piece.fastest)
         });
@@ -231,9 +238,14 @@ mod tests {
     #[test]
     fn pieces_make_the_whole_egg_without_a_seam_when_the_pellet_hits() {
         let egg = egg();
-        for (x, y) in EXTENT.rows().iter().flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y)))) {
+        for (x, y) in
+            EXTENT.rows().iter().flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y))))
+        {
             let (before, after) = (egg.egg(x, y, 20_000_000), egg.egg(x, y, 20_000_001));
-            assert!((before.0 - after.0).abs() < 1e-4 && (before.1 - after.1).abs() < 1e-4, "({x}, {y}): {before:?} and {after:?}");
+            assert!(
+                (before.0 - after.0).abs() < 1e-4 && (before.1 - after.1).abs() < 1e-4,
+                "({x}, {y}): {before:?} and {after:?}"
+            );
         }
     }
 
@@ -241,7 +253,10 @@ mod tests {
     fn the_egg_keeps_its_area_until_debris_leaves_the_picture() {
         let egg = egg();
         let area = |ms: i64| -> f64 {
-            let pixels = EXTENT.rows().iter().flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y))));
+            let pixels = EXTENT
+                .rows()
+                .iter()
+                .flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y))));
             pixels.map(|(x, y)| egg.egg(x, y, ms * 1_000_000).0).sum()
         };
         assert!((area(10) - std::f64::consts::PI * egg.axes.0 * egg.axes.1).abs() < 1.0, "{}", area(10));

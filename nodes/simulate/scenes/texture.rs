@@ -15,7 +15,8 @@ pub struct TextureParams {
     /// Where to, degrees clockwise from the right.
     #[schemars(range(min = -180.0, max = 180.0))]
     pub heading: f64,
-    /// How far red, green and blue go apart: 0 is grey, 1 makes them three textures that have nothing to do with each other.
+    /// How far red, green and blue go apart: 0 is grey, 1 makes them three textures that have nothing to do
+    /// with each other.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub colourfulness: f64,
 }
@@ -43,8 +44,14 @@ impl SlidingTexture {
         let texture = |stream| Texture::new(DARKEST, BRIGHTEST, seed, stream);
         let surface = texture(1);
         let coloured = 0..if params.colourfulness > 0.0 { 3 } else { 0 };
-        let channels = coloured.map(|channel| surface.mixed(&texture(2 + channel), params.colourfulness)).collect();
-        SlidingTexture { surface, channels, velocity: (speed * libm::cos(heading), speed * libm::sin(heading)), speed }
+        let channels =
+            coloured.map(|channel| surface.mixed(&texture(2 + channel), params.colourfulness)).collect();
+        SlidingTexture {
+            surface,
+            channels,
+            velocity: (speed * libm::cos(heading), speed * libm::sin(heading)),
+            speed,
+        }
     }
 }
 
@@ -79,24 +86,36 @@ mod tests {
     #[test]
     fn channels_go_apart_as_colourfulness_says() {
         let spread = |colourfulness: f64| {
-            let texture = SlidingTexture::new(&TextureParams { colourfulness, ..TextureParams::default() }, 7);
+            let texture =
+                SlidingTexture::new(&TextureParams { colourfulness, ..TextureParams::default() }, 7);
             let apart = |k: i32| {
-                let at = |channel| libm::log(texture.channel(channel, f64::from(k * 7 % 512), f64::from(k * 13 % 512), 0));
+                let at = |channel| {
+                    libm::log(texture.channel(channel, f64::from(k * 7 % 512), f64::from(k * 13 % 512), 0))
+                };
                 (at(0) - at(2)) * (at(0) - at(2))
             };
             libm::sqrt((0..500).map(apart).sum::<f64>() / 500.0)
         };
         assert_eq!(spread(0.0), 0.0);
-        // Logarithms are mixed: half as colourful is half as far apart. (Places lie on the texture's own grid, where it is not interpolated.)
-        assert!((spread(0.5) / spread(1.0) - 0.5).abs() < 1e-3 && spread(1.0) > 0.3, "{} {}", spread(0.5), spread(1.0));
+        // Logarithms are mixed: half as colourful is half as far apart. (Places lie on the texture's own
+        // grid, where it is not interpolated.)
+        assert!(
+            (spread(0.5) / spread(1.0) - 0.5).abs() < 1e-3 && spread(1.0) > 0.3,
+            "{} {}",
+            spread(0.5),
+            spread(1.0)
+        );
     }
 
     #[test]
     fn a_place_that_slides_along_sees_the_same() {
-        let texture = SlidingTexture::new(&TextureParams { speed: 3.0, heading: -90.0, ..TextureParams::default() }, 7);
+        let texture =
+            SlidingTexture::new(&TextureParams { speed: 3.0, heading: -90.0, ..TextureParams::default() }, 7);
         for (x, y) in [(0.0, 0.0), (13.5, 200.25)] {
             // 3 pixels per millisecond up.
-            assert!((texture.reflectance(x, y, 0) - texture.reflectance(x, y - 21.0, 7_000_000)).abs() < 1e-6);
+            assert!(
+                (texture.reflectance(x, y, 0) - texture.reflectance(x, y - 21.0, 7_000_000)).abs() < 1e-6
+            );
         }
     }
 }

@@ -5,16 +5,23 @@ use photocurrent_core::{Extent, NodeError, Rows};
 use photocurrent_formats::pictures::names;
 use std::path::{Path, PathBuf};
 
-/// The pictures of a folder in the natural order of their names. Hidden files, thumbnails and other endings are left out.
+/// The pictures of a folder in the natural order of their names. Hidden files, thumbnails and other endings
+/// are left out.
 ///
 /// # Errors
 /// When the folder cannot be listed or has no such picture.
 pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>, NodeError> {
     let paths = names::pictures(folder).map_err(refused)?;
     if paths.is_empty() {
-        return Err(NodeError::input(format!("there is no PNG, TIFF or JPEG picture in {}", folder.display()))
-            .hint("a film is a folder of pictures such as `*.png`, one a frame, or a Y4M file; such as `ffmpeg -i film.mp4 frames/%06d.png`")
-            .param("path"));
+        return Err(NodeError::input(format!(
+            "there is no PNG, TIFF or JPEG picture in {}",
+            folder.display()
+        ))
+        .hint(
+            "a film is a folder of pictures such as `*.png`, one a frame, or a Y4M file; such as \
+                   `ffmpeg -i film.mp4 frames/%06d.png`",
+        )
+        .param("path"));
     }
     Ok(paths)
 }
@@ -37,9 +44,13 @@ impl Pictures {
         for path in &paths[1..] {
             let other = still::extent(path)?;
             if other != extent {
-                return Err(NodeError::input(format!("{} has {other} pixels, and {} has {extent}", short_name(path), short_name(first)))
-                    .hint("every picture of a film has the same size; move other pictures elsewhere")
-                    .param("path"));
+                return Err(NodeError::input(format!(
+                    "{} has {other} pixels, and {} has {extent}",
+                    short_name(path),
+                    short_name(first)
+                ))
+                .hint("every picture of a film has the same size; move other pictures elsewhere")
+                .param("path"));
             }
         }
         Ok(Pictures { paths, extent, curve: Curve::new(transfer) })
@@ -70,7 +81,8 @@ mod tests {
         for name in ["b11.PNG", "b9.png", "b10.tif", ".hidden.png", "thumb.png", "notes.txt", "png"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
-        let names: Vec<String> = pictures(folder.path()).unwrap().iter().map(|path| short_name(path)).collect();
+        let names: Vec<String> =
+            pictures(folder.path()).unwrap().iter().map(|path| short_name(path)).collect();
         assert_eq!(names, ["b9.png", "b10.tif", "b11.PNG"]);
     }
 }

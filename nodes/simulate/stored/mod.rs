@@ -1,9 +1,12 @@
-//! Stored pictures as linear light: folders of pictures and Y4M films, which [`photocurrent_formats::pictures`] reads, row by row.
+//! Stored pictures as linear light: folders of pictures and Y4M films, which
+//! [`photocurrent_formats::pictures`] reads, row by row.
 //!
-//! A stored value becomes relative light, 0 for none and 1 for full white, by a transfer curve ([`Curve`]); colour becomes grey as its luminance, summed
-//! after the curve. A [`Film`] gives rows of one frame at a time; a [`Window`] crops them and averages squares of pixels, in linear light.
+//! A stored value becomes relative light, 0 for none and 1 for full white, by a transfer curve ([`Curve`]);
+//! colour becomes grey as its luminance, summed after the curve. A [`Film`] gives rows of one frame at a
+//! time; a [`Window`] crops them and averages squares of pixels, in linear light.
 //!
-//! Limits: colours are those of BT.709 and sRGB (they share their primaries); colour profiles and gamma chunks in files are not read.
+//! Limits: colours are those of BT.709 and sRGB (they share their primaries); colour profiles and gamma
+//! chunks in files are not read.
 
 pub mod folder;
 pub mod still;
@@ -110,43 +113,66 @@ pub struct Window {
 }
 
 impl Window {
-    /// Of pictures of `stored` size: `crop` (default: everything), shrunk to `width` x `height` (default: not) by one whole factor.
+    /// Of pictures of `stored` size: `crop` (default: everything), shrunk to `width` x `height` (default:
+    /// not) by one whole factor.
     ///
     /// # Errors
     /// When the crop lies outside, or no whole factor leads to the size.
-    pub fn new(stored: Extent, crop: Option<Crop>, width: Option<u32>, height: Option<u32>) -> Result<Window, NodeError> {
+    pub fn new(
+        stored: Extent,
+        crop: Option<Crop>,
+        width: Option<u32>,
+        height: Option<u32>,
+    ) -> Result<Window, NodeError> {
         let crop = crop.unwrap_or(Crop { x: 0, y: 0, width: stored.width, height: stored.height });
-        let fits = |from: u32, length: u32, size: u32| from.checked_add(length).is_some_and(|end| end <= size);
+        let fits =
+            |from: u32, length: u32, size: u32| from.checked_add(length).is_some_and(|end| end <= size);
         if !fits(crop.x, crop.width, stored.width) || !fits(crop.y, crop.height, stored.height) {
-            let asked = format!("`crop` asks for {} x {} pixels at ({}, {}), and the pictures have {stored}", crop.width, crop.height, crop.x, crop.y);
+            let asked = format!(
+                "`crop` asks for {} x {} pixels at ({}, {}), and the pictures have {stored}",
+                crop.width, crop.height, crop.x, crop.y
+            );
             return Err(NodeError::usage(asked)
-                .hint(format!("keep `x + width` within {}, and `y + height` within {}", stored.width, stored.height))
+                .hint(format!(
+                    "keep `x + width` within {}, and `y + height` within {}",
+                    stored.width, stored.height
+                ))
                 .param("crop"));
         }
-        let factor = width.map(|width| crop.width / width).or(height.map(|height| crop.height / height)).unwrap_or(1);
-        let shrunk = |length: u32, asked: Option<u32>| factor > 0 && length.is_multiple_of(factor) && asked.is_none_or(|asked| asked * factor == length);
+        let factor =
+            width.map(|width| crop.width / width).or(height.map(|height| crop.height / height)).unwrap_or(1);
+        let shrunk = |length: u32, asked: Option<u32>| {
+            factor > 0 && length.is_multiple_of(factor) && asked.is_none_or(|asked| asked * factor == length)
+        };
         if !shrunk(crop.width, width) || !shrunk(crop.height, height) {
             let (asked, param) = match (width, height) {
                 (Some(width), Some(height)) => (format!("{width} x {height}"), "width"),
                 (Some(width), None) => (format!("a width of {width}"), "width"),
                 (None, height) => (format!("a height of {}", height.unwrap_or(crop.height)), "height"),
             };
-            let message = format!("{} x {} pixels do not shrink to {asked} by one whole factor", crop.width, crop.height);
+            let message = format!(
+                "{} x {} pixels do not shrink to {asked} by one whole factor",
+                crop.width, crop.height
+            );
             return Err(NodeError::usage(message).hint(possible(crop)).param(param));
         }
         Ok(Window { crop, factor })
     }
 
-    /// Of pictures of `stored` size: everything but what is left over at the right and the bottom, with squares of `factor` x `factor` averaged.
+    /// Of pictures of `stored` size: everything but what is left over at the right and the bottom, with
+    /// squares of `factor` x `factor` averaged.
     ///
     /// # Errors
     /// When there is no whole square.
     pub fn by_factor(stored: Extent, factor: u32) -> Result<Window, NodeError> {
         let (width, height) = (stored.width / factor * factor, stored.height / factor * factor);
         if width == 0 || height == 0 {
-            return Err(NodeError::usage(format!("{stored} pixels are less than one square of {factor} x {factor}"))
-                .hint("take a smaller `shrink`")
-                .param("shrink"));
+            return Err(NodeError::usage(format!(
+                "{stored} pixels are less than one square of {factor} x \
+                                                 {factor}"
+            ))
+            .hint("take a smaller `shrink`")
+            .param("shrink"));
         }
         Ok(Window { crop: Crop { x: 0, y: 0, width, height }, factor })
     }
@@ -163,7 +189,8 @@ impl Window {
     pub fn read(&self, film: &dyn Film, frame: usize, rows: Rows) -> Result<Vec<f64>, NodeError> {
         let (factor, width) = (self.factor as usize, self.extent().width as usize);
         let mut light = vec![0.0; rows.len() * width];
-        let stored = Rows { start: self.crop.y + rows.start * self.factor, end: self.crop.y + rows.end * self.factor };
+        let stored =
+            Rows { start: self.crop.y + rows.start * self.factor, end: self.crop.y + rows.end * self.factor };
         let columns = self.crop.x as usize..(self.crop.x + self.crop.width) as usize;
         let mut at = 0;
         film.read(frame, stored, &mut |row| {
@@ -181,8 +208,10 @@ impl Window {
 
 /// The sizes to which a part shrinks by a whole factor.
 fn possible(crop: Crop) -> String {
-    let factors = (2..=crop.width.min(crop.height)).filter(|factor| crop.width.is_multiple_of(*factor) && crop.height.is_multiple_of(*factor));
-    let sizes: Vec<String> = factors.take(4).map(|factor| format!("{} x {}", crop.width / factor, crop.height / factor)).collect();
+    let factors = (2..=crop.width.min(crop.height))
+        .filter(|factor| crop.width.is_multiple_of(*factor) && crop.height.is_multiple_of(*factor));
+    let sizes: Vec<String> =
+        factors.take(4).map(|factor| format!("{} x {}", crop.width / factor, crop.height / factor)).collect();
     match sizes.is_empty() {
         true => "name a `crop` whose width and height have a common factor".into(),
         false => format!("it shrinks to {}; for others, name a `crop` first", sizes.join(", ")),
@@ -196,10 +225,16 @@ pub fn short_name(path: &Path) -> String {
 
 /// A file that could not be read, in the reader's terms.
 pub fn cannot_read(path: &Path, error: &std::io::Error) -> NodeError {
-    NodeError::files(photocurrent_core::error::cannot_read(path, error)).hint("paths are relative to the manifest that names them").param("path")
+    NodeError::files(photocurrent_core::error::cannot_read(path, error))
+        .hint(
+            "paths are relative to the \
+                                                            manifest that names them",
+        )
+        .param("path")
 }
 
-/// A picture or film that was refused, by its short name. One that cannot be opened is trouble with files, anything else with what they hold.
+/// A picture or film that was refused, by its short name. One that cannot be opened is trouble with files,
+/// anything else with what they hold.
 pub fn refused(error: FormatError) -> NodeError {
     match File::open(&error.path) {
         Err(trouble) => cannot_read(&error.path, &trouble),

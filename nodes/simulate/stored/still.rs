@@ -1,4 +1,5 @@
-//! One stored picture as relative light: PNG, TIFF or JPEG, grey or RGB, 8 or 16 bits; fewer bits and palettes are widened to 8.
+//! One stored picture as relative light: PNG, TIFF or JPEG, grey or RGB, 8 or 16 bits; fewer bits and
+//! palettes are widened to 8.
 
 use super::{Curve, refused, short_name};
 use photocurrent_core::{Colour, Extent, NodeError, Rows};
@@ -12,12 +13,22 @@ use std::path::Path;
 /// When the file cannot be read, is no picture, is cut off, has transparency or more bits.
 pub fn extent(path: &Path) -> Result<Extent, NodeError> {
     let head = decode::head(path).map_err(refused)?;
-    let refuse = |why: String, hint: &str| Err(NodeError::input(format!("{} has {why}", short_name(path))).hint(hint).param("path"));
+    let refuse = |why: String, hint: &str| {
+        Err(NodeError::input(format!("{} has {why}", short_name(path))).hint(hint).param("path"))
+    };
     if head.has_alpha {
-        return refuse("transparency, and light has none".into(), "save it without an alpha channel: grey or RGB, 8 or 16 bits");
+        return refuse(
+            "transparency, and light has none".into(),
+            "save it without an alpha channel: grey or \
+                                                            RGB, 8 or 16 bits",
+        );
     }
     if head.bits > 16 {
-        return refuse(format!("values of {} bits", head.bits), "save it with 8 or 16 bits a value: what is white in it is not known otherwise");
+        return refuse(
+            format!("values of {} bits", head.bits),
+            "save it with 8 or 16 bits a value: what is \
+                                                            white in it is not known otherwise",
+        );
     }
     Ok(head.extent)
 }
@@ -33,7 +44,9 @@ pub fn read(path: &Path, curve: &Curve, rows: Rows, each: &mut dyn FnMut(&[f64])
         let share = |value: &f32| table[(*value as usize).min(table.len() - 1)];
         light.clear();
         match head.colour {
-            Colour::Rgb => light.extend(values.chunks_exact(3).map(|rgb| luminance([share(&rgb[0]), share(&rgb[1]), share(&rgb[2])]))),
+            Colour::Rgb => light.extend(
+                values.chunks_exact(3).map(|rgb| luminance([share(&rgb[0]), share(&rgb[1]), share(&rgb[2])])),
+            ),
             _ => light.extend(values.iter().map(share)),
         }
         each(&light);

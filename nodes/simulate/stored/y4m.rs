@@ -1,6 +1,8 @@
-//! A Y4M film as light: [`photocurrent_formats::pictures::y4m`] reads it, each channel becomes light by the transfer curve, and their sum is luminance.
+//! A Y4M film as light: [`photocurrent_formats::pictures::y4m`] reads it, each channel becomes light by the
+//! transfer curve, and their sum is luminance.
 //!
-//! A pixel without colour is exactly its luma. Black and white are 16 and 235 (of 8 bits), of grey too, unless the header says `XCOLORRANGE=FULL`: then 0 and 255.
+//! A pixel without colour is exactly its luma. Black and white are 16 and 235 (of 8 bits), of grey too,
+//! unless the header says `XCOLORRANGE=FULL`: then 0 and 255.
 //!
 //! Limits: progressive and whole films only, no alpha.
 
@@ -29,9 +31,15 @@ impl Y4m {
         let file = y4m::Y4m::open(path).map_err(refused)?;
         let name = short_name(path);
         if let Some(word) = file.interlaced() {
-            return Err(NodeError::input(format!("the header of {name} says that its frames are interlaced (`{word}`)"))
-                .hint("make it progressive first, such as `ffmpeg -i in.y4m -vf yadif out.y4m`: half a frame is no picture of one instant")
-                .param("path"));
+            return Err(NodeError::input(format!(
+                "the header of {name} says that its frames are interlaced \
+                                                 (`{word}`)"
+            ))
+            .hint(
+                "make it progressive first, such as `ffmpeg -i in.y4m -vf yadif out.y4m`: half a \
+                       frame is no picture of one instant",
+            )
+            .param("path"));
         }
         if file.has_alpha() {
             return Err(NodeError::input(format!("{name} has transparency, and light has none"))
@@ -40,11 +48,23 @@ impl Y4m {
         }
         file.whole().map_err(refused)?;
         let stated = range.or(file.range());
-        let silent = stated.is_none().then(|| format!("{name} does not state the range of its values; taken as limited (`range`)"));
+        let silent = stated.is_none().then(|| {
+            format!(
+                "{name} does not state the range of its values; taken \
+                                                       as limited (`range`)"
+            )
+        });
         let coloured = file.colour().channels() > 1;
-        let matrix = coloured.then(|| format!("{name} does not state the matrix of its colours; taken as that of {MATRIX}"));
+        let matrix = coloured.then(|| {
+            format!(
+                "{name} does not state the matrix of its colours; taken as \
+                                               that of {MATRIX}"
+            )
+        });
         let levels = Levels::new(stated.unwrap_or(Range::Limited), file.bits());
-        let grey = (0..=if file.bits() > 8 { u16::MAX } else { 255 }).map(|luma| transfer.light(levels.luma(luma))).collect();
+        let grey = (0..=if file.bits() > 8 { u16::MAX } else { 255 })
+            .map(|luma| transfer.light(levels.luma(luma)))
+            .collect();
         Ok(Y4m { file, levels, transfer, grey, notes: silent.into_iter().chain(matrix).collect() })
     }
 

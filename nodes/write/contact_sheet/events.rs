@@ -1,7 +1,8 @@
 //! Events as colour: counted over a window around each instant, ON in red, OFF in blue, on white.
 //!
-//! The mixing is that of two inks: ON events take green and blue away from the white, OFF events take red and green away. So a pixel that saw
-//! only one polarity is a pure tint, and one that saw both (something narrow passed) is purple-grey to black instead of looking idle.
+//! The mixing is that of two inks: ON events take green and blue away from the white, OFF events take red and
+//! green away. So a pixel that saw only one polarity is a pure tint, and one that saw both (something narrow
+//! passed) is purple-grey to black instead of looking idle.
 
 use super::shown::Crop;
 use photocurrent_core::events::EventRow;
@@ -14,13 +15,19 @@ const BAND_ROWS: u32 = 32;
 /// What one pixel saw: ON and OFF events.
 pub(super) type Count = [u32; 2];
 
-/// Counts each pixel's events of the crop in each window, start included and end excluded: `[window][row][x]`. Stamps are off-pixel
-/// times less `shift_ns`.
+/// Counts each pixel's events of the crop in each window, start included and end excluded:
+/// `[window][row][x]`. Stamps are off-pixel times less `shift_ns`.
 ///
 /// # Errors
-/// When the events cannot be read.
-/// Rows and columns of the crop are pixels of the frames, of which `ratio` lie along the side of an event pixel: each shows its event pixel.
-pub(super) fn counted(events: &EventStream, ratio: u32, windows: &[TimeSpan], shift_ns: i64, crop: Crop) -> Result<Vec<Vec<Count>>, NodeError> {
+/// When the events cannot be read. Rows and columns of the crop are pixels of the frames, of which `ratio`
+/// lie along the side of an event pixel: each shows its event pixel.
+pub(super) fn counted(
+    events: &EventStream,
+    ratio: u32,
+    windows: &[TimeSpan],
+    shift_ns: i64,
+    crop: Crop,
+) -> Result<Vec<Vec<Count>>, NodeError> {
     let mut counts = vec![vec![[0; 2]; crop.width as usize * crop.height as usize]; windows.len()];
     let lie = CoLocated { ratio, colour: Colour::Mono };
     let columns = crop.x..crop.x + crop.width;
@@ -45,7 +52,8 @@ pub(super) fn counted(events: &EventStream, ratio: u32, windows: &[TimeSpan], sh
     Ok(counts)
 }
 
-/// Red, green and blue of a count; `full` events of one polarity have its full colour, fewer a tint in proportion.
+/// Red, green and blue of a count; `full` events of one polarity have its full colour, fewer a tint in
+/// proportion.
 pub(super) fn colour([on, off]: Count, full: u32) -> [u8; 3] {
     let ink = |count: u32| f64::from(count.min(full)) / f64::from(full);
     let (on, off) = (ink(on), ink(off));

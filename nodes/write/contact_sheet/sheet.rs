@@ -55,7 +55,8 @@ impl Layout {
     }
 
     pub(super) fn height(&self) -> u64 {
-        let one = u64::from(2 * GAP + self.text_height() + GAP / 2) + u64::from(self.crop.height) * u64::from(self.zoom);
+        let one = u64::from(2 * GAP + self.text_height() + GAP / 2)
+            + u64::from(self.crop.height) * u64::from(self.zoom);
         u64::from(GAP + self.text_height()) + self.rows as u64 * one
     }
 }
@@ -82,7 +83,12 @@ impl Sheet {
     }
 
     /// Draws a picture of the crop's size into a cell, `layout.zoom` dots a pixel.
-    pub(super) fn picture(&mut self, layout: &Layout, (column, row): (usize, usize), pixels: impl Iterator<Item = [u8; 3]>) {
+    pub(super) fn picture(
+        &mut self,
+        layout: &Layout,
+        (column, row): (usize, usize),
+        pixels: impl Iterator<Item = [u8; 3]>,
+    ) {
         let (left, top, zoom) = (layout.x(column), layout.picture_y(row), layout.zoom);
         for (pixel, value) in pixels.enumerate() {
             let (x, y) = (pixel as u32 % layout.crop.width * zoom, pixel as u32 / layout.crop.width * zoom);
@@ -106,7 +112,8 @@ impl Sheet {
 
 /// The 0.5 and 99.5 percentile of all known values.
 pub(super) fn grey_range(row: &[Shown]) -> (f32, f32) {
-    let mut values: Vec<f32> = row.iter().flat_map(|shown| shown.dn.iter().copied()).filter(|dn| dn.is_finite()).collect();
+    let mut values: Vec<f32> =
+        row.iter().flat_map(|shown| shown.dn.iter().copied()).filter(|dn| dn.is_finite()).collect();
     if values.is_empty() {
         return (0.0, 1.0);
     }

@@ -15,14 +15,18 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// From the least to the greatest value. On a logarithmic axis ticks stand at 1, 2 and 5 times powers of ten.
+    /// From the least to the greatest value. On a logarithmic axis ticks stand at 1, 2 and 5 times powers of
+    /// ten.
     pub fn tight(values: impl Iterator<Item = f64>, is_log: bool) -> Axis {
         let range = range_of(values);
         if is_log && range.start > 0.0 {
-            let (first, last) = (libm::log10(range.start).floor() as i32, libm::log10(range.end).ceil() as i32);
-            let rounds = (first..=last).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * power_of_ten(power)));
+            let (first, last) =
+                (libm::log10(range.start).floor() as i32, libm::log10(range.end).ceil() as i32);
+            let rounds =
+                (first..=last).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * power_of_ten(power)));
             let slack = 1e-9 * range.end;
-            let ticks = rounds.filter(|tick| (range.start - slack..=range.end + slack).contains(tick)).collect();
+            let ticks =
+                rounds.filter(|tick| (range.start - slack..=range.end + slack).contains(tick)).collect();
             return Axis { range, is_log: true, ticks };
         }
         Axis { ticks: round_numbers(&range), range, is_log: false }
@@ -45,7 +49,8 @@ impl Axis {
 
 /// The range of values; one unit wide where all are equal, 0 to 1 where there is none.
 fn range_of(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (value.min(low), value.max(high)));
+    let (low, high) = values
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (value.min(low), value.max(high)));
     match () {
         () if low > high => 0.0..1.0,
         () if low == high => low - 0.5..high + 0.5,
@@ -61,7 +66,11 @@ fn power_of_ten(power: i32) -> f64 {
 fn round_numbers(range: &Range<f64>) -> Vec<f64> {
     let width = range.end - range.start;
     let power = power_of_ten(libm::log10(width / MOST_STEPS).floor() as i32);
-    let step = [1.0, 2.0, 5.0, 10.0].map(|digit| digit * power).into_iter().find(|step| width / step <= MOST_STEPS).unwrap_or(width);
+    let step = [1.0, 2.0, 5.0, 10.0]
+        .map(|digit| digit * power)
+        .into_iter()
+        .find(|step| width / step <= MOST_STEPS)
+        .unwrap_or(width);
     let (first, last) = ((range.start / step).ceil() as i64, (range.end / step).floor() as i64);
     (first..=last).map(|k| k as f64 * step).collect()
 }
@@ -107,9 +116,18 @@ mod tests {
 
     #[test]
     fn ticks_stand_at_round_numbers() {
-        assert_eq!(ticks(&Axis::tight([0.0, 100.0].into_iter(), false)), ["0", "20", "40", "60", "80", "100"]);
-        assert_eq!(ticks(&Axis::tight([-0.31, 0.33].into_iter(), false)), ["-0.3", "-0.2", "-0.1", "0", "0.1", "0.2", "0.3"]);
-        assert_eq!(ticks(&Axis::tight([50.0, 1000.0].into_iter(), true)), ["50", "100", "200", "500", "1000"]);
+        assert_eq!(
+            ticks(&Axis::tight([0.0, 100.0].into_iter(), false)),
+            ["0", "20", "40", "60", "80", "100"]
+        );
+        assert_eq!(
+            ticks(&Axis::tight([-0.31, 0.33].into_iter(), false)),
+            ["-0.3", "-0.2", "-0.1", "0", "0.1", "0.2", "0.3"]
+        );
+        assert_eq!(
+            ticks(&Axis::tight([50.0, 1000.0].into_iter(), true)),
+            ["50", "100", "200", "500", "1000"]
+        );
     }
 
     #[test]

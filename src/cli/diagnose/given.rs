@@ -1,8 +1,11 @@
-//! What is diagnosed, and by which reader with which parameters: files with what is stated on the command line, or the reader of a manifest.
+//! What is diagnosed, and by which reader with which parameters: files with what is stated on the command
+//! line, or the reader of a manifest.
 //!
-//! A manifest that `photocurrent init` wrote states what the files do not (units, exposures, what a stamp means), so its reader is taken as it stands, and its description
-//! with it. A description that `init` wrote lies next to its manifest: `--sensor my.sensor.toml` takes what the files do not state from `my.toml`, if that reads the same
-//! recording; its window is not taken, as the files are named whole. What the command line states comes first.
+//! A manifest that `photocurrent init` wrote states what the files do not (units, exposures, what a stamp
+//! means), so its reader is taken as it stands, and its description with it. A description that `init` wrote
+//! lies next to its manifest: `--sensor my.sensor.toml` takes what the files do not state from `my.toml`, if
+//! that reads the same recording; its window is not taken, as the files are named whole. What the command
+//! line states comes first.
 
 use crate::args::DiagnoseOptions;
 use crate::failure::{Failure, usage};
@@ -36,7 +39,8 @@ pub struct Given {
 const OURS: &str = "read/recording";
 /// The reader of descriptions.
 const SENSOR: &str = "read/sensor";
-/// Parameters that a manifest's reader does not lend to files named by themselves: which file, and which part of it.
+/// Parameters that a manifest's reader does not lend to files named by themselves: which file, and which part
+/// of it.
 const OF_MANIFEST: [&str; 4] = ["path", "start", "end", "crop"];
 
 impl Given {
@@ -71,7 +75,14 @@ impl Given {
             kind => return Err(kind.refuse(&path, "diagnose", "a recording, or a manifest that reads one")),
         };
         let folder = Path::new("out").join(path.file_stem().unwrap_or_default());
-        let mut given = Given { kind, all, sensor: options.sensor.clone(), change: Map::new(), folder, notes: Vec::new() };
+        let mut given = Given {
+            kind,
+            all,
+            sensor: options.sensor.clone(),
+            change: Map::new(),
+            folder,
+            notes: Vec::new(),
+        };
         given.take_from_neighbour()?;
         Ok(given)
     }
@@ -80,12 +91,21 @@ impl Given {
     fn take_from_neighbour(&mut self) -> Result<(), Failure> {
         let Some(manifest) = self.sensor.as_deref().and_then(manifest_of) else { return Ok(()) };
         // One with mistakes or of another recording is nobody's business here.
-        let Ok((kind, params)) = read(&manifest, &photocurrent_nodes::catalogue()).and_then(|project| reader(&project, &manifest)) else { return Ok(()) };
-        let is_same = |path: &Path| path.canonicalize().ok().zip(self.path().canonicalize().ok()).is_some_and(|(a, b)| a == b);
-        if kind != self.kind || !params.get("path").and_then(Json::as_str).is_some_and(|path| is_same(Path::new(path))) {
+        let Ok((kind, params)) =
+            read(&manifest, &photocurrent_nodes::catalogue()).and_then(|project| reader(&project, &manifest))
+        else {
+            return Ok(());
+        };
+        let is_same = |path: &Path| {
+            path.canonicalize().ok().zip(self.path().canonicalize().ok()).is_some_and(|(a, b)| a == b)
+        };
+        if kind != self.kind
+            || !params.get("path").and_then(Json::as_str).is_some_and(|path| is_same(Path::new(path)))
+        {
             return Ok(());
         }
-        let lent: Map<String, Json> = params.into_iter().filter(|(name, _)| !OF_MANIFEST.contains(&name.as_str())).collect();
+        let lent: Map<String, Json> =
+            params.into_iter().filter(|(name, _)| !OF_MANIFEST.contains(&name.as_str())).collect();
         let taken = lay_under(&mut self.all, lent)?;
         if !taken.is_empty() {
             self.notes.push(format!("{} as in {}", taken.join(", "), manifest.display()));
@@ -104,7 +124,8 @@ impl Given {
             None => description(&project, manifest)?,
         };
         // `out/NAME` is where a run of the manifest writes.
-        let folder = Path::new("out").join(format!("{}.diagnosis", manifest.file_stem().unwrap_or_default().to_string_lossy()));
+        let folder = Path::new("out")
+            .join(format!("{}.diagnosis", manifest.file_stem().unwrap_or_default().to_string_lossy()));
         Ok(Given { kind, all, sensor, change, folder, notes: Vec::new() })
     }
 }
@@ -123,14 +144,23 @@ fn read(manifest: &Path, catalogue: &Catalogue) -> Result<Project, Failure> {
 /// Kind and parameters of a node.
 type KindAndParams = (String, Map<String, Json>);
 
-/// Kind and parameters, paths joined to the manifest's folder, of the one node that `is_wanted` and the name prefers; none where there is none.
-fn node(project: &Project, name: &str, is_wanted: impl Fn(&str) -> bool) -> Result<Option<KindAndParams>, Vec<String>> {
+/// Kind and parameters, paths joined to the manifest's folder, of the one node that `is_wanted` and the name
+/// prefers; none where there is none.
+fn node(
+    project: &Project,
+    name: &str,
+    is_wanted: impl Fn(&str) -> bool,
+) -> Result<Option<KindAndParams>, Vec<String>> {
     let Some(pipeline) = project.pipelines.first() else { return Ok(None) };
     let nodes: Vec<_> = pipeline.nodes.iter().filter(|node| is_wanted(&node.kind)).collect();
     let chosen = match nodes.as_slice() {
         [] => return Ok(None),
         [one] => *one,
-        several => several.iter().copied().find(|node| node.id == name).ok_or_else(|| several.iter().map(|node| node.id.clone()).collect::<Vec<_>>())?,
+        several => several
+            .iter()
+            .copied()
+            .find(|node| node.id == name)
+            .ok_or_else(|| several.iter().map(|node| node.id.clone()).collect::<Vec<_>>())?,
     };
     let catalogue = photocurrent_nodes::catalogue();
     let schema = catalogue.get(&chosen.kind).map_or(Json::Null, |kind| kind.schema.clone());
@@ -147,8 +177,15 @@ fn reader(project: &Project, manifest: &Path) -> Result<(String, Map<String, Jso
     let hint = "hint: name the recording itself: photocurrent diagnose FILE --sensor SENSOR.toml";
     match node(project, "recording", |kind| kind.starts_with("read/") && kind != SENSOR) {
         Ok(Some(found)) => Ok(found),
-        Ok(None) => Err(usage(format!("{name}: the manifest reads no recording, and `diagnose` needs one\n  {hint}"))),
-        Err(several) => Err(usage(format!("{name}: the manifest reads several recordings ({}), and none is called `recording`\n  {hint}", several.join(", ")))),
+        Ok(None) => Err(usage(format!(
+            "{name}: the manifest reads no recording, and `diagnose` needs one\n  \
+                                       {hint}"
+        ))),
+        Err(several) => Err(usage(format!(
+            "{name}: the manifest reads several recordings ({}), and none is \
+                                           called `recording`\n  {hint}",
+            several.join(", ")
+        ))),
     }
 }
 
@@ -161,7 +198,8 @@ fn description(project: &Project, manifest: &Path) -> Result<(Option<PathBuf>, M
             Ok((params.get("path").and_then(Json::as_str).map(PathBuf::from), change))
         }
         Err(several) => Err(usage(format!(
-            "{}: the manifest reads several sensor descriptions ({}), and none is called `sensor`\n  hint: name one: --sensor FILE",
+            "{}: the manifest reads several sensor descriptions ({}), and none is called `sensor`\n  hint: \
+             name one: --sensor FILE",
             manifest.display(),
             several.join(", ")
         ))),

@@ -1,4 +1,5 @@
-//! The stages of `photocurrent diagnose` as the graph that they are: `pipelines/diagnose/recording.toml` with this recording, this description and this seed in it.
+//! The stages of `photocurrent diagnose` as the graph that they are: `pipelines/diagnose/recording.toml` with
+//! this recording, this description and this seed in it.
 
 use super::given::Given;
 use crate::args::DiagnoseOptions;
@@ -33,8 +34,14 @@ pub struct Answered {
     pub warnings: Vec<String>,
 }
 
-/// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come to an end, which was reported.
-pub fn run(options: &DiagnoseOptions, given: &Given, sensor: &Sensor, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
+/// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come
+/// to an end, which was reported.
+pub fn run(
+    options: &DiagnoseOptions,
+    given: &Given,
+    sensor: &Sensor,
+    folder: &Path,
+) -> Result<Result<Answered, u8>, Failure> {
     let plan = plan(options, given, sensor, folder)?;
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel, Some(folder))?;
@@ -49,8 +56,19 @@ pub fn run(options: &DiagnoseOptions, given: &Given, sensor: &Sensor, folder: &P
     // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let out_dir = folder.join("out");
-    let how = Options { threads, memory: options.memory.unwrap_or(defaults.memory), out_dir: out_dir.clone(), ..defaults };
-    let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.progress, options.quiet), &cancel);
+    let how = Options {
+        threads,
+        memory: options.memory.unwrap_or(defaults.memory),
+        out_dir: out_dir.clone(),
+        ..defaults
+    };
+    let outcome = photocurrent_engine::run(
+        &plan,
+        &cache,
+        &how,
+        &Watcher::new(&plan, options.progress, options.quiet),
+        &cancel,
+    );
     if outcome.exit_code() != 0 {
         failed_nodes(&outcome);
         return Ok(Err(outcome.exit_code()));
@@ -69,14 +87,17 @@ fn notes(outcome: &Outcome) -> Vec<(String, String)> {
 fn plan(options: &DiagnoseOptions, given: &Given, sensor: &Sensor, folder: &Path) -> Result<Plan, Failure> {
     let write = |name: &str, text: &str| {
         let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|error| Failure::other(format!("{}: cannot write: {error}", path.display()))).map(|()| path)
+        std::fs::write(&path, text)
+            .map_err(|error| Failure::other(format!("{}: cannot write: {error}", path.display())))
+            .map(|()| path)
     };
     write("wiring.toml", WIRING)?;
     let manifest = write("diagnosis.toml", &manifest(options, given, sensor)?)?;
     let selection = Selection { to: vec![ANSWER.into()], memory: options.memory, ..Selection::default() };
     let (_, mut plan) = Plan::load(&manifest, &[], &photocurrent_nodes::catalogue(), &selection)?;
     // The folder is another one each time, and the cache's history goes by what is diagnosed.
-    plan.manifest_id = Digest::of_bytes(format!("diagnosis of {}", whole(given.path())?.display()).as_bytes());
+    plan.manifest_id =
+        Digest::of_bytes(format!("diagnosis of {}", whole(given.path())?.display()).as_bytes());
     Ok(plan)
 }
 
@@ -88,11 +109,16 @@ fn manifest(options: &DiagnoseOptions, given: &Given, sensor: &Sensor) -> Result
     put("extends", "wiring.toml".into());
     put("pipeline.seed", (options.seed as i64).into());
     put("nodes.recording.kind", given.kind.as_str().into());
-    let failed = |why: String| Failure::other(format!("the manifest of the diagnosis cannot be written: {why}"));
+    let failed =
+        |why: String| Failure::other(format!("the manifest of the diagnosis cannot be written: {why}"));
     for (name, value) in toml::Table::try_from(&given.all).map_err(|why| failed(why.to_string()))? {
         put(&format!("nodes.recording.params.{name}"), value);
     }
-    for (name, place) in [("path", Some(&given.all.path)), ("frames", given.all.frames.as_ref()), ("stamps", given.all.stamps.as_ref())] {
+    for (name, place) in [
+        ("path", Some(&given.all.path)),
+        ("frames", given.all.frames.as_ref()),
+        ("stamps", given.all.stamps.as_ref()),
+    ] {
         if let Some(place) = place {
             put(&format!("nodes.recording.params.{name}"), quoted(place.path())?);
         }
@@ -109,7 +135,10 @@ fn manifest(options: &DiagnoseOptions, given: &Given, sensor: &Sensor) -> Result
         put("nodes.sensor.kind", "read/sensor".into());
         put("nodes.sensor.params.path", quoted(sensor)?);
         if !given.change.is_empty() {
-            put("nodes.sensor.params.change", toml::Value::try_from(&given.change).map_err(|why| failed(why.to_string()))?);
+            put(
+                "nodes.sensor.params.change",
+                toml::Value::try_from(&given.change).map_err(|why| failed(why.to_string()))?,
+            );
         }
         STAGES.iter().for_each(|stage| put(&format!("nodes.{stage}.in.sensor"), "sensor".into()));
     }
@@ -145,15 +174,25 @@ fn lay(table: &mut toml::Table, path: &str, value: toml::Value) {
 /// The parameters of a known target, from its file.
 fn target(path: &Path) -> Result<toml::Table, Failure> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).map_err(|error| usage(format!("{name}: cannot read the scene: {error}")))?;
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        usage(format!(
+            "{name}: cannot read the scene: \
+                                                            {error}"
+        ))
+    })?;
     let params: toml::Table = text.parse().map_err(|why| usage(format!("{name}: this is no TOML: {why}")))?;
     let hint = "hint: `photocurrent nodes diagnose/target` lists the parameters";
-    let known = serde_json::to_value(TargetParams::default()).map_err(|why| Failure::other(why.to_string()))?;
+    let known =
+        serde_json::to_value(TargetParams::default()).map_err(|why| Failure::other(why.to_string()))?;
     if let Some(key) = unknown(&params, &known) {
-        let line = text.lines().position(|line| line.contains(key.rsplit('.').next().unwrap_or_default())).map_or(1, |line| line + 1);
+        let line = text
+            .lines()
+            .position(|line| line.contains(key.rsplit('.').next().unwrap_or_default()))
+            .map_or(1, |line| line + 1);
         return Err(usage(format!("{name}:{line}: `{key}` is no parameter of a known target\n  {hint}")));
     }
-    let parsed: TargetParams = toml::from_str(&text).map_err(|why| usage(format!("{name}: {why}\n  {hint}")))?;
+    let parsed: TargetParams =
+        toml::from_str(&text).map_err(|why| usage(format!("{name}: {why}\n  {hint}")))?;
     DiagnoseTarget::build(parsed).map_err(|why| usage(format!("{name}: {why}")))?;
     Ok(params)
 }
@@ -162,7 +201,9 @@ fn target(path: &Path) -> Result<toml::Table, Failure> {
 fn unknown(table: &toml::Table, known: &serde_json::Value) -> Option<String> {
     table.iter().find_map(|(key, value)| match (value, known.get(key)) {
         (_, None) => Some(key.clone()),
-        (toml::Value::Table(inner), Some(known)) if key != "free" => unknown(inner, known).map(|inner| format!("{key}.{inner}")),
+        (toml::Value::Table(inner), Some(known)) if key != "free" => {
+            unknown(inner, known).map(|inner| format!("{key}.{inner}"))
+        }
         _ => None,
     })
 }
@@ -175,7 +216,9 @@ pub fn file_name(path: &Path) -> String {
 /// A path as a manifest takes it, from the root: paths in it start from where it lies.
 fn quoted(path: &Path) -> Result<toml::Value, Failure> {
     let path = whole(path)?;
-    let text = path.to_str().ok_or_else(|| Failure::other(format!("{}: the path is not UTF-8, as a manifest is", path.display())))?;
+    let text = path.to_str().ok_or_else(|| {
+        Failure::other(format!("{}: the path is not UTF-8, as a manifest is", path.display()))
+    })?;
     Ok(toml::Value::from(text))
 }
 
@@ -194,8 +237,12 @@ mod tests {
         let table: toml::Table = text.parse().unwrap();
         assert_eq!(table["path"].as_str(), path.to_str());
         // From wherever the manifest lies it is the same file.
-        let relative: toml::Table = format!("path = {}", quoted(Path::new("scene.h5")).ok().unwrap()).parse().unwrap();
-        assert_eq!(Path::new(relative["path"].as_str().unwrap()), std::env::current_dir().unwrap().join("scene.h5"));
+        let relative: toml::Table =
+            format!("path = {}", quoted(Path::new("scene.h5")).ok().unwrap()).parse().unwrap();
+        assert_eq!(
+            Path::new(relative["path"].as_str().unwrap()),
+            std::env::current_dir().unwrap().join("scene.h5")
+        );
     }
 
     #[test]

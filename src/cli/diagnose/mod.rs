@@ -1,4 +1,5 @@
-//! `photocurrent diagnose`: looks at what it is given ([`given`]), runs the stages as a graph ([`graph`]), puts the report in place and prints its summary.
+//! `photocurrent diagnose`: looks at what it is given ([`given`]), runs the stages as a graph ([`graph`]),
+//! puts the report in place and prints its summary.
 
 pub(crate) mod given;
 mod graph;
@@ -45,7 +46,11 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
             std::fs::write(scratch.path().join(REPORT), text(&report)?)?;
             std::fs::write(
                 scratch.path().join(PAGE),
-                with_names(&page(&report, None, None), Some(&graph::file_name(given.path())), given.sensor.as_deref().map(graph::file_name).as_deref()),
+                with_names(
+                    &page(&report, None, None),
+                    Some(&graph::file_name(given.path())),
+                    given.sensor.as_deref().map(graph::file_name).as_deref(),
+                ),
             )?;
             put(scratch.path(), &folder, &scratch)?;
             show(options, &report, &folder, started)?;
@@ -59,7 +64,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         Err(code) => return Ok(code),
     };
     let report = std::fs::read_to_string(answered.files.join(REPORT))?;
-    let report: Report = serde_json::from_str(&report).map_err(|error| Failure::other(format!("the report cannot be read again: {error}")))?;
+    let report: Report = serde_json::from_str(&report)
+        .map_err(|error| Failure::other(format!("the report cannot be read again: {error}")))?;
     put(&answered.files, &folder, &scratch)?;
     answered.warnings.iter().for_each(|why| say!("warning: {why}"));
     let summary = first_line(&report);
@@ -79,13 +85,24 @@ fn text(report: &Report) -> Result<String, Failure> {
 /// Refuses a folder that holds anything but an earlier report.
 fn check_free(folder: &Path) -> Result<(), Failure> {
     let Ok(entries) = std::fs::read_dir(folder) else {
-        return if folder.exists() { Err(usage(format!("{}: this is a file; -o takes a folder", folder.display()))) } else { Ok(()) };
+        return if folder.exists() {
+            Err(usage(format!("{}: this is a file; -o takes a folder", folder.display())))
+        } else {
+            Ok(())
+        };
     };
-    let foreign = entries.flatten().map(|entry| entry.file_name()).find(|name| ![REPORT, SENSOR, PAGE].iter().any(|own| name == *own));
+    let foreign = entries
+        .flatten()
+        .map(|entry| entry.file_name())
+        .find(|name| ![REPORT, SENSOR, PAGE].iter().any(|own| name == *own));
     match foreign {
         Some(name) => {
             let name = name.to_string_lossy();
-            Err(usage(format!("{}: the folder holds something else than a report (`{name}`)\n  hint: give a new folder: -o FOLDER", folder.display())))
+            Err(usage(format!(
+                "{}: the folder holds something else than a report (`{name}`)\n  hint: give a \
+                               new folder: -o FOLDER",
+                folder.display()
+            )))
         }
         None => Ok(()),
     }
@@ -93,15 +110,24 @@ fn check_free(folder: &Path) -> Result<(), Failure> {
 
 /// A folder next to the report's, on the same disk, that goes away with what is left in it.
 fn scratch(folder: &Path) -> Result<TempDir, Failure> {
-    let parent: PathBuf = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).into();
-    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot make a folder next to it: {error}", folder.display()));
+    let parent: PathBuf =
+        folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).into();
+    let failed = |error: std::io::Error| {
+        Failure::other(format!(
+            "{}: cannot make a folder next to it: \
+                                                            {error}",
+            folder.display()
+        ))
+    };
     std::fs::create_dir_all(&parent).map_err(failed)?;
     tempfile::Builder::new().prefix(".diagnosis-").tempdir_in(&parent).map_err(failed)
 }
 
 /// Puts the files of a report that lie in `files` in place of the earlier one, all or none.
 fn put(files: &Path, folder: &Path, scratch: &TempDir) -> Result<(), Failure> {
-    let failed = |doing: &'static str| move |error: std::io::Error| Failure::other(format!("{}: cannot {doing}: {error}", folder.display()));
+    let failed = |doing: &'static str| {
+        move |error: std::io::Error| Failure::other(format!("{}: cannot {doing}: {error}", folder.display()))
+    };
     let new = scratch.path().join("new");
     std::fs::create_dir(&new).map_err(failed("make a folder next to it"))?;
     for name in [REPORT, PAGE, SENSOR].into_iter().filter(|name| files.join(name).exists()) {
@@ -136,8 +162,12 @@ fn summary(report: &Report) -> String {
         let _ = writeln!(text, "\n{}\n  {}\n  {}", effect.id, effect.plain, effect.equation);
         for (key, parameter) in &effect.parameters {
             let shown = |value: f64| readable(value, &parameter.unit);
-            let interval = parameter.ci95.map(|[low, high]| format!(" (95 %: {} to {})", shown(low), shown(high))).unwrap_or_default();
-            let nominal = parameter.nominal.map(|nominal| format!(", nominal {}", shown(nominal))).unwrap_or_default();
+            let interval = parameter
+                .ci95
+                .map(|[low, high]| format!(" (95 %: {} to {})", shown(low), shown(high)))
+                .unwrap_or_default();
+            let nominal =
+                parameter.nominal.map(|nominal| format!(", nominal {}", shown(nominal))).unwrap_or_default();
             let _ = writeln!(text, "  {key} = {}{interval}{nominal}", shown(parameter.estimate));
         }
         if !effect.also_possible.is_empty() {
@@ -145,13 +175,20 @@ fn summary(report: &Report) -> String {
         }
     }
     for property in &report.scene {
-        let _ = writeln!(text, "\nthe scene: {} at {:.0} Hz, depth {:.2}", property.property, property.frequency_hz, property.depth);
+        let _ = writeln!(
+            text,
+            "\nthe scene: {} at {:.0} Hz, depth {:.2}",
+            property.property, property.frequency_hz, property.depth
+        );
     }
-    for (why, ids) in report.not_testable_by_reason().into_iter().filter_map(|(why, ids)| Some((short(why)?, ids))) {
+    for (why, ids) in
+        report.not_testable_by_reason().into_iter().filter_map(|(why, ids)| Some((short(why)?, ids)))
+    {
         let _ = writeln!(text, "\nnot tested: {}\n  {why}", ids.join(", "));
     }
     if let Some(psnr) = report.fit.heldout_frame_psnr_db {
-        let _ = writeln!(text, "\nheld-out frames: {:.1} dB nominal, {:.1} dB fitted", psnr.before, psnr.after);
+        let _ =
+            writeln!(text, "\nheld-out frames: {:.1} dB nominal, {:.1} dB fitted", psnr.before, psnr.after);
     }
     for advice in &report.next_experiment {
         let _ = writeln!(text, "next: {advice}");

@@ -56,7 +56,10 @@ pub struct Facts {
 impl Facts {
     /// How many lines are marked.
     pub fn open(&self) -> usize {
-        let fills = self.reader.iter().chain(self.sensor_text.is_none().then_some(&self.sensor).into_iter().flatten());
+        let fills = self
+            .reader
+            .iter()
+            .chain(self.sensor_text.is_none().then_some(&self.sensor).into_iter().flatten());
         fills.filter(|fill| fill.is_open).count() + self.marks.len()
     }
 
@@ -72,9 +75,14 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     let mut all = declared.parameters(&parts.recording);
     let stated = stated(&all)?;
     if let Some((name, _)) = stated.iter().find(|(name, _)| !takes(parts.format.id, name)) {
-        let hint = format!("hint: photocurrent nodes read/{} lists what can be stated of it", parts.format.id);
+        let hint =
+            format!("hint: photocurrent nodes read/{} lists what can be stated of it", parts.format.id);
         let flag = name.replace('_', "-");
-        return Err(usage(format!("--{flag} is nothing that can be stated of {}: it is recorded, or has no meaning there\n  {hint}", parts.format.name)));
+        return Err(usage(format!(
+            "--{flag} is nothing that can be stated of {}: it is recorded, or has no \
+                                  meaning there\n  {hint}",
+            parts.format.name
+        )));
     }
     let mut inputs = vec![parts.recording.clone()];
     if let Some(frames) = &parts.frames {
@@ -90,16 +98,25 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     let path = &parts.recording;
     let need_frames = |arranged: &Arranged| {
         arranged.frames.clone().map_err(|why| {
-            let hint = "hint: name the frames too: a folder of pictures next to the event file; events alone do not state the light's level";
+            let hint = "hint: name the frames too: a folder of pictures next to the event file; events \
+                        alone do not state the light's level";
             usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
         })
     };
-    let events_meta = arranged.events.clone().map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
+    let events_meta = arranged.events.clone().map_err(|why| {
+        usage(format!(
+            "{why}: there is nothing to \
+                                                            reconstruct from"
+        ))
+    })?;
     let frames = need_frames(&arranged)?;
-    let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
+    let events_span =
+        events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
     // A few strays are no overlap.
     let dense = arranged.scan.as_ref().and_then(|scan| scan.dense_span(DENSE));
-    let dense = dense.map_or(events_span, |(first, last)| TimeSpan::new(first.saturating_sub(arranged.zero_ns), last.saturating_sub(arranged.zero_ns)));
+    let dense = dense.map_or(events_span, |(first, last)| {
+        TimeSpan::new(first.saturating_sub(arranged.zero_ns), last.saturating_sub(arranged.zero_ns))
+    });
     overlap(path, dense, &frames)?;
     // The part that has frames, before anything is measured: what lies outside is in nobody's picture.
     let part = window::with_frames(recording.as_ref(), &arranged, &frames, events_span).map_err(refused)?;
@@ -111,7 +128,8 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         None => (recording, arranged),
     };
     let mut acts = hazards::Acts::default();
-    // Another size of the array changes what everything else is compared on: the findings are those of that size.
+    // Another size of the array changes what everything else is compared on: the findings are those of that
+    // size.
     for _ in 0..2 {
         let was = all.extent;
         acts = surveyed(recording.as_ref(), &arranged, &parts, accepted, &mut all)?;
@@ -132,7 +150,8 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     let by_finding = acts.late.as_ref().map(|(late, _)| Estimate { value: late.value, ci95: late.ci95 });
     found.offset_ns = found.offset_ns.filter(is_an_offset).or(by_finding.filter(is_an_offset));
     if found.offset_ns.is_some() {
-        let (helps, why) = readings::offset_helps(&PartOf::new(whole.0.as_ref(), &whole.1)).map_err(refused)?;
+        let (helps, why) =
+            readings::offset_helps(&PartOf::new(whole.0.as_ref(), &whole.1)).map_err(refused)?;
         (found.offset_ns, offset_why) = (found.offset_ns.filter(|_| helps), why);
     }
     if let (None, Some((_, mark))) = (&found.offset_ns, &acts.late) {
@@ -175,7 +194,13 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
 }
 
 /// Surveys the part that is read and acts on what is found.
-fn surveyed(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, accepted: &[String], all: &mut All) -> Result<hazards::Acts, Failure> {
+fn surveyed(
+    recording: &dyn Recording,
+    arranged: &Arranged,
+    parts: &Parts,
+    accepted: &[String],
+    all: &mut All,
+) -> Result<hazards::Acts, Failure> {
     let part = PartOf::new(recording, arranged);
     let survey = survey(&part, parts.format.id, &Most::default(), |_| ()).map_err(refused)?;
     let findings = hazard::findings(&survey, &Limits::default());
@@ -183,7 +208,11 @@ fn surveyed(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, accep
     numbers.sort_unstable();
     let pictures = part.pictures();
     let frames = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
-    let reading = if (all.mirror, all.shift) == (None, None) { readings::best(&part, &survey, &findings).map_err(refused)? } else { None };
+    let reading = if (all.mirror, all.shift) == (None, None) {
+        readings::best(&part, &survey, &findings).map_err(refused)?
+    } else {
+        None
+    };
     hazards::act(&survey, &findings, parts.format, frames, reading.as_ref(), accepted, all)
 }
 
@@ -200,7 +229,11 @@ fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
 }
 
 /// Opens and arranges; what is missing is proposed until nothing is.
-fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dyn Recording>, Arranged), Failure> {
+fn settle(
+    parts: &Parts,
+    all: &mut All,
+    fills: &mut Vec<Fill>,
+) -> Result<(Box<dyn Recording>, Arranged), Failure> {
     let mut is_paired = false;
     for _ in 0..16 {
         let opened = open(parts, all);
@@ -233,58 +266,85 @@ fn open(parts: &Parts, all: &All) -> Result<(Box<dyn Recording>, Arranged), Form
         settings.zero = Some(Duration::new(0));
     }
     let recording = joined::open(parts.format, &parts.recording, &settings.declared)?;
-    let arranged = arrange(&parts.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))?;
+    let arranged = arrange(&parts.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| {
+        Ok::<(), FormatError>(())
+    })?;
     Ok((recording, arranged))
 }
 
-/// A value for a parameter that no file states, put into `all`; `None` where nothing sensible can be proposed.
+/// A value for a parameter that no file states, put into `all`; `None` where nothing sensible can be
+/// proposed.
 fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
-    let pictures = || joined::open(parts.format, &parts.recording, &all.settings().declared).ok().and_then(|recording| recording.pictures());
+    let pictures = || {
+        joined::open(parts.format, &parts.recording, &all.settings().declared)
+            .ok()
+            .and_then(|recording| recording.pictures())
+    };
     match name {
         "extent" if all.extent.is_none() => {
             let (size, reach) = extent_of_frames(parts, all)?;
             all.extent = Some(size);
-            let why = format!("the size of the event array is not recorded; {reach}: the frames' size, or a whole part of it, was taken");
+            let why = format!(
+                "the size of the event array is not recorded; {reach}: the frames' size, or a \
+                               whole part of it, was taken"
+            );
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
         "stamps" if all.trigger_line.is_none() => super::pairing::line(parts, all),
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
-            Some(Fill::open("coordinate_scale", "32".into(), "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel"))
+            Some(Fill::open(
+                "coordinate_scale",
+                "32".into(),
+                "coordinates exceed the pictures; the authors \
+                                                            of HS-ERGB store 32 times the pixel",
+            ))
         }
         "exposure" if all.exposure.is_none() => {
             let pictures = pictures()?;
             let stamps: Vec<i64> = pictures.about().stamps.iter().map(|stamp| stamp.at).collect();
-            let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
+            let mut periods: Vec<i64> =
+                stamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
             periods.sort_unstable();
             // Round to a tenth of a millisecond: more digits would look like knowledge.
-            let half = periods.get(periods.len() / 2).map_or(5_000_000, |period| (period / 2 / 100_000).max(1) * 100_000);
+            let half = periods
+                .get(periods.len() / 2)
+                .map_or(5_000_000, |period| (period / 2 / 100_000).max(1) * 100_000);
             let exposure = Duration::new(half);
             all.exposure = Some(exposure);
-            let why = "the exposure is not recorded; half the time between frames is no more than a guess. Too long blurs what is sharp, too short leaves blur";
+            let why = "the exposure is not recorded; half the time between frames is no more than a guess. \
+                       Too long blurs what is sharp, too short leaves blur";
             Some(Fill::open("exposure", format!("\"{exposure}\""), why))
         }
         "stamp" if all.stamp.is_none() && all.trigger_line.is_some() => Some(super::pairing::stamp(all)),
         "stamp" if all.stamp.is_none() => {
             all.stamp = Some(StampRole::Middle);
-            let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
+            let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A \
+                       wrong one shifts frames against events";
             Some(Fill::open("stamp", "\"middle\"".into(), why))
         }
         "row_time" if all.row_time.is_none() && parts.line_delay_s.is_some() => {
             let delay = Duration::new((parts.line_delay_s? * 1e9).round() as i64);
             all.row_time = Some(delay);
-            Some(Fill::open("row_time", format!("\"{delay}\""), "the calibration's line delay, taken as seconds"))
+            Some(Fill::open(
+                "row_time",
+                format!("\"{delay}\""),
+                "the calibration's line delay, taken as \
+                                                            seconds",
+            ))
         }
         "row_time" if all.row_time.is_none() => {
             all.row_time = Some(Duration::new(0));
-            let why = "the delay from row to row is not recorded; 0 is a global shutter. A rolling shutter left at 0 leaves its skew in the picture";
+            let why = "the delay from row to row is not recorded; 0 is a global shutter. A rolling shutter \
+                       left at 0 leaves its skew in the picture";
             Some(Fill::open("row_time", "\"0 us\"".into(), why))
         }
         "transfer" if all.transfer.is_none() => {
             let linear = pictures().is_some_and(|pictures| pictures.about().bits != 8);
             all.transfer = Some(if linear { Transfer::Linear } else { Transfer::Srgb });
             let word = if linear { "linear" } else { "srgb" };
-            let why = "whether values are linear is not recorded; 8-bit pictures mostly are not, raw ones are. A wrong curve makes events and frames disagree";
+            let why = "whether values are linear is not recorded; 8-bit pictures mostly are not, raw ones \
+                       are. A wrong curve makes events and frames disagree";
             Some(Fill::open("transfer", format!("\"{word}\""), why))
         }
         _ => None,
@@ -295,11 +355,18 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
 fn extent_of_frames(parts: &Parts, all: &All) -> Option<(Size, String)> {
     let recording = joined::open(parts.format, &parts.recording, &all.settings().declared).ok()?;
     let frames = recording.pictures()?.about().extent;
-    let found = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
+    let found =
+        photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(()))
+            .ok()?;
     let (corner, size) = (found.corner?, arrange::likely_extent(frames, &found)?);
     let outside = found.outside(size.width, size.height);
-    let few = if outside > 0 { format!(", {outside} of {} events outside of them", found.count) } else { String::new() };
-    let reach = format!("events reach column {} and row {}, frames have {frames} pixels{few}", corner.0, corner.1);
+    let few = if outside > 0 {
+        format!(", {outside} of {} events outside of them", found.count)
+    } else {
+        String::new()
+    };
+    let reach =
+        format!("events reach column {} and row {}, frames have {frames} pixels{few}", corner.0, corner.1);
     Some((Size { width: size.width, height: size.height }, reach))
 }
 
@@ -313,10 +380,14 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
     // Clocks that begin apart last equally long; other units do not.
     let ratio = span.length_ns().max(1) as f64 / events.length_ns().max(1) as f64;
     let hint = if (0.01..100.0).contains(&ratio) {
-        format!("their clocks begin apart; state the offset: --frame-offset \"{offset}\"; or the units of both: --time-unit, --stamps-unit")
+        format!(
+            "their clocks begin apart; state the offset: --frame-offset \"{offset}\"; or the units of \
+                 both: --time-unit, --stamps-unit"
+        )
     } else {
         format!(
-            "frames last {ratio:.3e} times as long as events: one of the two is in another unit; state it: --time-unit for the events, --stamps-unit for the frames"
+            "frames last {ratio:.3e} times as long as events: one of the two is in another unit; state it: \
+             --time-unit for the events, --stamps-unit for the frames"
         )
     };
     Err(Failure::Other {
@@ -333,7 +404,13 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
 }
 
 /// What the streams themselves say; of a long recording, its first part.
-fn measured(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, all: &mut All, fills: &mut [Fill]) -> Result<Proposals, Failure> {
+fn measured(
+    recording: &dyn Recording,
+    arranged: &Arranged,
+    parts: &Parts,
+    all: &mut All,
+    fills: &mut [Fill],
+) -> Result<Proposals, Failure> {
     let failed = |error: photocurrent_core::NodeError| Failure::Other { message: error.to_string(), code: 3 };
     let gathered = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
     let (Some((events, _)), Some(frames)) = (gathered.map_err(refused)?, arranged.frame_sequence()) else {
@@ -350,8 +427,11 @@ fn measured(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, all: 
         all.exposure = Some(rounded);
         fill.value = format!("\"{rounded}\"");
         let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
-        fill.why =
-            format!("the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: {low:.2} to {high:.2} ms)", parts.format.name);
+        fill.why = format!(
+            "the exposure is not recorded; this length explains the blur of the frames of {} best \
+                     (95 %: {low:.2} to {high:.2} ms)",
+            parts.format.name
+        );
     } else {
         found.exposure_ns = None;
         if let Some(why) = &found.exposure_unclear {
@@ -372,15 +452,25 @@ fn is_an_offset(offset: &Estimate) -> bool {
 /// Fields of the description that no file states.
 fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
     let matters = "Too small a value gives pale motion, too large a value ghosts";
-    let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate.filter(|estimate| (0.02..2.0).contains(&estimate.value)) {
+    let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate
+        .filter(|estimate| (0.02..2.0).contains(&estimate.value))
+    {
         Some(Estimate { value, ci95: (low, high) }) => Fill::open(
             name,
             format!("{value:.3}"),
-            format!("never recorded; this one explains the change of the frames by their events (95 %: {low:.3} to {high:.3}). {matters}"),
+            format!(
+                "never recorded; this one explains the change of the frames by their events (95 %: \
+                     {low:.3} to {high:.3}). {matters}"
+            ),
         ),
-        None => {
-            Fill::open(name, "0.25".into(), format!("never recorded, and too little moves to measure it; usual settings lie between 0.15 and 0.5. {matters}"))
-        }
+        None => Fill::open(
+            name,
+            "0.25".into(),
+            format!(
+                "never recorded, and too little moves to measure it; \
+                                                     usual settings lie between 0.15 and 0.5. {matters}"
+            ),
+        ),
     };
     let mut fills = vec![
         threshold("threshold_on", found.thresholds.map(|both| both.0)),
@@ -388,12 +478,14 @@ fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
         Fill::open(
             "refractory",
             "\"100 us\"".into(),
-            "the blind time after an event is a bias of the camera; the shortest interval between events of one pixel bounds it",
+            "the blind time after an event is a bias of the camera; the shortest interval between events of \
+             one pixel bounds it",
         ),
     ];
     if let Some(Estimate { value, ci95: (low, high) }) = found.offset_ns {
         let why = format!(
-            "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; {offset_why}. 0 if you know better",
+            "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the \
+             pixels; {offset_why}. 0 if you know better",
             low / 1e6,
             high / 1e6
         );

@@ -1,4 +1,5 @@
-//! What `inspect` finds, `init` acts on: each finding of the part that is read has the consequence that [`photocurrent_formats::hazard::consequence`] lists.
+//! What `inspect` finds, `init` acts on: each finding of the part that is read has the consequence that
+//! [`photocurrent_formats::hazard::consequence`] lists.
 
 use super::fill::Fill;
 use super::readings::Reading;
@@ -22,8 +23,8 @@ pub struct Acts {
     pub late: Option<(Interval, String)>,
 }
 
-/// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their numbers in the file; `reading`:
-/// how both streams agree best, where that was compared.
+/// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their
+/// numbers in the file; `reading`: how both streams agree best, where that was compared.
 ///
 /// # Errors
 /// When one is refused: with what was found, the evidence, and the option that states what is true.
@@ -40,12 +41,19 @@ pub fn act(
     // A fact is no fault.
     let has_consequence = |finding: &&Finding| finding.severity != Severity::Fact;
     for finding in findings.iter().filter(has_consequence) {
-        let mark = || format!("{}: {}; {}. To do: {}", finding.id, finding.message, finding.evidence, finding.what_to_do);
+        let mark = || {
+            format!(
+                "{}: {}; {}. To do: {}",
+                finding.id, finding.message, finding.evidence, finding.what_to_do
+            )
+        };
         match hazard::consequence(finding.id) {
             Some(Consequence::Corrects(parameters)) => {
                 let parameter = parameters.first().copied().unwrap_or_default();
                 // A window is cut before; what the format does not take stays marked.
-                match correction(parameter, finding, survey, frames, all).filter(|_| takes(format.id, parameter)) {
+                match correction(parameter, finding, survey, frames, all)
+                    .filter(|_| takes(format.id, parameter))
+                {
                     Some(fill) => {
                         if !acts.parameters.iter().any(|known| known.name == fill.name) {
                             acts.parameters.push(fill);
@@ -57,33 +65,51 @@ pub fn act(
             }
             // What looks late may be mirrored or moved.
             Some(Consequence::Proposes("clock_offset")) => {
-                let found = ["mirror", "shift"].into_iter().filter_map(|parameter| proposal(parameter, finding, survey, reading, all));
-                let fresh: Vec<Fill> =
-                    found.filter(|fill| takes(format.id, fill.name) && !acts.parameters.iter().any(|known| known.name == fill.name)).collect();
+                let found = ["mirror", "shift"]
+                    .into_iter()
+                    .filter_map(|parameter| proposal(parameter, finding, survey, reading, all));
+                let fresh: Vec<Fill> = found
+                    .filter(|fill| {
+                        takes(format.id, fill.name)
+                            && !acts.parameters.iter().any(|known| known.name == fill.name)
+                    })
+                    .collect();
                 let is_late = reading.is_none_or(|reading| (reading.mirror, reading.shift) == (None, None));
-                acts.late = survey.lag.as_ref().and_then(|lag| lag.late_ns).filter(|_| is_late).map(|late| (late, mark()));
+                acts.late = survey
+                    .lag
+                    .as_ref()
+                    .and_then(|lag| lag.late_ns)
+                    .filter(|_| is_late)
+                    .map(|late| (late, mark()));
                 acts.parameters.extend(fresh);
             }
-            Some(Consequence::Proposes(parameter)) => match proposal(parameter, finding, survey, reading, all) {
-                Some(fill) if takes(format.id, parameter) => {
-                    if !acts.parameters.iter().any(|known| known.name == fill.name) {
-                        acts.parameters.push(fill);
+            Some(Consequence::Proposes(parameter)) => {
+                match proposal(parameter, finding, survey, reading, all) {
+                    Some(fill) if takes(format.id, parameter) => {
+                        if !acts.parameters.iter().any(|known| known.name == fill.name) {
+                            acts.parameters.push(fill);
+                        }
                     }
+                    // It was proposed, or is stated, before.
+                    None if ["exposure", "stamp", "row_time", "transfer", "clock_offset"]
+                        .contains(&parameter) => {}
+                    None if parameter == "extent" && all.extent.is_some() => {}
+                    // Another reading explains it better.
+                    None if reading.is_some() && ["mirror", "shift"].contains(&parameter) => {}
+                    _ => acts.marks.push(mark()),
                 }
-                // It was proposed, or is stated, before.
-                None if ["exposure", "stamp", "row_time", "transfer", "clock_offset"].contains(&parameter) => {}
-                None if parameter == "extent" && all.extent.is_some() => {}
-                // Another reading explains it better.
-                None if reading.is_some() && ["mirror", "shift"].contains(&parameter) => {}
-                _ => acts.marks.push(mark()),
-            },
+            }
             Some(Consequence::Marks) => acts.marks.push(mark()),
-            Some(Consequence::Refuses(_)) if accepted.iter().any(|id| id == finding.id) => acts.marks.push(mark()),
+            Some(Consequence::Refuses(_)) if accepted.iter().any(|id| id == finding.id) => {
+                acts.marks.push(mark())
+            }
             Some(Consequence::Refuses(option)) => {
                 let id = finding.id;
                 let parameter = option.trim_start_matches("--").replace('-', "_");
-                let is_stated = ["frames", "camera", "frame_camera", "end"].contains(&parameter.as_str()) || takes(format.id, &parameter);
-                let state = if is_stated { format!("state what is true: {option}; or ") } else { String::new() };
+                let is_stated = ["frames", "camera", "frame_camera", "end"].contains(&parameter.as_str())
+                    || takes(format.id, &parameter);
+                let state =
+                    if is_stated { format!("state what is true: {option}; or ") } else { String::new() };
                 return Err(usage(format!(
                     "{}: {id}: {}\n  {}\n  hint: {}\n  {state}go on all the same: --accept {id}",
                     survey.format, finding.message, finding.evidence, finding.what_to_do
@@ -92,8 +118,14 @@ pub fn act(
             Some(Consequence::None) | None => {}
         }
     }
-    if reading.is_some_and(|reading| reading.is_inverted) && all.invert_polarity.is_none() && takes(format.id, "invert_polarity") {
-        let why = format!("events and frames agree with ON and OFF exchanged only: {}", reading.map_or("", |reading| &reading.why));
+    if reading.is_some_and(|reading| reading.is_inverted)
+        && all.invert_polarity.is_none()
+        && takes(format.id, "invert_polarity")
+    {
+        let why = format!(
+            "events and frames agree with ON and OFF exchanged only: {}",
+            reading.map_or("", |reading| &reading.why)
+        );
         acts.parameters.push(Fill::open("invert_polarity", "true".into(), why));
     }
     apply(&acts.parameters, all);
@@ -101,11 +133,19 @@ pub fn act(
 }
 
 /// A parameter that puts a fault right.
-fn correction(parameter: &str, finding: &Finding, survey: &Survey, of_file: Option<(&dyn Pictures, &[usize])>, all: &All) -> Option<Fill> {
+fn correction(
+    parameter: &str,
+    finding: &Finding,
+    survey: &Survey,
+    of_file: Option<(&dyn Pictures, &[usize])>,
+    all: &All,
+) -> Option<Fill> {
     match parameter {
-        "drop_duplicates" if all.drop_duplicates.is_none() => {
-            Some(Fill::settled("drop_duplicates", "true".into(), format!("{}: {}", finding.message, finding.evidence)))
-        }
+        "drop_duplicates" if all.drop_duplicates.is_none() => Some(Fill::settled(
+            "drop_duplicates",
+            "true".into(),
+            format!("{}: {}", finding.message, finding.evidence),
+        )),
         "skip_frames" if all.skip_frames.is_none() => {
             let values = &survey.frames.as_ref()?.values;
             let mut frames: Vec<usize> = values.unreadable_frames.clone();
@@ -124,9 +164,17 @@ fn correction(parameter: &str, finding: &Finding, survey: &Survey, of_file: Opti
             if frames.is_empty() || 2 * frames.len() > stamps.len() {
                 return None;
             }
-            let list = frames.iter().filter_map(|frame| numbers.get(*frame)).map(usize::to_string).collect::<Vec<_>>().join(", ");
-            let why =
-                format!("{}: {}; left out are frames that cannot be read, are even or the one before, or have its stamp", finding.message, finding.evidence);
+            let list = frames
+                .iter()
+                .filter_map(|frame| numbers.get(*frame))
+                .map(usize::to_string)
+                .collect::<Vec<_>>()
+                .join(", ");
+            let why = format!(
+                "{}: {}; left out are frames that cannot be read, are even or the one before, or \
+                         have its stamp",
+                finding.message, finding.evidence
+            );
             Some(Fill::settled("skip_frames", format!("[{list}]"), why))
         }
         _ => None,
@@ -134,7 +182,13 @@ fn correction(parameter: &str, finding: &Finding, survey: &Survey, of_file: Opti
 }
 
 /// A parameter that the files leave open, or that the streams contradict.
-fn proposal(parameter: &str, finding: &Finding, survey: &Survey, reading: Option<&Reading>, all: &All) -> Option<Fill> {
+fn proposal(
+    parameter: &str,
+    finding: &Finding,
+    survey: &Survey,
+    reading: Option<&Reading>,
+    all: &All,
+) -> Option<Fill> {
     let why = format!("{}: {}", finding.message, finding.evidence);
     match parameter {
         "mirror" if all.mirror.is_none() => {
@@ -157,7 +211,11 @@ fn proposal(parameter: &str, finding: &Finding, survey: &Survey, reading: Option
         "extent" if all.extent.is_none() && finding.id == "small_part_used" => {
             let Reading { extent, why: explained, .. } = reading?;
             let Extent { width, height } = (*extent)?;
-            Some(Fill::open("extent", format!("{{ width = {width}, height = {height} }}"), format!("{why}; {explained}")))
+            Some(Fill::open(
+                "extent",
+                format!("{{ width = {width}, height = {height} }}"),
+                format!("{why}; {explained}"),
+            ))
         }
         "extent" if all.extent.is_none() => {
             let (x, y) = survey.events.as_ref()?.places.largest;
@@ -165,7 +223,10 @@ fn proposal(parameter: &str, finding: &Finding, survey: &Survey, reading: Option
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", x + 1, y + 1), why))
         }
         "coordinate_scale" if all.coordinate_scale.is_none() => {
-            let scale: u32 = finding.what_to_do.split_once("coordinate_scale = ").and_then(|(_, rest)| rest.trim_end_matches('`').parse().ok())?;
+            let scale: u32 = finding
+                .what_to_do
+                .split_once("coordinate_scale = ")
+                .and_then(|(_, rest)| rest.trim_end_matches('`').parse().ok())?;
             Some(Fill::open("coordinate_scale", scale.to_string(), why))
         }
         _ => None,
@@ -176,7 +237,9 @@ fn proposal(parameter: &str, finding: &Finding, survey: &Survey, reading: Option
 fn apply(parameters: &[Fill], all: &mut All) {
     for fill in parameters {
         let text = format!("value = {}", fill.value);
-        let Some(value) = text.parse::<toml::Table>().ok().and_then(|mut table| table.remove("value")) else { continue };
+        let Some(value) = text.parse::<toml::Table>().ok().and_then(|mut table| table.remove("value")) else {
+            continue;
+        };
         match fill.name {
             "invert_polarity" => all.invert_polarity = value.try_into().ok(),
             "drop_duplicates" => all.drop_duplicates = value.try_into().ok(),
@@ -214,24 +277,46 @@ mod tests {
         let extent = photocurrent_core::Extent { width: 4, height: 3 };
         let stamps = (0..10).map(|l| FrameStamp { at: 10 * l, exposure: None }).collect();
         let colour = photocurrent_core::Colour::Mono;
-        Film(FramesAbout { extent, colour, bits: 8, stamps, stamp_role: None, row_time_ns: None, transfer: None, notes: Vec::new() })
+        Film(FramesAbout {
+            extent,
+            colour,
+            bits: 8,
+            stamps,
+            stamp_role: None,
+            row_time_ns: None,
+            transfer: None,
+            notes: Vec::new(),
+        })
     }
 
     fn survey() -> Survey {
         let values = ValuesSurvey { read: (0..10).collect(), repeated: vec![3], ..ValuesSurvey::default() };
         let frames = FramesSurvey { values, ..FramesSurvey::default() };
-        Survey { format: "npz".into(), events: Some(Default::default()), frames: Some(frames), lag: Some(LagSurvey::default()), ..Survey::default() }
+        Survey {
+            format: "npz".into(),
+            events: Some(Default::default()),
+            frames: Some(frames),
+            lag: Some(LagSurvey::default()),
+            ..Survey::default()
+        }
     }
 
     fn of(id: &'static str, accepted: &[String]) -> (Result<Acts, Failure>, All) {
         let finding = Finding::new(id, Severity::Hazard, "what", "evidence", "state `coordinate_scale = 32`");
-        let reading = Reading { mirror: Some(Mirror::Both), shift: Some(Shift { right: 1, down: 0 }), why: "why".into(), ..Reading::default() };
+        let reading = Reading {
+            mirror: Some(Mirror::Both),
+            shift: Some(Shift { right: 1, down: 0 }),
+            why: "why".into(),
+            ..Reading::default()
+        };
         let extent = (id == "small_part_used").then_some(Extent { width: 4, height: 3 });
         let reading = Reading { extent, ..reading };
-        let (film, mut all) = (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
+        let (film, mut all) =
+            (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
         let numbers: Vec<usize> = (5..15).collect();
         let npz = catalog::named("npz").unwrap();
-        let acts = act(&survey(), &[finding], npz, Some((&film, &numbers)), Some(&reading), accepted, &mut all);
+        let acts =
+            act(&survey(), &[finding], npz, Some((&film, &numbers)), Some(&reading), accepted, &mut all);
         (acts, all)
     }
 
@@ -243,21 +328,40 @@ mod tests {
                 (Consequence::Refuses(_), Err(Failure::Other { message, code: 2 })) => {
                     assert!(message.contains(id) && message.contains(&format!("--accept {id}")), "{message}");
                     let accepted = of(id, &[(*id).to_owned()]).0.ok().unwrap();
-                    assert!(accepted.marks.len() == 1 && accepted.marks[0].starts_with(id), "accepted and marked: {id}");
+                    assert!(
+                        accepted.marks.len() == 1 && accepted.marks[0].starts_with(id),
+                        "accepted and marked: {id}"
+                    );
                 }
-                (Consequence::Marks, Ok(acts)) => assert!(acts.parameters.is_empty() && acts.marks.len() == 1 && acts.marks[0].starts_with(id), "{id}"),
+                (Consequence::Marks, Ok(acts)) => assert!(
+                    acts.parameters.is_empty() && acts.marks.len() == 1 && acts.marks[0].starts_with(id),
+                    "{id}"
+                ),
                 (Consequence::Corrects(names), Ok(acts)) => match names[0] {
                     // Cut before anything is surveyed.
                     "start" => assert!(acts.marks.is_empty() && acts.parameters.is_empty(), "{id}"),
-                    name => assert!(acts.parameters.len() == 1 && acts.parameters[0].name == name && !acts.parameters[0].is_open, "{id}"),
+                    name => assert!(
+                        acts.parameters.len() == 1
+                            && acts.parameters[0].name == name
+                            && !acts.parameters[0].is_open,
+                        "{id}"
+                    ),
                 },
                 (Consequence::Proposes(name), Ok(acts)) => match *name {
                     // Proposed where the reader asks for it.
-                    "exposure" | "stamp" | "row_time" | "transfer" => assert!(acts.marks.is_empty() && acts.parameters.is_empty(), "{id}"),
-                    "clock_offset" => assert!(all.mirror == Some(Mirror::Both) && acts.marks.is_empty(), "{id}"),
-                    name => assert!(acts.parameters.iter().any(|fill| fill.name == name && fill.is_open), "{id}"),
+                    "exposure" | "stamp" | "row_time" | "transfer" => {
+                        assert!(acts.marks.is_empty() && acts.parameters.is_empty(), "{id}")
+                    }
+                    "clock_offset" => {
+                        assert!(all.mirror == Some(Mirror::Both) && acts.marks.is_empty(), "{id}")
+                    }
+                    name => {
+                        assert!(acts.parameters.iter().any(|fill| fill.name == name && fill.is_open), "{id}")
+                    }
                 },
-                (Consequence::None, Ok(acts)) => assert!(acts.parameters.is_empty() && acts.marks.is_empty(), "{id}"),
+                (Consequence::None, Ok(acts)) => {
+                    assert!(acts.parameters.is_empty() && acts.marks.is_empty(), "{id}")
+                }
                 (consequence, _) => panic!("{id}: {consequence:?} did not come"),
             }
         }
@@ -266,6 +370,9 @@ mod tests {
     #[test]
     fn frames_are_left_out_by_their_numbers_in_the_file() {
         let (acts, all) = of("repeated_frames", &[]);
-        assert_eq!((acts.ok().unwrap().parameters[0].value.as_str(), all.skip_frames), ("[8]", Some(vec![8])));
+        assert_eq!(
+            (acts.ok().unwrap().parameters[0].value.as_str(), all.skip_frames),
+            ("[8]", Some(vec![8]))
+        );
     }
 }

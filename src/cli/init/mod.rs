@@ -1,7 +1,9 @@
-//! `photocurrent init`: a runnable manifest and a sensor description for somebody's files, with every unknown marked.
+//! `photocurrent init`: a runnable manifest and a sensor description for somebody's files, with every unknown
+//! marked.
 //!
-//! What the files state is taken; what they cannot state is proposed, with the reason, on a line marked `FILL:`. The manifest runs as it is, so that
-//! there is a picture after two commands, and what the picture depends on stands in it to be corrected.
+//! What the files state is taken; what they cannot state is proposed, with the reason, on a line marked
+//! `FILL:`. The manifest runs as it is, so that there is a picture after two commands, and what the picture
+//! depends on stands in it to be corrected.
 
 mod facts;
 mod fill;
@@ -25,7 +27,10 @@ pub fn init(options: &InitOptions) -> Done {
         return Err(usage(format!("{}: a manifest's name ends in .toml", manifest.display())));
     }
     if let Some(path) = [manifest, &sensor].into_iter().find(|path| path.exists() && !options.force) {
-        return Err(usage(format!("{} exists\n  hint: give another name with -o, or --force to replace it", path.display())));
+        return Err(usage(format!(
+            "{} exists\n  hint: give another name with -o, or --force to replace it",
+            path.display()
+        )));
     }
     let folder = manifest.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let found = facts::collect(&options.files, &options.declared, &options.accept)?;
@@ -61,7 +66,8 @@ fn talk(options: &InitOptions, found: &facts::Facts, manifest: &Path, sensor: &P
         say!("check: {mark}");
     }
     let marked = found.open();
-    let sensor_too = if found.sensor_text.is_none() { format!(" and {}", sensor.display()) } else { String::new() };
+    let sensor_too =
+        if found.sensor_text.is_none() { format!(" and {}", sensor.display()) } else { String::new() };
     let files = options.files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(" ");
     say!("\n{} from {files}", manifest.display().to_string() + &sensor_too);
     match marked {

@@ -1,17 +1,23 @@
-//! Which reading of both streams agrees best: as they are, mirrored, moved by whole pixels, with an offset of the clocks.
+//! Which reading of both streams agrees best: as they are, mirrored, moved by whole pixels, with an offset of
+//! the clocks.
 //!
-//! A shift in time explains much: a picture moved along its motion, a mirrored one, a strobe read upside down. So where `inspect` finds the two streams apart, the readings are
-//! held against each other on pairs of frames that nothing was fitted to ([`compare`]). A mirror or a shift is proposed where it explains clearly more than an offset does.
+//! A shift in time explains much: a picture moved along its motion, a mirrored one, a strobe read upside
+//! down. So where `inspect` finds the two streams apart, the readings are held against each other on pairs of
+//! frames that nothing was fitted to ([`compare`]). A mirror or a shift is proposed where it explains clearly
+//! more than an offset does.
 //!
-//! Where events use a small part of an array that has the frames' size, arrays of which the frames are a multiple are compared too ([`smaller_array`]).
+//! Where events use a small part of an array that has the frames' size, arrays of which the frames are a
+//! multiple are compared too ([`smaller_array`]).
 //!
-//! Limits: shifts are searched for by steps of one pixel from none and from what patches suggest; of a scene that moves one way a shift along the motion and an offset explain
-//! the same, and the offset is taken.
+//! Limits: shifts are searched for by steps of one pixel from none and from what patches suggest; of a scene
+//! that moves one way a shift along the motion and an offset explain the same, and the offset is taken.
 
 use photocurrent_core::Extent;
 use photocurrent_formats::hazard::{self, Finding, Limits};
 use photocurrent_formats::survey::Survey;
-use photocurrent_formats::survey::alternatives::{Alternative, LEAST_AHEAD, LEAST_EXPLAINED, Much, Scored, compare, decided};
+use photocurrent_formats::survey::alternatives::{
+    Alternative, LEAST_AHEAD, LEAST_EXPLAINED, Much, Scored, compare, decided,
+};
 use photocurrent_formats::{FormatError, Mirror, Recording, Shift};
 use std::collections::BTreeMap;
 
@@ -41,11 +47,16 @@ const FEWEST: usize = 4;
 /// Findings that an offset of the clocks would explain away.
 const APART: [&str; 3] = ["mirrored", "displaced", "events_late"];
 
-/// Compares the readings of a recording where its findings give reason to. `None` where they do not, or nothing moves.
+/// Compares the readings of a recording where its findings give reason to. `None` where they do not, or
+/// nothing moves.
 ///
 /// # Errors
 /// When the recording cannot be read any more.
-pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) -> Result<Option<Reading>, FormatError> {
+pub fn best(
+    recording: &dyn Recording,
+    survey: &Survey,
+    findings: &[Finding],
+) -> Result<Option<Reading>, FormatError> {
     if findings.iter().any(|finding| finding.id == "small_part_used")
         && let Some(reading) = smaller_array(recording, survey)?
     {
@@ -56,11 +67,18 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
     if !is_unclear && !findings.iter().any(|finding| APART.contains(&finding.id)) {
         return Ok(None);
     }
-    let much = Much { span_ns: survey.events.as_ref().and_then(|events| events.span_ns), events: EVENTS, extent: None };
+    let much = Much {
+        span_ns: survey.events.as_ref().and_then(|events| events.span_ns),
+        events: EVENTS,
+        extent: None,
+    };
     // Mirrors first, each with and without an offset.
     let ways = [None, Some(Mirror::LeftRight), Some(Mirror::TopBottom), Some(Mirror::Both)];
     let mirrored = |way: Option<Mirror>| {
-        let (left_right, top_bottom) = (matches!(way, Some(Mirror::LeftRight | Mirror::Both)), matches!(way, Some(Mirror::TopBottom | Mirror::Both)));
+        let (left_right, top_bottom) = (
+            matches!(way, Some(Mirror::LeftRight | Mirror::Both)),
+            matches!(way, Some(Mirror::TopBottom | Mirror::Both)),
+        );
         let name = way.map_or("as they are".to_owned(), |way| format!("mirrored {}", way.name()));
         Alternative::new(name).mirrored(left_right, top_bottom)
     };
@@ -68,7 +86,8 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
         let name = format!("{}, with an offset", of.name);
         Alternative { name, ..of }.fitting_offset()
     };
-    let mut of_ways: Vec<Alternative> = ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
+    let mut of_ways: Vec<Alternative> =
+        ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
     of_ways.push(Alternative::new("ON and OFF exchanged").inverted());
     let scored = compare(recording, &of_ways, &much)?;
     let exchanged = of_ways.len() - 1;
@@ -77,23 +96,41 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
     }
     let scored: Vec<Scored> = scored.into_iter().filter(|one| one.alternative != exchanged).collect();
     let way_of = |one: &Scored| ways[one.alternative / 2];
-    let Some(first) = scored.first().filter(|first| first.explained.ci95.0 > LEAST_EXPLAINED) else { return Ok(None) };
+    let Some(first) = scored.first().filter(|first| first.explained.ci95.0 > LEAST_EXPLAINED) else {
+        return Ok(None);
+    };
     let as_is = scored.iter().find(|one| way_of(one).is_none());
-    let is_mirrored = way_of(first).is_some() && as_is.is_none_or(|as_is| as_is.behind.ci95.0 > 0.0 && as_is.behind.value > LEAST_AHEAD);
+    let is_mirrored = way_of(first).is_some()
+        && as_is.is_none_or(|as_is| as_is.behind.ci95.0 > 0.0 && as_is.behind.value > LEAST_AHEAD);
     let mirror = way_of(first).filter(|_| is_mirrored);
     // Then shifts, without an offset.
     let moved = |(right, down): (i32, i32)| {
         let of = mirrored(mirror).shifted(right, down);
-        let name = if (right, down) == (0, 0) { of.name.clone() } else { format!("{}, events moved {right} right and {down} down", of.name) };
+        let name = if (right, down) == (0, 0) {
+            of.name.clone()
+        } else {
+            format!(
+                "{}, events moved {right} \
+                                                            right and {down} down",
+                of.name
+            )
+        };
         Alternative { name, ..of }
     };
-    let suggested = survey.lag.as_ref().and_then(|lag| lag.grid.as_ref()).and_then(|grid| hazard::shift_of(grid, &Limits::default()));
-    let starts = [Some((0, 0)), suggested.filter(|_| mirror.is_none()).map(|shift| (-shift.right, -shift.down))];
+    let suggested = survey
+        .lag
+        .as_ref()
+        .and_then(|lag| lag.grid.as_ref())
+        .and_then(|grid| hazard::shift_of(grid, &Limits::default()));
+    let starts =
+        [Some((0, 0)), suggested.filter(|_| mirror.is_none()).map(|shift| (-shift.right, -shift.down))];
     let mut explained: BTreeMap<(i32, i32), f64> = BTreeMap::new();
     for start in starts.into_iter().flatten() {
         let mut centre = start;
         for _ in 0..STEPS {
-            let around = (-1..=1).flat_map(|down| (-1..=1).map(move |right| (right, down))).map(|(right, down)| (centre.0 + right, centre.1 + down));
+            let around = (-1..=1)
+                .flat_map(|down| (-1..=1).map(move |right| (right, down)))
+                .map(|(right, down)| (centre.0 + right, centre.1 + down));
             let unknown: Vec<(i32, i32)> = around.filter(|at| !explained.contains_key(at)).collect();
             let readings: Vec<Alternative> = unknown.iter().map(|at| moved(*at)).collect();
             // Each pass evaluates the same tiles only if it holds the same reference.
@@ -118,33 +155,51 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
     }
     let scored = compare(recording, &finals, &much)?;
     let is_shifted = scored.first().is_some_and(|best| best.alternative == 2 && shift != (0, 0))
-        && scored.iter().filter(|one| one.alternative != 2).all(|one| one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD);
-    Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), why: listed(&scored), ..Reading::default() }))
+        && scored
+            .iter()
+            .filter(|one| one.alternative != 2)
+            .all(|one| one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD);
+    Ok(Some(Reading {
+        mirror,
+        shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }),
+        why: listed(&scored),
+        ..Reading::default()
+    }))
 }
 
 /// Frame pixels along the side of an event pixel, at most, in the search for another array.
 const MOST_TIMES: u32 = 8;
 
-/// The array of which the frames are a whole multiple and on which events explain the frames' change, where they do not explain it on the recorded one. `None` where none does.
+/// The array of which the frames are a whole multiple and on which events explain the frames' change, where
+/// they do not explain it on the recorded one. `None` where none does.
 ///
 /// # Errors
 /// When the recording cannot be read any more.
 fn smaller_array(recording: &dyn Recording, survey: &Survey) -> Result<Option<Reading>, FormatError> {
-    let (Some(events), Some(pictures)) = (survey.events.as_ref(), recording.pictures()) else { return Ok(None) };
+    let (Some(events), Some(pictures)) = (survey.events.as_ref(), recording.pictures()) else {
+        return Ok(None);
+    };
     let (frames, (x, y)) = (pictures.about().extent, events.places.largest);
     let part = |times: u32| Extent { width: frames.width / times, height: frames.height / times };
-    let holds = |times: &u32| frames.multiple_of(part(*times)) == Some(*times) && x < part(*times).width && y < part(*times).height;
+    let holds = |times: &u32| {
+        frames.multiple_of(part(*times)) == Some(*times) && x < part(*times).width && y < part(*times).height
+    };
     let mut scored = Vec::new();
     for extent in (2..=MOST_TIMES).filter(holds).map(part).map(Some).chain([None]) {
         let name = extent.map_or("the recorded array".to_owned(), |extent| format!("an array of {extent}"));
         let much = Much { span_ns: events.span_ns, events: EVENTS, extent };
-        scored.extend(compare(recording, &[Alternative::new(name)], &much)?.into_iter().map(|one| (extent, one)));
+        scored.extend(
+            compare(recording, &[Alternative::new(name)], &much)?.into_iter().map(|one| (extent, one)),
+        );
     }
     // Each array has its own pixels and pairs of tiles: intervals that do not meet.
     scored.sort_by(|a, b| b.1.explained.value.total_cmp(&a.1.explained.value));
-    let clear = |best: &Scored, other: &Scored| best.explained.ci95.0 > other.explained.ci95.1.max(LEAST_EXPLAINED);
+    let clear =
+        |best: &Scored, other: &Scored| best.explained.ci95.0 > other.explained.ci95.1.max(LEAST_EXPLAINED);
     Ok(match scored.as_slice() {
-        [(Some(extent), best), rest @ ..] if rest.iter().all(|(_, other)| clear(best, other)) && !rest.is_empty() => {
+        [(Some(extent), best), rest @ ..]
+            if rest.iter().all(|(_, other)| clear(best, other)) && !rest.is_empty() =>
+        {
             let why = listed(&scored.iter().map(|(_, one)| one.clone()).collect::<Vec<_>>());
             Some(Reading { extent: Some(*extent), why, ..Reading::default() })
         }
@@ -152,11 +207,13 @@ fn smaller_array(recording: &dyn Recording, survey: &Survey) -> Result<Option<Re
     })
 }
 
-/// Share of the frames' change that an offset must explain beyond none, to be proposed. The road clip of `data/recordings`, whose events are 2.5 ms late, gains 0.0046, the
-/// cradle 0.018, events that were stamped 4 ms late 0.09 (`photocurrent init` of each).
+/// Share of the frames' change that an offset must explain beyond none, to be proposed. The road clip of
+/// `data/recordings`, whose events are 2.5 ms late, gains 0.0046, the cradle 0.018, events that were stamped
+/// 4 ms late 0.09 (`photocurrent init` of each).
 const OFFSET_GAIN: f64 = 0.002;
 
-/// Does an offset of the clocks explain clearly more than none, on pairs of frames that it was not fitted to? With what both explain, for people.
+/// Does an offset of the clocks explain clearly more than none, on pairs of frames that it was not fitted to?
+/// With what both explain, for people.
 ///
 /// # Errors
 /// When the recording cannot be read any more.
@@ -164,7 +221,9 @@ pub fn offset_helps(recording: &dyn Recording) -> Result<(bool, String), FormatE
     let readings = [Alternative::new("without an offset"), Alternative::new("with one").fitting_offset()];
     let scored = compare(recording, &readings, &Much { span_ns: None, events: EVENTS, extent: None })?;
     let is_better = match scored.as_slice() {
-        [best, second, ..] => best.alternative == 1 && second.behind.ci95.0 > 0.0 && second.behind.value > OFFSET_GAIN,
+        [best, second, ..] => {
+            best.alternative == 1 && second.behind.ci95.0 > 0.0 && second.behind.value > OFFSET_GAIN
+        }
         // Too little to compare: the estimate stands.
         _ => true,
     };
@@ -173,6 +232,8 @@ pub fn offset_helps(recording: &dyn Recording) -> Result<(bool, String), FormatE
 
 /// The best three readings, for people.
 fn listed(scored: &[Scored]) -> String {
-    let list = scored.iter().take(3).map(|one| format!("{} explains {:.0} % of the frames' change", one.name, 100.0 * one.explained.value));
+    let list = scored.iter().take(3).map(|one| {
+        format!("{} explains {:.0} % of the frames' change", one.name, 100.0 * one.explained.value)
+    });
     list.collect::<Vec<_>>().join("; ")
 }

@@ -37,9 +37,18 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
     let from_file = facts.sensor_text.is_some();
     let sensor_port = if from_file { "recording.sensor" } else { "sensor" };
     if !from_file {
-        let _ = writeln!(text, "[nodes.sensor]\nkind   = \"read/sensor\"\nparams = {{ path = {} }}\n", quoted(sensor));
+        let _ = writeln!(
+            text,
+            "[nodes.sensor]\nkind   = \"read/sensor\"\nparams = {{ path = {} }}\n",
+            quoted(sensor)
+        );
     }
-    let _ = writeln!(text, "[nodes.recording]\nkind = \"read/{}\"\n\n[nodes.recording.params]\npath = {}", facts.format.id, path(all.path.path()));
+    let _ = writeln!(
+        text,
+        "[nodes.recording]\nkind = \"read/{}\"\n\n[nodes.recording.params]\npath = {}",
+        facts.format.id,
+        path(all.path.path())
+    );
     for (key, place) in [("frames", &all.frames), ("stamps", &all.stamps)] {
         if let Some(place) = place {
             let _ = writeln!(text, "{key} = {}", path(place.path()));
@@ -56,7 +65,9 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
             recording = "part";
             let _ = writeln!(
                 text,
-                "\n# {}.\n[nodes.part]\nkind = \"split/time\"\nin = {{ events = \"recording.events\", frames = \"recording.frames\" }}\nparams = {{ start = \"{start}\", end = \"{end}\" }}",
+                "\n# {}.\n[nodes.part]\nkind = \"split/time\"\nin = \
+                 {{ events = \"recording.events\", frames = \"recording.frames\" }}\nparams = \
+                 {{ start = \"{start}\", end = \"{end}\" }}",
                 one_line(why)
             );
         } else {
@@ -119,7 +130,11 @@ pub fn sensor(facts: &Facts) -> String {
     };
     // One unit of photocurrent reads as one DN in a frame of the recording: gain is then 1 / exposure.
     let gain = 1.0 / facts.exposure_s();
-    let saturation = if facts.bits >= 32 { String::new() } else { format!("saturation_dn = {:.1}\n", (2f64).powi(facts.bits as i32) - 1.0) };
+    let saturation = if facts.bits >= 32 {
+        String::new()
+    } else {
+        format!("saturation_dn = {:.1}\n", (2f64).powi(facts.bits as i32) - 1.0)
+    };
     let row_time = photocurrent_core::quantity::Duration::new(facts.frames.times.row_time_ns);
     let camera: String = facts.camera.iter().map(|line| format!("# {line}\n")).collect();
     let offset = fill("clock_offset");

@@ -1,9 +1,12 @@
 //! The units of stamps that no file states, from both streams together.
 //!
-//! Each unit makes one rate of events a pixel, one rate of frames, and one overlap of the two. All pairs of units are scored by how usual these are; a unit that is recorded
-//! or stated is fixed, unless what is recorded is impossible: files lie about their units too. The best pair is proposed with its evidence, and the second best is named.
+//! Each unit makes one rate of events a pixel, one rate of frames, and one overlap of the two. All pairs of
+//! units are scored by how usual these are; a unit that is recorded or stated is fixed, unless what is
+//! recorded is impossible: files lie about their units too. The best pair is proposed with its evidence, and
+//! the second best is named.
 //!
-//! Limits: rates are those of cameras with frames (some 1 to 1,000 events a pixel and second, 10 to 1,000 frames a second, none below 0.2); a time lapse is proposed wrongly.
+//! Limits: rates are those of cameras with frames (some 1 to 1,000 events a pixel and second, 10 to 1,000
+//! frames a second, none below 0.2); a time lapse is proposed wrongly.
 
 use super::fill::Fill;
 use crate::parts::Parts;
@@ -51,7 +54,8 @@ fn convention(unit: TimeUnit, is_whole: bool) -> f64 {
 }
 
 fn is_whole(stamps: &[i64], unit: TimeUnit) -> bool {
-    // In microseconds whole nanoseconds and decimal seconds show; coarser units are tried with their own step.
+    // In microseconds whole nanoseconds and decimal seconds show; coarser units are tried with their own
+    // step.
     stamps.iter().all(|t| t % unit.ns() == 0)
 }
 
@@ -66,18 +70,33 @@ fn of_events(found: &Scan, unit: TimeUnit, whole: bool) -> Option<Stream> {
     }
     let rate_hz = DENSE * found.count as f64 / seconds / pixels;
     let plausible = if (1e-5..5e3).contains(&rate_hz) { 0.0 } else { IMPOSSIBLE };
-    Some(Stream { unit, span: (first as f64, last as f64), score: usual(rate_hz, 0.7, 1.0) + plausible + convention(unit, whole), rate_hz })
+    Some(Stream {
+        unit,
+        span: (first as f64, last as f64),
+        score: usual(rate_hz, 0.7, 1.0) + plausible + convention(unit, whole),
+        rate_hz,
+    })
 }
 
 /// Frames as a unit makes them.
 fn of_frames(stamps: &[(i64, i64)], unit: TimeUnit, whole: bool) -> Option<Stream> {
-    let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1].0.saturating_sub(pair[0].0)).filter(|period| *period > 0).collect();
+    let mut periods: Vec<i64> = stamps
+        .windows(2)
+        .map(|pair| pair[1].0.saturating_sub(pair[0].0))
+        .filter(|period| *period > 0)
+        .collect();
     periods.sort_unstable();
     let period = *periods.get(periods.len() / 2)?;
     let rate_hz = 1e9 / period as f64;
     let plausible = if (0.2..3e4).contains(&rate_hz) { 0.0 } else { IMPOSSIBLE };
-    let (first, last) = (stamps.iter().map(|stamp| stamp.0).min()?, stamps.iter().map(|stamp| stamp.1).max()?);
-    Some(Stream { unit, span: (first as f64, last as f64), score: usual(rate_hz, 1.7, 0.6) + plausible + convention(unit, whole), rate_hz })
+    let (first, last) =
+        (stamps.iter().map(|stamp| stamp.0).min()?, stamps.iter().map(|stamp| stamp.1).max()?);
+    Some(Stream {
+        unit,
+        span: (first as f64, last as f64),
+        score: usual(rate_hz, 1.7, 0.6) + plausible + convention(unit, whole),
+        rate_hz,
+    })
 }
 
 /// How well two streams fit each other.
@@ -97,10 +116,20 @@ fn name(unit: TimeUnit) -> String {
 fn evidence(events: Option<&Stream>, frames: Option<&Stream>) -> String {
     let mut said = Vec::new();
     if let Some(events) = events {
-        said.push(format!("events in {} last {}, {:.3} a pixel and second", name(events.unit), time(events.span.1 - events.span.0), events.rate_hz));
+        said.push(format!(
+            "events in {} last {}, {:.3} a pixel and second",
+            name(events.unit),
+            time(events.span.1 - events.span.0),
+            events.rate_hz
+        ));
     }
     if let Some(frames) = frames {
-        said.push(format!("frames in {} last {}, one every {}", name(frames.unit), time(frames.span.1 - frames.span.0), time(1e9 / frames.rate_hz)));
+        said.push(format!(
+            "frames in {} last {}, one every {}",
+            name(frames.unit),
+            time(frames.span.1 - frames.span.0),
+            time(1e9 / frames.rate_hz)
+        ));
     }
     said.join("; ")
 }
@@ -126,29 +155,47 @@ fn frames_in(parts: &Parts, all: &All, unit: Option<TimeUnit>) -> Option<Vec<(i6
         let mut declared = All { stamps_unit: unit.or(all.stamps_unit), ..all.clone() }.settings().declared;
         in_order(&mut declared);
         let pictures = PictureFiles::open(place, &declared).ok()?;
-        return Some(photocurrent_formats::Pictures::about(&pictures).stamps.iter().map(|stamp| both(stamp.at, stamp.exposure)).collect());
+        return Some(
+            photocurrent_formats::Pictures::about(&pictures)
+                .stamps
+                .iter()
+                .map(|stamp| both(stamp.at, stamp.exposure))
+                .collect(),
+        );
     }
-    let declared = All { time_unit: all.time_unit.or(unit), stamps_unit: unit.or(all.stamps_unit), ..all.clone() }.settings().declared;
+    let declared =
+        All { time_unit: all.time_unit.or(unit), stamps_unit: unit.or(all.stamps_unit), ..all.clone() }
+            .settings()
+            .declared;
     let recording = joined::open(parts.format, &parts.recording, &declared).ok()?;
     Some(recording.pictures()?.about().stamps.iter().map(|stamp| both(stamp.at, stamp.exposure)).collect())
 }
 
-/// What the recorded units make of a recording that no camera gives: rates that are impossible, or streams of which one lasts a hundred times as long as the other.
-/// `None` of a recording that can be.
+/// What the recorded units make of a recording that no camera gives: rates that are impossible, or streams of
+/// which one lasts a hundred times as long as the other. `None` of a recording that can be.
 fn impossible(parts: &Parts, all: &All) -> Option<String> {
     let recording = joined::open(parts.format, &parts.recording, &all.settings().declared).ok()?;
     let found = scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
     let events = of_events(&found, TimeUnit::Ns, true)?;
     let frames = recording.pictures().and_then(|pictures| {
-        let stamps: Vec<(i64, i64)> = pictures.about().stamps.iter().map(|stamp| stamp.exposure.unwrap_or((stamp.at, stamp.at))).collect();
+        let stamps: Vec<(i64, i64)> = pictures
+            .about()
+            .stamps
+            .iter()
+            .map(|stamp| stamp.exposure.unwrap_or((stamp.at, stamp.at)))
+            .collect();
         of_frames(&stamps, TimeUnit::Ns, true)
     });
     let length = |stream: &Stream| (stream.span.1 - stream.span.0).max(1.0);
-    let is_apart = frames.as_ref().is_some_and(|frames| !(0.01..100.0).contains(&(length(frames) / length(&events))));
+    let is_apart =
+        frames.as_ref().is_some_and(|frames| !(0.01..100.0).contains(&(length(frames) / length(&events))));
     let is_impossible = |stream: &Stream| stream.score < IMPOSSIBLE;
-    let rates = |frames: &Stream| format!("frames one every {} for {}", time(1e9 / frames.rate_hz), time(length(frames)));
+    let rates = |frames: &Stream| {
+        format!("frames one every {} for {}", time(1e9 / frames.rate_hz), time(length(frames)))
+    };
     (is_apart || is_impossible(&events) || frames.as_ref().is_some_and(is_impossible)).then(|| {
-        let of_events = format!("{:.3e} events a pixel and second for {}", events.rate_hz, time(length(&events)));
+        let of_events =
+            format!("{:.3e} events a pixel and second for {}", events.rate_hz, time(length(&events)));
         frames.as_ref().map_or(of_events.clone(), |frames| format!("{of_events} and {}", rates(frames)))
     })
 }
@@ -161,7 +208,11 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
             // Events' unit is no statement about frames.
             declared.time_unit = None;
             in_order(&mut declared);
-            parts.frames.as_ref().filter(|_| declared.trigger_line.is_none()).and_then(|place| PictureFiles::open(place, &declared).err())
+            parts
+                .frames
+                .as_ref()
+                .filter(|_| declared.trigger_line.is_none())
+                .and_then(|place| PictureFiles::open(place, &declared).err())
         } else {
             (declared.frames, declared.stamps) = (None, None);
             (parts.format.open)(&parts.recording, &declared).err()
@@ -175,7 +226,8 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
         let Some(why) = impossible(parts, all) else { return Vec::new() };
         recorded = why;
         events_lack = all.time_unit.is_none() && takes(parts.format.id, "time_unit");
-        frames_lack = all.stamps_unit.is_none() && all.trigger_line.is_none() && takes(parts.format.id, "stamps_unit");
+        frames_lack =
+            all.stamps_unit.is_none() && all.trigger_line.is_none() && takes(parts.format.id, "stamps_unit");
         if !events_lack && !frames_lack {
             return Vec::new();
         }
@@ -183,7 +235,9 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
     // One unit serves a set of files, unless what they state is impossible.
     let of_one_set = parts.frames.is_none() && recorded.is_empty();
     // Where a unit is recorded or stated there is one candidate, whose name stays open.
-    let candidates = |lacks: bool, stated: Option<TimeUnit>| -> Vec<Option<TimeUnit>> { if lacks { UNITS.map(Some).to_vec() } else { vec![stated] } };
+    let candidates = |lacks: bool, stated: Option<TimeUnit>| -> Vec<Option<TimeUnit>> {
+        if lacks { UNITS.map(Some).to_vec() } else { vec![stated] }
+    };
     let mut of_events_units: Vec<Stream> = Vec::new();
     for unit in candidates(events_lack, all.time_unit) {
         if let Some(found) = events_in(parts, all, unit) {
@@ -195,7 +249,8 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
     let mut of_frames_units: Vec<Stream> = Vec::new();
     for unit in candidates(frames_lack || of_one_set && events_lack, all.stamps_unit) {
         if let Some(stamps) = frames_in(parts, all, unit) {
-            let (starts, shown): (Vec<i64>, TimeUnit) = (stamps.iter().map(|stamp| stamp.0).collect(), unit.unwrap_or(TimeUnit::Us));
+            let (starts, shown): (Vec<i64>, TimeUnit) =
+                (stamps.iter().map(|stamp| stamp.0).collect(), unit.unwrap_or(TimeUnit::Us));
             of_frames_units.extend(of_frames(&stamps, shown, is_whole(&starts, shown)));
         }
     }
@@ -204,8 +259,14 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
         if of_frames_units.is_empty() {
             pairs.push((events.score, Some(*events), None));
         }
-        for frames in of_frames_units.iter().filter(|frames| !(of_one_set && events_lack) || frames.unit == events.unit) {
-            pairs.push((events.score + frames.score + together(events, frames), Some(*events), Some(*frames)));
+        for frames in
+            of_frames_units.iter().filter(|frames| !(of_one_set && events_lack) || frames.unit == events.unit)
+        {
+            pairs.push((
+                events.score + frames.score + together(events, frames),
+                Some(*events),
+                Some(*frames),
+            ));
         }
     }
     if of_events_units.is_empty() {
@@ -213,10 +274,18 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
     }
     pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
     let Some((score, events, frames)) = pairs.first().copied() else { return Vec::new() };
-    let known = if recorded.is_empty() { "the unit is not recorded".to_owned() } else { format!("the unit that the files state makes {recorded}") };
+    let known = if recorded.is_empty() {
+        "the unit is not recorded".to_owned()
+    } else {
+        format!("the unit that the files state makes {recorded}")
+    };
     let mut why = format!("{known}; {}", evidence(events.as_ref(), frames.as_ref()));
     if let Some((second, events, frames)) = pairs.get(1).filter(|second| score - second.0 < 8.0) {
-        why += &format!(". Second best ({:.1} less in the logarithm of the likelihood): {}", score - second, evidence(events.as_ref(), frames.as_ref()));
+        why += &format!(
+            ". Second best ({:.1} less in the logarithm of the likelihood): {}",
+            score - second,
+            evidence(events.as_ref(), frames.as_ref())
+        );
     }
     let mut fills = Vec::new();
     if let Some(events) = events.filter(|_| events_lack) {
@@ -235,7 +304,12 @@ mod tests {
     use super::*;
 
     fn events(span_s: f64, count: u64, unit: TimeUnit) -> Stream {
-        let found = Scan { count, corner: Some((95, 71)), some_stamps: vec![0, (span_s * 1e9) as i64], ..Scan::default() };
+        let found = Scan {
+            count,
+            corner: Some((95, 71)),
+            some_stamps: vec![0, (span_s * 1e9) as i64],
+            ..Scan::default()
+        };
         of_events(&found, unit, true).unwrap()
     }
 
@@ -245,7 +319,10 @@ mod tests {
         let as_us = events(0.3, 18_436, TimeUnit::Us);
         let as_ns = events(0.3e-3, 18_436, TimeUnit::Ns);
         assert!(as_us.score > as_ns.score + 10.0);
-        let film = |period_ns: i64, unit| of_frames(&(0..15).map(|l| (l * period_ns, l * period_ns)).collect::<Vec<_>>(), unit, true).unwrap();
+        let film = |period_ns: i64, unit| {
+            of_frames(&(0..15).map(|l| (l * period_ns, l * period_ns)).collect::<Vec<_>>(), unit, true)
+                .unwrap()
+        };
         let (right, wrong) = (film(20_000_000, TimeUnit::Us), film(20_000, TimeUnit::Ns));
         assert!(right.score + together(&as_us, &right) > wrong.score + together(&as_us, &wrong) + 5.0);
     }

@@ -1,4 +1,5 @@
-//! Which part of a recording is rendered first: where frames are, and short enough that the first run takes a minute or two.
+//! Which part of a recording is rendered first: where frames are, and short enough that the first run takes a
+//! minute or two.
 
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Coverage, FramesMeta, TimeSpan};
@@ -23,15 +24,22 @@ pub struct Window {
 /// Whole milliseconds around a span, from zero on.
 fn outwards(start_ns: i64, end_ns: i64, why: String) -> Window {
     const MS: i64 = 1_000_000;
-    let (start, end) = (start_ns.max(0).div_euclid(MS) * MS, end_ns.div_euclid(MS).saturating_add(1).saturating_mul(MS));
+    let (start, end) =
+        (start_ns.max(0).div_euclid(MS) * MS, end_ns.div_euclid(MS).saturating_add(1).saturating_mul(MS));
     Window { start: Duration::new(start), end: Duration::new(end), why }
 }
 
-/// The part that has frames, where the recording is longer: a pause between frames, or events far from all of them. `None` where frames are near throughout.
+/// The part that has frames, where the recording is longer: a pause between frames, or events far from all of
+/// them. `None` where frames are near throughout.
 ///
 /// # Errors
 /// When the events cannot be read.
-pub fn with_frames(recording: &dyn Recording, arranged: &Arranged, frames: &FramesMeta, events: TimeSpan) -> Result<Option<Window>, FormatError> {
+pub fn with_frames(
+    recording: &dyn Recording,
+    arranged: &Arranged,
+    frames: &FramesMeta,
+    events: TimeSpan,
+) -> Result<Option<Window>, FormatError> {
     let coverage = Coverage::of(&frames.times, frames.extent.height);
     let Some(part) = coverage.fullest() else { return Ok(None) };
     let around = coverage.around(part);
@@ -57,7 +65,10 @@ pub fn with_frames(recording: &dyn Recording, arranged: &Arranged, frames: &Fram
     }
     if outside > 0 {
         let span = events.end.0.saturating_sub(events.start.0);
-        why.push(format!("{outside} of {count} events lie far from these frames, in a span of {}", time(span as f64)));
+        why.push(format!(
+            "{outside} of {count} events lie far from these frames, in a span of {}",
+            time(span as f64)
+        ));
     }
     if why.is_empty() {
         why.push("the exposure of a frame ends long after the others".to_owned());
@@ -68,7 +79,12 @@ pub fn with_frames(recording: &dyn Recording, arranged: &Arranged, frames: &Fram
 
 /// The longest time between two parts, ns.
 fn part_gap(coverage: &Coverage) -> i64 {
-    coverage.parts.windows(2).map(|pair| pair[1].span.start.0.saturating_sub(pair[0].span.end.0)).max().unwrap_or(0)
+    coverage
+        .parts
+        .windows(2)
+        .map(|pair| pair[1].span.start.0.saturating_sub(pair[0].span.end.0))
+        .max()
+        .unwrap_or(0)
 }
 
 /// Events outside of a span, and all.
@@ -77,7 +93,12 @@ fn count_outside(recording: &dyn Recording, zero_ns: i64, span: TimeSpan) -> Res
     let (mut outside, mut count) = (0u64, 0u64);
     while cursor.next(&mut chunk)? {
         count += chunk.len() as u64;
-        outside += chunk.t.iter().map(|t| t.saturating_sub(zero_ns)).filter(|t| *t < span.start.0 || *t >= span.end.0).count() as u64;
+        outside += chunk
+            .t
+            .iter()
+            .map(|t| t.saturating_sub(zero_ns))
+            .filter(|t| *t < span.start.0 || *t >= span.end.0)
+            .count() as u64;
     }
     Ok((outside, count))
 }
@@ -97,7 +118,8 @@ pub fn to_render(frames: &FramesMeta, events: TimeSpan, count: u64) -> (Option<W
         return (None, rate_hz);
     }
     // From the first frame that is whole inside.
-    let first = frames.times.exposures.iter().map(|exposure| exposure.start.0).find(|t| *t >= start).unwrap_or(start);
+    let first =
+        frames.times.exposures.iter().map(|exposure| exposure.start.0).find(|t| *t >= start).unwrap_or(start);
     let why = "a part, so that the first run is short; delete both lines for the whole recording";
     (Some(outwards(first, first.saturating_add(length as i64), why.into())), rate_hz)
 }

@@ -1,8 +1,10 @@
 //! `photocurrent inspect`: what recordings hold, and what is wrong with them or not known.
 //!
-//! Files are recognised by their content. A recording of any format is read once ([`photocurrent_formats::survey`]) and judged
-//! ([`photocurrent_formats::hazard`]); events and frames that lie in several files are one recording; a cached artefact says what it is. Hazards do not fail the command: exit code 0 when files are readable, 3 when one is damaged
-//! (what is whole is reported), 2 when one is none of ours.
+//! Files are recognised by their content. A recording of any format is read once
+//! ([`photocurrent_formats::survey`]) and judged ([`photocurrent_formats::hazard`]); events and frames that
+//! lie in several files are one recording; a cached artefact says what it is. Hazards do not fail the
+//! command: exit code 0 when files are readable, 3 when one is damaged (what is whole is reported), 2 when
+//! one is none of ours.
 
 mod screen;
 
@@ -84,7 +86,9 @@ pub fn inspect(options: &InspectOptions) -> Done {
 fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
     need_data(path, "inspect")?;
     let file = path.display().to_string();
-    let wrong = |error: FormatError| if path.exists() { refused(&error) } else { Failure::Other { message: error.to_string(), code: 2 } };
+    let wrong = |error: FormatError| {
+        if path.exists() { refused(&error) } else { Failure::Other { message: error.to_string(), code: 2 } }
+    };
     let Some(format) = recognise(path).map_err(wrong)? else {
         let value = open_value(path).map_err(|_| unknown(path))?;
         let (text, object) = artefact(&value, &file)?;
@@ -94,15 +98,26 @@ fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_j
 }
 
 /// Text, JSON and exit code of events and frames that lie in several files.
-fn together(parts: &Parts, files: &[PathBuf], declared: &Declared, quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
+fn together(
+    parts: &Parts,
+    files: &[PathBuf],
+    declared: &Declared,
+    quiet: bool,
+) -> Result<(String, serde_json::Value, u8), Failure> {
     let names: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
-    shown(names.join(" + "), look(&parts.recording, parts.format, &parts.declared(declared), quiet).map_err(|error| refused(&error))?)
+    shown(
+        names.join(" + "),
+        look(&parts.recording, parts.format, &parts.declared(declared), quiet)
+            .map_err(|error| refused(&error))?,
+    )
 }
 
 /// Text, JSON and exit code of what was read.
 fn shown(file: String, seen: Seen) -> Result<(String, serde_json::Value, u8), Failure> {
     let text = screen::screen(&file, seen.format.name, seen.bytes, &seen.survey, &seen.findings);
-    let to_json = |value: Result<serde_json::Value, serde_json::Error>| value.map_err(|error| Failure::other(error.to_string()));
+    let to_json = |value: Result<serde_json::Value, serde_json::Error>| {
+        value.map_err(|error| Failure::other(error.to_string()))
+    };
     let object = json!({
         "file": file,
         "format": seen.format.id,
@@ -115,12 +130,25 @@ fn shown(file: String, seen: Seen) -> Result<(String, serde_json::Value, u8), Fa
 }
 
 /// Reads a recording once and judges it; `quiet` draws no bar.
-pub fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) -> Result<Seen, FormatError> {
+pub fn look(
+    path: &Path,
+    format: &'static Format,
+    declared: &Declared,
+    quiet: bool,
+) -> Result<Seen, FormatError> {
     let recording = joined::open(format, path, declared)?;
-    let bytes = recording.files().iter().filter_map(|file| std::fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
+    let bytes = recording
+        .files()
+        .iter()
+        .filter_map(|file| std::fs::metadata(file).ok())
+        .map(|metadata| metadata.len())
+        .sum();
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(1000));
     if let Some(bar) = &bar {
-        bar.set_style(ProgressStyle::with_template("reading {wide_bar} {eta}").unwrap_or_else(|_| ProgressStyle::default_bar()));
+        bar.set_style(
+            ProgressStyle::with_template("reading {wide_bar} {eta}")
+                .unwrap_or_else(|_| ProgressStyle::default_bar()),
+        );
     }
     let survey = survey(&*recording, format.id, &Most::default(), |part| {
         if let Some(bar) = &bar {
@@ -141,7 +169,10 @@ pub fn unknown(path: &Path) -> Failure {
     }
     let names: Vec<&str> = photocurrent_formats::FORMATS.iter().map(|format| format.name).collect();
     let hint = format!("known are {}; and cached artefacts (.h5)", names.join(", "));
-    Failure::Other { message: format!("{}: this is no recording of a known format\n  hint: {hint}", path.display()), code: 2 }
+    Failure::Other {
+        message: format!("{}: this is no recording of a known format\n  hint: {hint}", path.display()),
+        code: 2,
+    }
 }
 
 /// Text and JSON of a cached artefact.
@@ -151,13 +182,17 @@ fn artefact(value: &Value, file: &str) -> Result<(String, serde_json::Value), Fa
     let mut text = format!("artefact of type {}\n", value.data_type());
     if let Value::Table(table) = value {
         let mut rows = vec![table.columns().iter().map(|(name, _)| name.clone()).collect()];
-        rows.extend((0..table.len()).map(|row| table.columns().iter().map(|(_, column)| column.cell(row)).collect()));
+        rows.extend(
+            (0..table.len()).map(|row| table.columns().iter().map(|(_, column)| column.cell(row)).collect()),
+        );
         text.push_str(&crate::tables::draw(&rows));
         table.notes.iter().for_each(|(name, note)| text.push_str(&format!("{name}: {note}\n")));
     } else if let Value::Diagnosis(document) = value {
         text.push_str(document.text());
     } else {
-        text.push_str(&serde_json::to_string_pretty(&meta).map_err(|error| Failure::other(error.to_string()))?);
+        text.push_str(
+            &serde_json::to_string_pretty(&meta).map_err(|error| Failure::other(error.to_string()))?,
+        );
     }
     Ok((text, object))
 }

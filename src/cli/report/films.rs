@@ -1,7 +1,8 @@
 //! Which sequences are shown, at which instants, and how large, so that the page keeps its size.
 //!
-//! Shown are the frames that scorers judge, what they are judged by, and what was captured; without scorers all frames. Instants are thinned out evenly
-//! down to [`FEWEST`]; if that is not enough, pictures get half the size, and again.
+//! Shown are the frames that scorers judge, what they are judged by, and what was captured; without scorers
+//! all frames. Instants are thinned out evenly down to [`FEWEST`]; if that is not enough, pictures get half
+//! the size, and again.
 
 use super::run::{Output, Run, Styles};
 use crate::failure::Failure;
@@ -77,7 +78,12 @@ pub fn pictures(runs: &[Run], styles: &mut Styles, budget: u64, page: &mut RunPa
             let extent = candidate.shown.extent();
             match scenes.iter_mut().find(|scene| scene.run == run.name && scene.extent == extent) {
                 Some(scene) => scene.all.push(candidate),
-                None => scenes.push(Scene { run: run.name.clone(), extent, all: vec![candidate], sensor: sensor.clone() }),
+                None => scenes.push(Scene {
+                    run: run.name.clone(),
+                    extent,
+                    all: vec![candidate],
+                    sensor: sensor.clone(),
+                }),
             }
         }
     }
@@ -94,32 +100,43 @@ pub fn pictures(runs: &[Run], styles: &mut Styles, budget: u64, page: &mut RunPa
     Ok(())
 }
 
-/// The sequences of a run in the order in which they are shown, and what there is to say about those that are not.
+/// The sequences of a run in the order in which they are shown, and what there is to say about those that are
+/// not.
 fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
     let mut notes = Vec::new();
     let mut wanted: Vec<(Output, String, bool)> = Vec::new();
-    let has_scorers =
-        run.variants().any(|variant| run.tasks(variant).any(|(at, _)| run.judged(at).is_some() && run.record.tasks[at].kind.starts_with("score/")));
-    let mut add = |output: Output, label: String, is_reference: bool| match wanted.iter_mut().find(|(known, ..)| *known == output) {
+    let has_scorers = run.variants().any(|variant| {
+        run.tasks(variant)
+            .any(|(at, _)| run.judged(at).is_some() && run.record.tasks[at].kind.starts_with("score/"))
+    });
+    let mut add = |output: Output, label: String, is_reference: bool| match wanted
+        .iter_mut()
+        .find(|(known, ..)| *known == output)
+    {
         Some(known) => known.2 |= is_reference,
         None => wanted.push((output, label, is_reference)),
     };
     for variant in run.variants() {
         for (at, _) in run.tasks(variant).filter(|(_, task)| task.kind.starts_with("score/")) {
             for port in ["truth", "held"] {
-                run.inputs(at, port).iter().for_each(|output| add(output.clone(), run.label_in(output, variant), true));
+                run.inputs(at, port)
+                    .iter()
+                    .for_each(|output| add(output.clone(), run.label_in(output, variant), true));
             }
-            run.judged(at).into_iter().for_each(|output| add(output.clone(), run.label_in(output, variant), false));
+            run.judged(at)
+                .into_iter()
+                .for_each(|output| add(output.clone(), run.label_in(output, variant), false));
         }
-        let sources = run
-            .outputs(variant, "frames")
-            .into_iter()
-            .filter(|(at, _)| ["read/", "simulate/"].iter().any(|family| run.record.tasks[*at].kind.starts_with(family)));
+        let sources = run.outputs(variant, "frames").into_iter().filter(|(at, _)| {
+            ["read/", "simulate/"].iter().any(|family| run.record.tasks[*at].kind.starts_with(family))
+        });
         sources.for_each(|output| add(output.clone(), run.label_in(&output, variant), false));
     }
     if !has_scorers {
         for variant in run.variants() {
-            run.outputs(variant, "frames").into_iter().for_each(|output| add(output.clone(), run.label_in(&output, variant), false));
+            run.outputs(variant, "frames")
+                .into_iter()
+                .for_each(|output| add(output.clone(), run.label_in(&output, variant), false));
         }
     }
     let mut all: Vec<Candidate> = Vec::new();
@@ -134,16 +151,28 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
                 all.push(Candidate { label, shown, is_reference });
             }
             Ok(None) => {}
-            Err(why) => notes.push(format!("{label} is not shown: {why}. `photocurrent run {}` makes it again.", run.record.manifest)),
+            Err(why) => notes.push(format!(
+                "{label} is not shown: {why}. `photocurrent run {}` makes it \
+                                            again.",
+                run.record.manifest
+            )),
         }
     }
     all.sort_by_key(Candidate::rank);
-    if let [one] = all.iter_mut().filter(|candidate| candidate.kind() == "captured").collect::<Vec<_>>().as_mut_slice() {
+    if let [one] =
+        all.iter_mut().filter(|candidate| candidate.kind() == "captured").collect::<Vec<_>>().as_mut_slice()
+    {
         one.label = "captured".into();
     }
     if all.len() > MOST {
         let left: Vec<String> = all.split_off(MOST).into_iter().map(|candidate| candidate.label).collect();
-        notes.push(format!("{MOST} sequences of {} are shown, and {} are not, such as {}: choose with `--variant NAME`.", run.name, left.len(), left[0]));
+        notes.push(format!(
+            "{MOST} sequences of {} are shown, and {} are not, such as {}: choose with \
+                            `--variant NAME`.",
+            run.name,
+            left.len(),
+            left[0]
+        ));
     }
     if all.is_empty() && notes.is_empty() {
         notes.push(format!("No pictures of {}: the run has no frames.", run.name));
@@ -153,33 +182,60 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
 }
 
 /// Chooses instants and size, and encodes.
-fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mut Styles, budget: u64, page: &mut RunPage) -> Result<Group, Failure> {
-    let reference = all.iter().position(|one| one.is_reference).or_else(|| all.iter().position(|one| one.kind() == "method")).unwrap_or(0);
-    let failed = |error: photocurrent_core::NodeError| Failure::other(format!("the pictures of {name} cannot be made: {error}"));
+fn group(
+    name: String,
+    all: Vec<Candidate>,
+    sensor: Option<&Sensor>,
+    styles: &mut Styles,
+    budget: u64,
+    page: &mut RunPage,
+) -> Result<Group, Failure> {
+    let reference = all
+        .iter()
+        .position(|one| one.is_reference)
+        .or_else(|| all.iter().position(|one| one.kind() == "method"))
+        .unwrap_or(0);
+    let failed = |error: photocurrent_core::NodeError| {
+        Failure::other(format!(
+            "the pictures of {name} \
+                                                            cannot be made: {error}"
+        ))
+    };
     let tone = Tone::of(&all[reference].shown, sensor).map_err(failed)?;
     let middles: Vec<Vec<i64>> = all.iter().map(|one| one.shown.middles_ns()).collect();
-    let instants = common(&middles[reference], all.iter().zip(&middles).filter(|(one, _)| one.kind() == "method").map(|(_, middles)| middles));
+    let instants = common(
+        &middles[reference],
+        all.iter().zip(&middles).filter(|(one, _)| one.kind() == "method").map(|(_, middles)| middles),
+    );
     let extent = all[reference].shown.extent();
     let mut shrink = 1;
     let count = loop {
         let probe = instants[instants.len() / 2];
-        let sizes = all.iter().zip(&middles).map(|(one, middles)| one.shown.png(nearest(middles, probe), &tone, shrink).map(|png| png.len() as u64));
+        let sizes = all.iter().zip(&middles).map(|(one, middles)| {
+            one.shown.png(nearest(middles, probe), &tone, shrink).map(|png| png.len() as u64)
+        });
         let bytes = sizes.sum::<Result<u64, _>>().map_err(failed)?;
         // Base64 writes four letters for three bytes.
         let fitting = (budget / (bytes * 4 / 3 + 100 * all.len() as u64).max(1)) as usize;
         let most = instants.len().min(MOST_INSTANTS);
         let smaller = shrink * 2;
-        let can_shrink = smaller <= MOST_SHRINK && extent.width / smaller >= 16 && extent.height / smaller >= 16;
+        let can_shrink =
+            smaller <= MOST_SHRINK && extent.width / smaller >= 16 && extent.height / smaller >= 16;
         if fitting >= most.min(FEWEST) || !can_shrink {
             break fitting.clamp(1, most);
         }
         shrink = smaller;
     };
-    let chosen: Vec<i64> = (0..count).map(|k| instants[if count == 1 { instants.len() / 2 } else { k * (instants.len() - 1) / (count - 1) }]).collect();
+    let chosen: Vec<i64> = (0..count)
+        .map(|k| {
+            instants[if count == 1 { instants.len() / 2 } else { k * (instants.len() - 1) / (count - 1) }]
+        })
+        .collect();
     if count < instants.len() || shrink > 1 {
         let size = if shrink > 1 { format!(", at 1/{shrink} of their size") } else { String::new() };
         page.picture_notes.push(format!(
-            "{name}: {count} of {} instants are embedded{size}, to keep within {} of pictures: `--max-size` allows more.",
+            "{name}: {count} of {} instants are embedded{size}, to keep within {} of pictures: `--max-size` \
+             allows more.",
             instants.len(),
             human_bytes(budget)
         ));
@@ -222,7 +278,9 @@ fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mu
 
 /// The instants at which every method has frames, all of them where there are none in common.
 fn common<'a>(instants: &[i64], methods: impl Iterator<Item = &'a Vec<i64>>) -> Vec<i64> {
-    let ends = |(from, to): (i64, i64), middles: &Vec<i64>| (from.max(middles.first().copied().unwrap_or(from)), to.min(middles.last().copied().unwrap_or(to)));
+    let ends = |(from, to): (i64, i64), middles: &Vec<i64>| {
+        (from.max(middles.first().copied().unwrap_or(from)), to.min(middles.last().copied().unwrap_or(to)))
+    };
     let (from, to) = methods.fold((i64::MIN, i64::MAX), ends);
     let found: Vec<i64> = instants.iter().copied().filter(|t| (from..=to).contains(t)).collect();
     if found.is_empty() { instants.to_vec() } else { found }
@@ -231,7 +289,10 @@ fn common<'a>(instants: &[i64], methods: impl Iterator<Item = &'a Vec<i64>>) -> 
 /// The name of the method that is best in the first column of the verdict.
 fn best(page: &RunPage) -> Option<&str> {
     let rows = page.verdicts.first().map_or(&[][..], |verdict| &verdict.rows);
-    rows.iter().find(|row| row.cells.first().is_some_and(|cell| cell.mark == Mark::Best)).and_then(|row| row.names.last()).map(String::as_str)
+    rows.iter()
+        .find(|row| row.cells.first().is_some_and(|cell| cell.mark == Mark::Best))
+        .and_then(|row| row.names.last())
+        .map(String::as_str)
 }
 
 /// What was captured on the left, and the best method on the right, else the first.
@@ -265,7 +326,11 @@ mod tests {
 
     #[test]
     fn a_captured_sequence_and_a_method_are_shown_first() {
-        let film = |(at, kind): (usize, &&'static str)| Film { kind, label: format!("film {at}"), ..Film::default() };
+        let film = |(at, kind): (usize, &&'static str)| Film {
+            kind,
+            label: format!("film {at}"),
+            ..Film::default()
+        };
         let films = |kinds: &[&'static str]| kinds.iter().enumerate().map(film).collect::<Vec<_>>();
         assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"]), None), [1, 2]);
         assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"]), Some("film 3")), [1, 3]);

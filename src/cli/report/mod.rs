@@ -1,7 +1,9 @@
-//! `photocurrent report`: one page of HTML out of finished runs, of what they left in their folders and in the cache. Nothing is run, nothing calculated.
+//! `photocurrent report`: one page of HTML out of finished runs, of what they left in their folders and in
+//! the cache. Nothing is run, nothing calculated.
 //!
-//! [`run`] reads what a run says of itself, [`films`] picks and encodes pictures within the size that is allowed, [`scores`] lays out numbers, [`pixels`]
-//! follows single pixels, [`nodes`] draws graphs and says where it all comes from. The page itself is that of `photocurrent-page`.
+//! [`run`] reads what a run says of itself, [`films`] picks and encodes pictures within the size that is
+//! allowed, [`scores`] lays out numbers, [`pixels`] follows single pixels, [`nodes`] draws graphs and says
+//! where it all comes from. The page itself is that of `photocurrent-page`.
 
 mod films;
 mod nodes;
@@ -33,7 +35,10 @@ pub fn report(options: &ReportOptions) -> Done {
         if over == 0 {
             write_whole(&output, html.as_bytes())?;
             if !options.quiet {
-                page.picture_notes.iter().chain(&page.pixel_notes).for_each(|note| say!("note: {}", note.replace('`', "")));
+                page.picture_notes
+                    .iter()
+                    .chain(&page.pixel_notes)
+                    .for_each(|note| say!("note: {}", note.replace('`', "")));
                 say!("{} in one file; open it in a browser", human_bytes(html.len() as u64));
             }
             print(&output.display().to_string())?;
@@ -42,11 +47,17 @@ pub fn report(options: &ReportOptions) -> Done {
         budget = budget.saturating_sub(over + over / 10 + 1000);
     }
     let hint = "hint: give more, such as --max-size 12MB, or show fewer variants with --variant";
-    Err(Failure::Other { message: format!("the page cannot be made as small as {}\n  {hint}", human_bytes(options.max_size)), code: 2 })
+    Err(Failure::Other {
+        message: format!("the page cannot be made as small as {}\n  {hint}", human_bytes(options.max_size)),
+        code: 2,
+    })
 }
 
 fn page(runs: &[Run], options: &ReportOptions, budget: u64) -> Result<RunPage, Failure> {
-    let mut page = RunPage { title: runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", "), ..RunPage::default() };
+    let mut page = RunPage {
+        title: runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", "),
+        ..RunPage::default()
+    };
     let mut styles = run::Styles::default();
     scores::verdict(runs, &mut page)?;
     films::pictures(runs, &mut styles, budget, &mut page)?;

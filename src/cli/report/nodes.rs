@@ -16,7 +16,12 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
     for run in runs {
         let record = &run.record;
         let several = runs.len() > 1;
-        page.about.extend(record.about.as_ref().map(|about| if several { format!("{}: {about}", run.name) } else { about.clone() }));
+        page.about.extend(
+            record
+                .about
+                .as_ref()
+                .map(|about| if several { format!("{}: {about}", run.name) } else { about.clone() }),
+        );
         let count = |end: End| record.tasks.iter().filter(|task| task.end == end).count();
         let not_well = record.tasks.len() - count(End::Executed) - count(End::Reused);
         let name = |what: &str| if several { format!("{}, {what}", run.name) } else { what.to_string() };
@@ -26,18 +31,35 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
                 "{} executed, {} from the cache{}, in {}",
                 print_count(count(End::Executed), "node"),
                 count(End::Reused),
-                if not_well > 0 { format!(", {not_well} failed, skipped or interrupted") } else { String::new() },
+                if not_well > 0 {
+                    format!(", {not_well} failed, skipped or interrupted")
+                } else {
+                    String::new()
+                },
                 human_seconds(record.seconds)
             ),
         ));
         if !record.axes.is_empty() {
-            let axes: Vec<String> = record.axes.iter().map(|(axis, levels)| format!("{axis} ({})", levels.join(", "))).collect();
-            page.facts.push((name("ablation"), format!("{}: {}", print_count(record.variants.len(), "variant"), axes.join("; "))));
+            let axes: Vec<String> =
+                record.axes.iter().map(|(axis, levels)| format!("{axis} ({})", levels.join(", "))).collect();
+            page.facts.push((
+                name("ablation"),
+                format!("{}: {}", print_count(record.variants.len(), "variant"), axes.join("; ")),
+            ));
         }
         for task in &record.tasks {
             match task.end {
-                End::Failed => page.failures.push(format!("{} ({}) failed: {}", task.label, task.kind, task.error.as_deref().unwrap_or("without a reason"))),
-                End::Skipped => page.failures.push(format!("{} was skipped: it needs {}", task.label, task.because.join(", "))),
+                End::Failed => page.failures.push(format!(
+                    "{} ({}) failed: {}",
+                    task.label,
+                    task.kind,
+                    task.error.as_deref().unwrap_or("without a reason")
+                )),
+                End::Skipped => page.failures.push(format!(
+                    "{} was skipped: it needs {}",
+                    task.label,
+                    task.because.join(", ")
+                )),
                 End::Interrupted => page.failures.push(format!("{} was interrupted", task.label)),
                 End::Executed | End::Reused => {}
             }
@@ -70,16 +92,34 @@ fn graph(run: &Run, variant: &VariantRecord) -> Graph {
     let edges = tasks.iter().enumerate().flat_map(|(to, (_, task))| {
         task.inputs.iter().flat_map(move |input| {
             let edge = |(from, port): (usize, String)| {
-                Some(Edge { from: place(from)?, from_port: port, to, to_port: input.port.clone(), data_type: input.data_type.clone() })
+                Some(Edge {
+                    from: place(from)?,
+                    from_port: port,
+                    to,
+                    to_port: input.port.clone(),
+                    data_type: input.data_type.clone(),
+                })
             };
-            let whole = input.from.iter().enumerate().filter(|(value, _)| !input.joined.iter().any(|part| part.value == *value)).map(|(_, from)| from.clone());
+            let whole = input
+                .from
+                .iter()
+                .enumerate()
+                .filter(|(value, _)| !input.joined.iter().any(|part| part.value == *value))
+                .map(|(_, from)| from.clone());
             let parts = input.joined.iter().map(|part| (part.task, part.port.clone()));
             whole.chain(parts).filter_map(edge).collect::<Vec<_>>()
         })
     });
-    let title = if run.record.variants.len() > 1 { format!("{}, {}", run.name, variant.name) } else { run.name.clone() };
-    let drawing =
-        Drawing { title: title.clone(), nodes: variant.nodes.iter().zip(&tasks).map(|(name, task)| node(name, task)).collect(), edges: edges.collect() };
+    let title = if run.record.variants.len() > 1 {
+        format!("{}, {}", run.name, variant.name)
+    } else {
+        run.name.clone()
+    };
+    let drawing = Drawing {
+        title: title.clone(),
+        nodes: variant.nodes.iter().zip(&tasks).map(|(name, task)| node(name, task)).collect(),
+        edges: edges.collect(),
+    };
     let row = |task: &TaskRecord| NodeRow {
         name: task.label.clone(),
         kind: task.kind.clone(),
@@ -94,12 +134,24 @@ fn graph(run: &Run, variant: &VariantRecord) -> Graph {
 
 fn hazards(run: &Run) -> Vec<Hazard> {
     let record = &run.record;
-    let mut all: Vec<Hazard> = record.warnings.iter().map(|text| Hazard { at: run.name.clone(), text: text.clone(), is_serious: true }).collect();
+    let mut all: Vec<Hazard> = record
+        .warnings
+        .iter()
+        .map(|text| Hazard { at: run.name.clone(), text: text.clone(), is_serious: true })
+        .collect();
     for variant in run.variants() {
-        all.extend(variant.left_out.iter().map(|(node, why)| Hazard { at: node.clone(), text: format!("left out: {why}"), is_serious: true }));
+        all.extend(variant.left_out.iter().map(|(node, why)| Hazard {
+            at: node.clone(),
+            text: format!("left out: {why}"),
+            is_serious: true,
+        }));
     }
     for task in &record.tasks {
-        all.extend(task.notes.iter().map(|text| Hazard { at: task.label.clone(), text: text.clone(), is_serious: text.starts_with(LOSS) }));
+        all.extend(task.notes.iter().map(|text| Hazard {
+            at: task.label.clone(),
+            text: text.clone(),
+            is_serious: text.starts_with(LOSS),
+        }));
     }
     let mut unique: Vec<Hazard> = Vec::new();
     all.into_iter().for_each(|hazard| {
@@ -123,12 +175,18 @@ fn hazards(run: &Run) -> Vec<Hazard> {
 
 /// The manifest as it was named, without folders of a machine.
 fn manifest(run: &Run) -> String {
-    if run.record.manifest.starts_with('/') { file_name(&run.record.manifest) } else { run.record.manifest.clone() }
+    if run.record.manifest.starts_with('/') {
+        file_name(&run.record.manifest)
+    } else {
+        run.record.manifest.clone()
+    }
 }
 
 /// The last part of a path.
 fn file_name(path: &str) -> String {
-    std::path::Path::new(path).file_name().map_or_else(|| path.into(), |name| name.to_string_lossy().into_owned())
+    std::path::Path::new(path)
+        .file_name()
+        .map_or_else(|| path.into(), |name| name.to_string_lossy().into_owned())
 }
 
 /// Diagnoses that were part of the run, with links to their own pages.
@@ -137,10 +195,19 @@ fn diagnoses(run: &Run) -> String {
     for task in run.record.tasks.iter().filter(|task| task.kind == "write/diagnosis") {
         let Some(folder) = &task.files else { continue };
         let text = std::fs::read_to_string(run.folder.join(folder).join("diagnosis.json"));
-        let Some(report) = text.ok().and_then(|text| serde_json::from_str::<photocurrent_diagnosis::report::Report>(&text).ok()) else { continue };
+        let Some(report) = text
+            .ok()
+            .and_then(|text| serde_json::from_str::<photocurrent_diagnosis::report::Report>(&text).ok())
+        else {
+            continue;
+        };
         let page = escaped(&folder.join("report.html").to_string_lossy());
-        html += &format!("<h3>{}</h3>\n{}", escaped(&task.label), photocurrent_diagnosis::page::section(&report));
-        html += &format!("<p class=\"note\">With pictures, in the folder of the run: <code>{page}</code></p>\n");
+        html +=
+            &format!("<h3>{}</h3>\n{}", escaped(&task.label), photocurrent_diagnosis::page::section(&report));
+        html += &format!(
+            "<p class=\"note\">With pictures, in the folder of the run: \
+                          <code>{page}</code></p>\n"
+        );
     }
     html
 }
@@ -153,9 +220,11 @@ fn provenance(run: &Run, name: &dyn Fn(&str) -> String, page: &mut RunPage) {
     page.provenance.push((name("seed"), record.seed.to_string()));
     for task in record.tasks.iter().filter(|task| task.kind.starts_with("read/")) {
         let Some(path) = task.params["path"].as_str() else { continue };
-        let content: Vec<String> = task.outputs.iter().map(|(port, output)| format!("{port} {}", output.digest)).collect();
+        let content: Vec<String> =
+            task.outputs.iter().map(|(port, output)| format!("{port} {}", output.digest)).collect();
         // A page is passed on: it names files, and no folders of a machine.
         let path = file_name(path);
-        page.provenance.push((name(&task.label), format!("{path}; content (BLAKE3): {}", content.join(", "))));
+        page.provenance
+            .push((name(&task.label), format!("{path}; content (BLAKE3): {}", content.join(", "))));
     }
 }

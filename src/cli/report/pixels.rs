@@ -11,15 +11,22 @@ use photocurrent_page::{Bar, Event, Group, Pixel, Residual, RunPage, Solved};
 const USUAL: usize = 8;
 
 /// Adds the pixels.
-pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut RunPage) -> Result<(), Failure> {
+pub fn follow(
+    run: &Run,
+    asked: &[(u32, u32)],
+    styles: &mut Styles,
+    page: &mut RunPage,
+) -> Result<(), Failure> {
     let Some(group) = page.groups.first().cloned() else {
         page.pixel_notes.push("No pixel is followed: there are no pictures to pick it from.".into());
         return Ok(());
     };
     let (width, height) = (group.width * group.shrink, group.height * group.shrink);
     if let Some((x, y)) = asked.iter().find(|(x, y)| *x >= width || *y >= height) {
-        let message =
-            format!("--pixel {x},{y}: the pixel is outside, the pictures have {width} x {height}\n  hint: keep x below {width}, and y below {height}");
+        let message = format!(
+            "--pixel {x},{y}: the pixel is outside, the pictures have {width} x {height}\n  hint: \
+                     keep x below {width}, and y below {height}"
+        );
         return Err(Failure::Other { message, code: 2 });
     }
     let all = |data_type: &str| -> Vec<(Output, String)> {
@@ -27,7 +34,11 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
         for variant in run.variants() {
             for output in run.outputs(variant, data_type) {
                 if !found.iter().any(|(known, _)| *known == output) {
-                    let label = if data_type == "tracks" { followed_by(run, &output).map(|shown| run.label_in(&shown, variant)) } else { None };
+                    let label = if data_type == "tracks" {
+                        followed_by(run, &output).map(|shown| run.label_in(&shown, variant))
+                    } else {
+                        None
+                    };
                     found.push((output.clone(), label.unwrap_or_else(|| run.label_in(&output, variant))));
                 }
             }
@@ -37,7 +48,11 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
     let size = |value: &Value| value.meta().rows().map(|rows| rows.len()) == Some(height as usize);
     let load = |data_type: &str| -> Vec<(Value, String)> {
         let outputs = all(data_type);
-        outputs.into_iter().filter_map(|(output, label)| Some((run.value(&output).ok()?, label))).filter(|(value, _)| size(value)).collect()
+        outputs
+            .into_iter()
+            .filter_map(|(output, label)| Some((run.value(&output).ok()?, label)))
+            .filter(|(value, _)| size(value))
+            .collect()
     };
     let (events, frames, tracks) = (load("events"), load("frames"), tracks(run, all("tracks")));
     let tracks: Vec<(Value, String)> = tracks.into_iter().filter(|(value, _)| size(value)).collect();
@@ -45,8 +60,11 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
     let frames: Vec<Shown> = truth.chain(frames).filter_map(|(value, _)| Shown::of(value)).collect();
     let captured = frames.iter().find(|shown| shown.is_captured());
     let Some(sensor) = sensor(run) else {
-        page.pixel_notes
-            .push("No sensor description is stored with the run, so no voltages are shown: connect `read/sensor`, or a recording with a description.".into());
+        page.pixel_notes.push(
+            "No sensor description is stored with the run, so no voltages are shown: connect \
+                   `read/sensor`, or a recording with a description."
+                .into(),
+        );
         return Ok(());
     };
     let first = frames.iter().find(|shown| shown.is_truth()).or(captured);
@@ -61,12 +79,15 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
     };
     if places.is_empty() {
         page.pixel_notes.push(
-            "The cache holds no events of the run at the size of its pictures: name pixels with `--pixel X,Y` to follow their frames and photocurrent.".into(),
+            "The cache holds no events of the run at the size of its pictures: name pixels with `--pixel \
+             X,Y` to follow their frames and photocurrent."
+                .into(),
         );
     }
     if tracks.is_empty() {
         page.pixel_notes.push(
-            "The cache holds no photocurrent of single pixels: `solve/map` gives it, and `pipeline.keep = [\"NODE.tracks\"]` stores what nothing else takes."
+            "The cache holds no photocurrent of single pixels: `solve/map` gives it, and `pipeline.keep = \
+             [\"NODE.tracks\"]` stores what nothing else takes."
                 .into(),
         );
     }
@@ -83,7 +104,8 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
     Ok(())
 }
 
-/// The first block of the frames that are rendered from tracks, where those are joined; a label; the tracks, with their shares of time.
+/// The first block of the frames that are rendered from tracks, where those are joined; a label; the tracks,
+/// with their shares of time.
 type Found = (Option<Output>, String, Vec<(Value, TimeSpan)>);
 
 /// Tracks that can be had; those of blocks of time as one, as the frames that are rendered from them.
@@ -105,14 +127,16 @@ fn tracks(run: &Run, outputs: Vec<(Output, String)>) -> Vec<(Value, String)> {
 /// The frames that are rendered from tracks.
 fn followed_by(run: &Run, tracks: &Output) -> Option<Output> {
     let takes = |task: usize| run.record.tasks[task].inputs.iter().any(|input| input.from.contains(tracks));
-    let renders = (0..run.record.tasks.len()).find(|&task| run.record.tasks[task].kind.starts_with("render/") && takes(task))?;
+    let renders = (0..run.record.tasks.len())
+        .find(|&task| run.record.tasks[task].kind.starts_with("render/") && takes(task))?;
     let port = run.record.tasks[renders].outputs.iter().find(|(_, stored)| stored.data_type == "frames")?;
     Some((renders, port.0.clone()))
 }
 
 /// The time that the charts show, with some room, ns.
 fn span(group: &Group) -> std::ops::RangeInclusive<i64> {
-    let (first, last) = (group.instants_ns.first().copied().unwrap_or(0), group.instants_ns.last().copied().unwrap_or(0));
+    let (first, last) =
+        (group.instants_ns.first().copied().unwrap_or(0), group.instants_ns.last().copied().unwrap_or(0));
     let room = (last - first) / 20;
     first - room..=last + room
 }
@@ -120,22 +144,38 @@ fn span(group: &Group) -> std::ops::RangeInclusive<i64> {
 fn pixel(seen: &Seen, group: &Group, x: u32, y: u32) -> Pixel {
     let span = span(group);
     let events = seen.events.iter().filter(|(t, _)| span.contains(t)).map(|&(t_ns, on)| Event { t_ns, on });
-    let exposures = seen.exposures.iter().filter(|one| span.contains(&one.start_ns) || span.contains(&one.end_ns));
-    let bar = |one: &photocurrent_nodes::show::Exposed| Bar { frame: one.frame, from_ns: one.start_ns, to_ns: one.end_ns, dn: one.dn, shown_dn: one.shown_dn };
+    let exposures =
+        seen.exposures.iter().filter(|one| span.contains(&one.start_ns) || span.contains(&one.end_ns));
+    let bar = |one: &photocurrent_nodes::show::Exposed| Bar {
+        frame: one.frame,
+        from_ns: one.start_ns,
+        to_ns: one.end_ns,
+        dn: one.dn,
+        shown_dn: one.shown_dn,
+    };
     Pixel { x, y, events: events.collect(), exposures: exposures.map(bar).collect(), solved: Vec::new() }
 }
 
 fn shown(found: Photocurrent, group: &Group, label: &str, style: usize) -> Solved {
     let span = span(group);
     let short = |value: f64| format!("{value:.4}").parse().unwrap_or(value);
-    let curve = |points: Vec<(i64, f64)>| points.into_iter().filter(|(t, _)| span.contains(t)).map(|(t, v)| (t, short(v))).collect::<Vec<_>>();
-    let residuals = |points: Vec<(i64, f64)>| curve(points).into_iter().map(|(t_ns, value)| Residual { t_ns, value }).collect();
+    let curve = |points: Vec<(i64, f64)>| {
+        points.into_iter().filter(|(t, _)| span.contains(t)).map(|(t, v)| (t, short(v))).collect::<Vec<_>>()
+    };
+    let residuals = |points: Vec<(i64, f64)>| {
+        curve(points).into_iter().map(|(t_ns, value)| Residual { t_ns, value }).collect()
+    };
     Solved {
         label: label.into(),
         style,
         is_held: found.is_held,
         knots: curve(found.knots),
-        band: found.band.into_iter().filter(|(t, ..)| span.contains(t)).map(|(t, low, high)| (t, short(low), short(high))).collect(),
+        band: found
+            .band
+            .into_iter()
+            .filter(|(t, ..)| span.contains(t))
+            .map(|(t, low, high)| (t, short(low), short(high)))
+            .collect(),
         front_end: curve(found.front_end),
         frame_residuals: residuals(found.frame_residuals),
         event_residuals: residuals(found.event_residuals),

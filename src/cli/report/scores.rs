@@ -1,4 +1,5 @@
-//! Numbers: tables of pooled scores with their marks, curves over frames and over an axis, profiles of edges, cards.
+//! Numbers: tables of pooled scores with their marks, curves over frames and over an axis, profiles of edges,
+//! cards.
 
 use super::run::{Run, Styles};
 use crate::args::{Among, Pooled};
@@ -20,9 +21,17 @@ const SINGLE: &str = "metrics.jsonl";
 /// The scores of all runs, pooled over frames; empty when there are none.
 fn pooled(runs: &[Run]) -> Result<Vec<Record>, Failure> {
     // What was never measured by anybody has no place in a table.
-    let has_numbers = |run: &&Run| std::fs::read_to_string(run.folder.join(POOLED)).is_ok_and(|text| text.contains("\"metric\""));
+    let has_numbers = |run: &&Run| {
+        std::fs::read_to_string(run.folder.join(POOLED)).is_ok_and(|text| text.contains("\"metric\""))
+    };
     let folders: Vec<PathBuf> = runs.iter().filter(has_numbers).map(|run| run.folder.clone()).collect();
-    let choice = Choice { metrics: Vec::new(), levels: Vec::new(), statistic: Pooled::Value, by_frame: false, card: Vec::new() };
+    let choice = Choice {
+        metrics: Vec::new(),
+        levels: Vec::new(),
+        statistic: Pooled::Value,
+        by_frame: false,
+        card: Vec::new(),
+    };
     if folders.is_empty() { Ok(Vec::new()) } else { read(&folders, &choice) }
 }
 
@@ -30,12 +39,18 @@ fn pooled(runs: &[Run]) -> Result<Vec<Record>, Failure> {
 fn names(runs: &[Run]) -> BTreeMap<String, String> {
     let mut names: BTreeMap<String, Option<String>> = BTreeMap::new();
     for run in runs {
-        for (at, task) in run.record.tasks.iter().enumerate().filter(|(_, task)| task.kind.starts_with("score/")) {
+        for (at, task) in
+            run.record.tasks.iter().enumerate().filter(|(_, task)| task.kind.starts_with("score/"))
+        {
             let Some(judged) = run.judged(at) else { continue };
-            let method = task.label.split_once('_').map_or(task.label.as_str(), |(_, method)| method).to_string();
+            let method =
+                task.label.split_once('_').map_or(task.label.as_str(), |(_, method)| method).to_string();
             let label = run.label(judged);
             // A name of two things is no name.
-            names.entry(method).and_modify(|known| *known = known.take().filter(|known| *known == label)).or_insert(Some(label));
+            names
+                .entry(method)
+                .and_modify(|known| *known = known.take().filter(|known| *known == label))
+                .or_insert(Some(label));
         }
     }
     names.into_iter().filter_map(|(method, label)| Some((method, label?))).collect()
@@ -49,9 +64,14 @@ fn style(runs: &[Run], grid: &Grid) -> Style {
     }
 }
 
-/// Lays records out: as `photocurrent table` would, with nodes for methods where two scorers share a method's name.
+/// Lays records out: as `photocurrent table` would, with nodes for methods where two scorers share a method's
+/// name.
 fn laid_out(records: &[Record]) -> Result<Grid, Failure> {
-    let request = |rows: &[&str]| Request { rows: rows.iter().map(ToString::to_string).collect(), columns: Vec::new(), sum: false };
+    let request = |rows: &[&str]| Request {
+        rows: rows.iter().map(ToString::to_string).collect(),
+        columns: Vec::new(),
+        sum: false,
+    };
     let tries = [request(&[]), request(&["node"]), request(&["file", "node"])];
     let mut last = String::new();
     for request in tries {
@@ -75,8 +95,10 @@ pub fn verdict(runs: &[Run], page: &mut RunPage) -> Result<(), Failure> {
     let arrows = [" \u{2191}", " \u{2193}"];
     let level = |axis: &String, level: &String| style.level(&grid, axis, level, arrows);
     let column = |levels: &Vec<String>| {
-        let parts: Vec<String> = grid.column_axes.iter().zip(levels).map(|(axis, text)| level(axis, text)).collect();
-        let only = grid.metrics().first().map_or_else(String::new, |metric| style.heading(&grid, metric, arrows));
+        let parts: Vec<String> =
+            grid.column_axes.iter().zip(levels).map(|(axis, text)| level(axis, text)).collect();
+        let only =
+            grid.metrics().first().map_or_else(String::new, |metric| style.heading(&grid, metric, arrows));
         if parts.is_empty() { only } else { parts.join(", ") }
     };
     let cell = |row: usize, at: usize| {
@@ -89,7 +111,8 @@ pub fn verdict(runs: &[Run], page: &mut RunPage) -> Result<(), Failure> {
             Standing::Second => Mark::Second,
             Standing::Plain => Mark::Plain,
         };
-        let digits = cell.map(|cell| format!("{} {}", cell.value, cell.unit)).filter(|_| mark != Mark::Missing);
+        let digits =
+            cell.map(|cell| format!("{} {}", cell.value, cell.unit)).filter(|_| mark != Mark::Missing);
         Cell { text: style.show(cell), mark, title: why.or(digits).unwrap_or_default() }
     };
     let rows = grid.rows.iter().enumerate().map(|(row, levels)| VerdictRow {
@@ -123,9 +146,13 @@ fn cards(records: &[Record], style: &Style) -> Vec<Card> {
     }
     let card = |card: &str| {
         let own: Vec<Record> = records.iter().filter(|record| record.card == card).cloned().collect();
-        let methods: Vec<String> = levels_of(&own, "method").iter().map(|method| style.name(method).to_string()).collect();
+        let methods: Vec<String> =
+            levels_of(&own, "method").iter().map(|method| style.name(method).to_string()).collect();
         let (definition, fields) = card.split_once(": ").unwrap_or((card, ""));
-        let pairs = fields.split("; ").filter_map(|pair| pair.split_once(" = ")).map(|(key, text)| (key.to_string(), text.to_string()));
+        let pairs = fields
+            .split("; ")
+            .filter_map(|pair| pair.split_once(" = "))
+            .map(|(key, text)| (key.to_string(), text.to_string()));
         Card {
             metrics: format!("{} of {}", levels_of(&own, "metric").join(", "), methods.join(", ")),
             definition: definition.to_string(),
@@ -142,25 +169,44 @@ pub fn curves(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<(
         let Ok(text) = std::fs::read_to_string(&path) else { continue };
         let mut panels: Vec<(String, Panel)> = Vec::new();
         for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-            let wrong =
-                |what: String| Failure::Other { message: format!("{}:{}: {what}\n  hint: run the manifest again", path.display(), number + 1), code: 2 };
-            let line: Json = serde_json::from_str(line).map_err(|error| wrong(format!("no JSON: {error}")))?;
+            let wrong = |what: String| Failure::Other {
+                message: format!("{}:{}: {what}\n  hint: run the manifest again", path.display(), number + 1),
+                code: 2,
+            };
+            let line: Json =
+                serde_json::from_str(line).map_err(|error| wrong(format!("no JSON: {error}")))?;
             let text = |key: &str| line[key].as_str().ok_or_else(|| wrong(format!("no `{key}`")));
             let (metric, node) = (text("metric")?, text("node")?);
-            let Some(variant) = run.variants().find(|variant| variant.name == line["variant"]) else { continue };
+            let Some(variant) = run.variants().find(|variant| variant.name == line["variant"]) else {
+                continue;
+            };
             let scorer = variant.nodes.iter().find(|(name, _)| name == node).map(|(_, task)| *task);
-            let judged = scorer.and_then(|scorer| run.judged(scorer)).or_else(|| scorer.and_then(|scorer| judged_by_scores(run, scorer)));
+            let judged = scorer
+                .and_then(|scorer| run.judged(scorer))
+                .or_else(|| scorer.and_then(|scorer| judged_by_scores(run, scorer)));
             let label = judged.map_or_else(|| node.to_string(), |judged| run.label_in(judged, variant));
             let unit = text("unit")?;
             let at = panels.iter().position(|(known, _)| known == metric).unwrap_or_else(|| {
                 let several = if runs.len() > 1 { format!(", {}", run.name) } else { String::new() };
                 let y = if unit.is_empty() { metric.to_string() } else { format!("{metric} [{unit}]") };
-                panels.push((metric.into(), Panel { title: format!("{metric}{several}"), x: "time [ms]".into(), y, is_time: true, ..Panel::default() }));
+                panels.push((
+                    metric.into(),
+                    Panel {
+                        title: format!("{metric}{several}"),
+                        x: "time [ms]".into(),
+                        y,
+                        is_time: true,
+                        ..Panel::default()
+                    },
+                ));
                 panels.len() - 1
             });
             let series = &mut panels[at].1.series;
             // Two scorers of one sequence with one metric (another region, say) are two curves.
-            let name = |series: &[Curve]| match series.iter().any(|one| one.label == label && one.points.iter().any(|(t, _)| *t == ms(&line))) {
+            let name = |series: &[Curve]| match series
+                .iter()
+                .any(|one| one.label == label && one.points.iter().any(|(t, _)| *t == ms(&line)))
+            {
                 true => format!("{label}, {node}"),
                 false => label.clone(),
             };
@@ -172,7 +218,12 @@ pub fn curves(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<(
                 one.points.push((ms(&line), line["value"].as_f64().map(rounded)));
             }
         }
-        page.curves.extend(panels.into_iter().map(|(_, panel)| panel).filter(|panel| panel.series.iter().any(|one| one.points.len() > 1)));
+        page.curves.extend(
+            panels
+                .into_iter()
+                .map(|(_, panel)| panel)
+                .filter(|panel| panel.series.iter().any(|one| one.points.len() > 1)),
+        );
     }
     page.has_glitch = page.curves.iter().any(|panel| panel.title.contains("glitch"));
     Ok(())
@@ -195,9 +246,17 @@ fn rounded(value: f64) -> f64 {
 /// Adds what is drawn over something else than time: profiles of edges, and scores over an axis of numbers.
 pub fn edges(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<(), Failure> {
     let records = pooled(runs)?;
-    let axes: Vec<String> = runs.iter().flat_map(|run| &run.record.axes).map(|(axis, _)| axis.rsplit('.').next().unwrap_or(axis).to_string()).collect();
+    let axes: Vec<String> = runs
+        .iter()
+        .flat_map(|run| &run.record.axes)
+        .map(|(axis, _)| axis.rsplit('.').next().unwrap_or(axis).to_string())
+        .collect();
     for axis in axes.iter().filter(|axis| levels_of(&records, axis).len() > 1) {
-        let Ok(grid) = Grid::new(&records, &Request { rows: vec![axis.clone()], columns: Vec::new(), sum: false }) else { continue };
+        let Ok(grid) =
+            Grid::new(&records, &Request { rows: vec![axis.clone()], columns: Vec::new(), sum: false })
+        else {
+            continue;
+        };
         // An axis whose levels are words has no place in a figure.
         let Ok(figure) = plot::figure(&grid, &style(runs, &grid)) else { continue };
         page.edges.extend(figure.panels.into_iter().map(|panel| {
@@ -212,7 +271,11 @@ pub fn edges(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<()
                     .map(|one| Curve {
                         style: styles.of(&one.label),
                         dots: true,
-                        points: one.points.into_iter().map(|(x, y)| (x, y.is_finite().then_some(y))).collect(),
+                        points: one
+                            .points
+                            .into_iter()
+                            .map(|(x, y)| (x, y.is_finite().then_some(y)))
+                            .collect(),
                         label: if one.label.is_empty() { "value".into() } else { one.label },
                         ..Curve::default()
                     })
@@ -222,15 +285,24 @@ pub fn edges(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<()
     }
     let mut has_scorer = false;
     for run in runs {
-        let mut panel = Panel { title: "Edge spread functions".into(), x: "distance [px]".into(), y: "share of contrast".into(), ..Panel::default() };
+        let mut panel = Panel {
+            title: "Edge spread functions".into(),
+            x: "distance [px]".into(),
+            y: "share of contrast".into(),
+            ..Panel::default()
+        };
         for variant in run.variants() {
             for (at, task) in run.tasks(variant).filter(|(_, task)| task.kind == "score/bew") {
                 has_scorer = true;
-                let label = run.judged(at).map_or_else(|| task.label.clone(), |judged| run.label_in(judged, variant));
+                let label =
+                    run.judged(at).map_or_else(|| task.label.clone(), |judged| run.label_in(judged, variant));
                 match run.value(&(at, "profiles".into())) {
-                    Ok(Value::Table(table)) => panel.series.extend(profile(&table, &label, styles.of(&label))),
+                    Ok(Value::Table(table)) => {
+                        panel.series.extend(profile(&table, &label, styles.of(&label)))
+                    }
                     _ => page.edge_notes.push(format!(
-                        "The profiles of `{0}` were not stored: write `pipeline.keep = [\"{0}.profiles\"]` into the manifest and run it again.",
+                        "The profiles of `{0}` were not stored: write `pipeline.keep = [\"{0}.profiles\"]` \
+                         into the manifest and run it again.",
                         task.label
                     )),
                 }
@@ -242,19 +314,32 @@ pub fn edges(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<()
     }
     page.edge_notes.dedup();
     if !has_scorer && page.edges.is_empty() {
-        page.edge_notes.push("No edges were measured: `score/bew` measures the width of edges that are stated, without a truth, and an ablation with numbers as levels draws it over speed or light.".into());
+        page.edge_notes.push(
+            "No edges were measured: `score/bew` measures the width of edges that are \
+                              stated, without a truth, and an ablation with numbers as levels draws it over \
+                              speed or light."
+                .into(),
+        );
     }
     Ok(())
 }
 
 /// The profile of the first edge: that of all frames together where there is one, else of the first frame.
 fn profile(table: &Table, label: &str, style: usize) -> Option<Curve> {
-    let (Column::Integers(frames), Column::Integers(edges), Column::Numbers(x), Column::Numbers(y)) =
-        (table.column("frame")?, table.column("edge")?, table.column("distance_px")?, table.column("share_of_contrast")?)
-    else {
+    let (Column::Integers(frames), Column::Integers(edges), Column::Numbers(x), Column::Numbers(y)) = (
+        table.column("frame")?,
+        table.column("edge")?,
+        table.column("distance_px")?,
+        table.column("share_of_contrast")?,
+    ) else {
         return None;
     };
     let (frame, edge) = (*frames.iter().min()?, *edges.iter().min()?);
     let rows = (0..table.len()).filter(|&row| frames[row] == frame && edges[row] == edge);
-    Some(Curve { label: label.into(), style, points: rows.map(|row| (x[row], y[row].is_finite().then_some(y[row]))).collect(), ..Curve::default() })
+    Some(Curve {
+        label: label.into(),
+        style,
+        points: rows.map(|row| (x[row], y[row].is_finite().then_some(y[row]))).collect(),
+        ..Curve::default()
+    })
 }

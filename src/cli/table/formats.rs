@@ -31,7 +31,9 @@ impl Style {
     /// A cell as text.
     pub fn show(&self, cell: Option<&Cell>) -> String {
         match cell {
-            Some(cell) if !cell.value.is_nan() => format!("{:.*}", self.digits.get(&cell.metric).copied().unwrap_or(3), cell.value),
+            Some(cell) if !cell.value.is_nan() => {
+                format!("{:.*}", self.digits.get(&cell.metric).copied().unwrap_or(3), cell.value)
+            }
             Some(Cell { missing: Some((name, _)), .. }) => format!("no {name}"),
             _ => "-".into(),
         }
@@ -44,7 +46,13 @@ impl Style {
 
     /// A metric's heading with its unit and an arrow that says which way is better.
     pub fn heading(&self, grid: &Grid, metric: &str, arrows: [&str; 2]) -> String {
-        let unit = grid.cells.iter().flatten().flatten().find(|cell| cell.metric == metric).map_or("", |cell| cell.unit.as_str());
+        let unit = grid
+            .cells
+            .iter()
+            .flatten()
+            .flatten()
+            .find(|cell| cell.metric == metric)
+            .map_or("", |cell| cell.unit.as_str());
         let mut text = self.name(metric).to_string();
         if !unit.is_empty() && text == metric {
             text += &format!(" [{unit}]");
@@ -61,7 +69,8 @@ impl Style {
         if axis == "metric" { self.heading(grid, level, arrows) } else { self.name(level).into() }
     }
 
-    /// The marks of all cells. Cells that print alike are marked alike; one alone is not the best of anything, and of two the other is not marked.
+    /// The marks of all cells. Cells that print alike are marked alike; one alone is not the best of
+    /// anything, and of two the other is not marked.
     pub fn marks(&self, grid: &Grid) -> Vec<Vec<Mark>> {
         let mut marks = vec![vec![Mark::Plain; grid.columns.len()]; grid.rows.len()];
         let group = |row: usize, column: usize, cell: &Cell| match self.among {
@@ -81,8 +90,11 @@ impl Style {
         }
         for ((_, metric), members) in groups.iter().filter(|(_, members)| members.len() > 1) {
             let Some(higher) = higher_is_better(metric) else { continue };
-            let mut values: Vec<(f64, String)> =
-                members.iter().filter_map(|&(r, c)| grid.cells[r][c].as_ref()).map(|cell| (cell.value, self.show(Some(cell)))).collect();
+            let mut values: Vec<(f64, String)> = members
+                .iter()
+                .filter_map(|&(r, c)| grid.cells[r][c].as_ref())
+                .map(|cell| (cell.value, self.show(Some(cell))))
+                .collect();
             values.sort_by(|a, b| if higher { b.0.total_cmp(&a.0) } else { a.0.total_cmp(&b.0) });
             let mut texts: Vec<String> = values.into_iter().map(|(_, text)| text).collect();
             texts.dedup();
@@ -104,23 +116,49 @@ pub fn markdown(grid: &Grid, style: &Style) -> String {
     let escape = |text: &str| text.replace('|', "\\|");
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
     let head = |column: &Vec<String>| {
-        let levels = grid.column_axes.iter().zip(column).map(|(axis, level)| style.level(grid, axis, level, [" ↑", " ↓"]));
+        let levels = grid
+            .column_axes
+            .iter()
+            .zip(column)
+            .map(|(axis, level)| style.level(grid, axis, level, [" ↑", " ↓"]));
         escape(&levels.collect::<Vec<_>>().join(", "))
     };
     let marks = style.marks(grid);
-    let mut text = line(grid.row_axes.iter().map(|axis| escape(style.name(axis))).chain(grid.columns.iter().map(head)).collect());
-    text += &line(grid.row_axes.iter().map(|_| "---".to_string()).chain(grid.columns.iter().map(|_| "---:".to_string())).collect());
+    let mut text = line(
+        grid.row_axes
+            .iter()
+            .map(|axis| escape(style.name(axis)))
+            .chain(grid.columns.iter().map(head))
+            .collect(),
+    );
+    text += &line(
+        grid.row_axes
+            .iter()
+            .map(|_| "---".to_string())
+            .chain(grid.columns.iter().map(|_| "---:".to_string()))
+            .collect(),
+    );
     for (row, levels) in grid.rows.iter().enumerate() {
-        let names = grid.row_axes.iter().zip(levels).map(|(axis, level)| escape(&style.level(grid, axis, level, [" ↑", " ↓"])));
-        let cells = grid.cells[row].iter().zip(&marks[row]).map(|(cell, mark)| match (style.show(cell.as_ref()), mark) {
-            (text, Mark::Plain) => text,
-            (text, Mark::Best) => format!("**{text}**"),
-            (text, Mark::Second) => format!("<u>{text}</u>"),
+        let names = grid
+            .row_axes
+            .iter()
+            .zip(levels)
+            .map(|(axis, level)| escape(&style.level(grid, axis, level, [" ↑", " ↓"])));
+        let cells = grid.cells[row].iter().zip(&marks[row]).map(|(cell, mark)| {
+            match (style.show(cell.as_ref()), mark) {
+                (text, Mark::Plain) => text,
+                (text, Mark::Best) => format!("**{text}**"),
+                (text, Mark::Second) => format!("<u>{text}</u>"),
+            }
         });
         text += &line(names.chain(cells).collect());
     }
     if !grid.column_axes.iter().chain(&grid.row_axes).any(|axis| axis == "metric") {
-        let metrics: Vec<String> = grid.metrics().iter().map(|metric| style.heading(grid, metric, [", higher is better", ", lower is better"])).collect();
+        let metrics: Vec<String> = grid
+            .metrics()
+            .iter()
+            .map(|metric| style.heading(grid, metric, [", higher is better", ", lower is better"]))
+            .collect();
         text += &format!("\n{}.\n", metrics.join("; "));
     }
     for (name, why) in grid.missing() {
@@ -131,9 +169,24 @@ pub fn markdown(grid: &Grid, style: &Style) -> String {
 
 /// Comma-separated values: all digits, no marks, empty where nothing was measured.
 pub fn csv(grid: &Grid, style: &Style) -> String {
-    let field = |text: &str| if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_string() };
-    let head = |column: &Vec<String>| field(&column.iter().map(|level| style.name(level)).collect::<Vec<_>>().join(" "));
-    let mut text = grid.row_axes.iter().map(|axis| field(style.name(axis))).chain(grid.columns.iter().map(head)).collect::<Vec<_>>().join(",") + "\n";
+    let field = |text: &str| {
+        if text.contains([',', '"', '\n', '\r']) {
+            format!("\"{}\"", text.replace('"', "\"\""))
+        } else {
+            text.to_string()
+        }
+    };
+    let head = |column: &Vec<String>| {
+        field(&column.iter().map(|level| style.name(level)).collect::<Vec<_>>().join(" "))
+    };
+    let mut text = grid
+        .row_axes
+        .iter()
+        .map(|axis| field(style.name(axis)))
+        .chain(grid.columns.iter().map(head))
+        .collect::<Vec<_>>()
+        .join(",")
+        + "\n";
     for (levels, cells) in grid.rows.iter().zip(&grid.cells) {
         let names = levels.iter().map(|level| field(style.name(level)));
         let numbers = cells.iter().map(|cell| match cell {
@@ -145,18 +198,29 @@ pub fn csv(grid: &Grid, style: &Style) -> String {
     text
 }
 
-/// A `tabular` with the rules of booktabs: one line of heads for each axis of the columns, equal neighbours joined.
+/// A `tabular` with the rules of booktabs: one line of heads for each axis of the columns, equal neighbours
+/// joined.
 pub fn latex(grid: &Grid, style: &Style) -> String {
     const ARROWS: [&str; 2] = [" @UP@", " @DOWN@"];
     let names = grid.row_axes.len();
-    let mut text = format!("% needs \\usepackage{{booktabs}}\n\\begin{{tabular}}{{{}{}}}\n\\toprule\n", "l".repeat(names), "r".repeat(grid.columns.len()));
+    let mut text = format!(
+        "% needs \\usepackage{{booktabs}}\n\\begin{{tabular}}{{{}{}}}\n\\toprule\n",
+        "l".repeat(names),
+        "r".repeat(grid.columns.len())
+    );
     for (depth, axis) in grid.column_axes.iter().enumerate() {
         let last = depth + 1 == grid.column_axes.len();
-        let mut cells: Vec<String> = grid.row_axes.iter().map(|axis| if last { escaped(style.name(axis)) } else { String::new() }).collect();
+        let mut cells: Vec<String> = grid
+            .row_axes
+            .iter()
+            .map(|axis| if last { escaped(style.name(axis)) } else { String::new() })
+            .collect();
         let mut rules = String::new();
         let mut at = 0;
         while at < grid.columns.len() {
-            let end = (at..grid.columns.len()).find(|&other| grid.columns[other][..=depth] != grid.columns[at][..=depth]).unwrap_or(grid.columns.len());
+            let end = (at..grid.columns.len())
+                .find(|&other| grid.columns[other][..=depth] != grid.columns[at][..=depth])
+                .unwrap_or(grid.columns.len());
             let name = escaped(&style.level(grid, axis, &grid.columns[at][depth], ARROWS));
             if last && end == at + 1 {
                 cells.push(name);
@@ -174,17 +238,23 @@ pub fn latex(grid: &Grid, style: &Style) -> String {
     text += "\\midrule\n";
     let marks = style.marks(grid);
     for (row, levels) in grid.rows.iter().enumerate() {
-        let names = grid.row_axes.iter().zip(levels).map(|(axis, level)| escaped(&style.level(grid, axis, level, ARROWS)));
-        let cells = grid.cells[row].iter().zip(&marks[row]).map(|(cell, mark)| match (style.show(cell.as_ref()), mark) {
-            (text, Mark::Plain) => {
-                if text == "-" {
-                    "--".into()
-                } else {
-                    escaped(&text)
+        let names = grid
+            .row_axes
+            .iter()
+            .zip(levels)
+            .map(|(axis, level)| escaped(&style.level(grid, axis, level, ARROWS)));
+        let cells = grid.cells[row].iter().zip(&marks[row]).map(|(cell, mark)| {
+            match (style.show(cell.as_ref()), mark) {
+                (text, Mark::Plain) => {
+                    if text == "-" {
+                        "--".into()
+                    } else {
+                        escaped(&text)
+                    }
                 }
+                (text, Mark::Best) => format!("\\textbf{{{text}}}"),
+                (text, Mark::Second) => format!("\\underline{{{text}}}"),
             }
-            (text, Mark::Best) => format!("\\textbf{{{text}}}"),
-            (text, Mark::Second) => format!("\\underline{{{text}}}"),
         });
         text += &format!("{} \\\\\n", names.chain(cells).collect::<Vec<_>>().join(" & "));
     }
@@ -217,7 +287,8 @@ pub fn json(grid: &Grid, style: &Style) -> String {
     format!("[\n{}\n]\n", lines.join(",\n"))
 }
 
-/// Of every cell: its levels, metric, value with all digits (`null` when not measured), unit, direction, mark and card.
+/// Of every cell: its levels, metric, value with all digits (`null` when not measured), unit, direction, mark
+/// and card.
 fn json_cells(grid: &Grid, style: &Style) -> Vec<serde_json::Value> {
     let marks = style.marks(grid);
     let mut cells = Vec::new();
@@ -225,7 +296,9 @@ fn json_cells(grid: &Grid, style: &Style) -> Vec<serde_json::Value> {
         for (column, cell) in grid.cells[row].iter().enumerate() {
             let Some(cell) = cell else { continue };
             let mut line = serde_json::Map::new();
-            for (axis, level) in grid.row_axes.iter().zip(levels).chain(grid.column_axes.iter().zip(&grid.columns[column])) {
+            for (axis, level) in
+                grid.row_axes.iter().zip(levels).chain(grid.column_axes.iter().zip(&grid.columns[column]))
+            {
                 line.insert(axis.clone(), json!(level));
             }
             line.insert("metric".into(), json!(cell.metric));
@@ -262,7 +335,8 @@ mod tests {
 
     fn grid(rows: &[&str], columns: &[&str]) -> Grid {
         let own = |axes: &[&str]| axes.iter().map(ToString::to_string).collect();
-        Grid::new(&records(), &Request { rows: own(rows), columns: own(columns), sum: false }).expect("a grid")
+        Grid::new(&records(), &Request { rows: own(rows), columns: own(columns), sum: false })
+            .expect("a grid")
     }
 
     #[test]
@@ -279,31 +353,57 @@ mod tests {
 
     #[test]
     fn a_cell_says_what_is_missing_and_the_reason_stands_below() {
-        let mut records = ["method=ours metric=psnr_db", "method=film metric=psnr_db"].map(|place| record(place, 30.0)).to_vec();
-        (records[1].value, records[1].missing) = (f64::NAN, Some(("film_net.onnx".into(), "cannot read weights/film_net.onnx".into())));
-        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![], sum: false }).expect("a grid");
+        let mut records = ["method=ours metric=psnr_db", "method=film metric=psnr_db"]
+            .map(|place| record(place, 30.0))
+            .to_vec();
+        (records[1].value, records[1].missing) =
+            (f64::NAN, Some(("film_net.onnx".into(), "cannot read weights/film_net.onnx".into())));
+        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![], sum: false })
+            .expect("a grid");
         let text = markdown(&grid, &style(Among::Column));
-        assert!(text.contains("| ours | 30.0 |\n| film | no film_net.onnx |\n\nno film_net.onnx: cannot read weights/film_net.onnx.\n"), "{text}");
+        assert!(
+            text.contains(
+                "| ours | 30.0 |\n| film | no film_net.onnx |\n\nno film_net.onnx: cannot \
+                               read weights/film_net.onnx.\n"
+            ),
+            "{text}"
+        );
         assert!(latex(&grid, &style(Among::Column)).contains("film & no film\\_net.onnx \\\\"));
         assert!(csv(&grid, &style(Among::Column)).ends_with("film,\n"));
         let lines = json_lines(&grid, &style(Among::Column));
-        assert!(lines.lines().nth(1).is_some_and(|line| line.contains("\"missing\":\"film_net.onnx\"") && line.contains("\"value\":null")), "{lines}");
+        assert!(
+            lines.lines().nth(1).is_some_and(
+                |line| line.contains("\"missing\":\"film_net.onnx\"") && line.contains("\"value\":null")
+            ),
+            "{lines}"
+        );
     }
 
     #[test]
     fn cells_that_print_alike_are_marked_alike() {
         let values = [30.04, 30.01, 29.0, 29.0].iter().enumerate();
-        let records: Vec<_> = values.map(|(i, value)| record(&format!("method=m{i} metric=psnr_db"), *value)).collect();
-        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![], sum: false }).expect("a grid");
+        let records: Vec<_> =
+            values.map(|(i, value)| record(&format!("method=m{i} metric=psnr_db"), *value)).collect();
+        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![], sum: false })
+            .expect("a grid");
         let marks: Vec<Mark> = style(Among::Column).marks(&grid).concat();
         assert_eq!(marks, [Mark::Best, Mark::Best, Mark::Second, Mark::Second]);
-        assert!(style(Among::Row).marks(&grid).concat().iter().all(|mark| *mark == Mark::Plain), "one alone is the best of nothing");
+        assert!(
+            style(Among::Row).marks(&grid).concat().iter().all(|mark| *mark == Mark::Plain),
+            "one alone is the best of nothing"
+        );
     }
 
     #[test]
     fn csv_has_all_digits_and_gaps() {
         let text = csv(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
-        assert_eq!(text.lines().next(), Some("scene,ours psnr_db,ours lpips,EDI psnr_db,EDI lpips,akf psnr_db,akf lpips"));
+        assert_eq!(
+            text.lines().next(),
+            Some(
+                "scene,ours psnr_db,ours lpips,EDI psnr_db,EDI lpips,akf \
+                                              psnr_db,akf lpips"
+            )
+        );
         assert_eq!(text.lines().nth(2), Some("ball,20.0,0.2,21.0,0.21,,"));
     }
 
@@ -329,10 +429,10 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
     #[test]
     fn json_lines_have_everything_about_a_cell() {
         let text = json_lines(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
-        let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+        let lines: Vec<serde_json::Value> =
+            text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
         assert_eq!(lines.len(), 12);
-        let expected =
-            json!({"scene": "fan", "method": "edi", "metric": "lpips", "value": 0.28, "unit": "", "higher_is_better": false, "mark": "best", "card": "a card"});
+        let expected = json!({"scene": "fan", "method": "edi", "metric": "lpips", "value": 0.28, "unit": "", "higher_is_better": false, "mark": "best", "card": "a card"});
         assert_eq!(lines[3], expected);
         assert_eq!(lines[10]["value"], serde_json::Value::Null);
         let array = super::json(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
@@ -341,8 +441,13 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
 
     #[test]
     fn what_stands_on_no_axis_is_said_below() {
-        let records: Vec<_> = ["a", "b"].iter().map(|m| record(&format!("scene=fan method={m} metric=psnr_db"), 1.0)).collect();
-        let grid = Grid::new(&records, &Request { rows: vec!["scene".into()], columns: vec!["method".into()], sum: false }).expect("a grid");
+        let records: Vec<_> =
+            ["a", "b"].iter().map(|m| record(&format!("scene=fan method={m} metric=psnr_db"), 1.0)).collect();
+        let grid = Grid::new(
+            &records,
+            &Request { rows: vec!["scene".into()], columns: vec!["method".into()], sum: false },
+        )
+        .expect("a grid");
         assert!(markdown(&grid, &style(Among::None)).ends_with("\npsnr_db [dB], higher is better.\n"));
     }
 }

@@ -54,7 +54,9 @@ impl Grid {
                 return Err(format!("there is no axis `{axis}`; there are {}", known.join(", ")));
             }
             if named[..i].contains(axis) {
-                return Err(format!("the axis `{axis}` stands twice; leave it out of --rows or of --columns"));
+                return Err(format!(
+                    "the axis `{axis}` stands twice; leave it out of --rows or of --columns"
+                ));
             }
         }
         let (row_axes, column_axes) = axes(records, request, &known);
@@ -62,27 +64,46 @@ impl Grid {
         let columns = places(records, &column_axes);
         let mut cells: Vec<Vec<Option<(usize, Cell)>>> = vec![vec![None; columns.len()]; rows.len()];
         for (i, record) in records.iter().enumerate() {
-            let at = |places: &[Vec<String>], axes: &[String]| places.iter().position(|place| *place == levels(record, axes));
-            let (Some(row), Some(column)) = (at(&rows, &row_axes), at(&columns, &column_axes)) else { continue };
+            let at = |places: &[Vec<String>], axes: &[String]| {
+                places.iter().position(|place| *place == levels(record, axes))
+            };
+            let (Some(row), Some(column)) = (at(&rows, &row_axes), at(&columns, &column_axes)) else {
+                continue;
+            };
             let metric = record.level("metric").unwrap_or_default().to_string();
             match &mut cells[row][column] {
                 Some((_, cell)) if request.sum && cell.metric == metric && cell.unit == record.unit => {
                     cell.value += record.value;
                     continue;
                 }
-                Some((other, _)) => return Err(two_in_one(record, &records[*other], &rows[row], &columns[column])),
+                Some((other, _)) => {
+                    return Err(two_in_one(record, &records[*other], &rows[row], &columns[column]));
+                }
                 None => {}
             }
-            cells[row][column] =
-                Some((i, Cell { value: record.value, metric, unit: record.unit.clone(), card: record.card.clone(), missing: record.missing.clone() }));
+            cells[row][column] = Some((
+                i,
+                Cell {
+                    value: record.value,
+                    metric,
+                    unit: record.unit.clone(),
+                    card: record.card.clone(),
+                    missing: record.missing.clone(),
+                },
+            ));
         }
-        let cells = cells.into_iter().map(|row| row.into_iter().map(|cell| cell.map(|(_, cell)| cell)).collect()).collect();
+        let cells = cells
+            .into_iter()
+            .map(|row| row.into_iter().map(|cell| cell.map(|(_, cell)| cell)).collect())
+            .collect();
         Ok(Grid { row_axes, column_axes, rows, columns, cells })
     }
 
-    /// Are cells compared along a row? Methods with methods, where there are any; else cells side by side, unless those are of two metrics.
+    /// Are cells compared along a row? Methods with methods, where there are any; else cells side by side,
+    /// unless those are of two metrics.
     pub fn columns_compare(&self) -> bool {
-        let has_methods = |axes: &[String]| axes.iter().any(|axis| ["method", "node", "label"].contains(&axis.as_str()));
+        let has_methods =
+            |axes: &[String]| axes.iter().any(|axis| ["method", "node", "label"].contains(&axis.as_str()));
         match (has_methods(&self.column_axes), has_methods(&self.row_axes)) {
             (true, _) => true,
             (false, true) => false,
@@ -123,7 +144,8 @@ fn axes(records: &[Record], request: &Request, known: &[String]) -> (Vec<String>
         "method" => request.rows.iter().chain(&request.columns).any(|axis| axis == "node" || axis == "label"),
         _ => false,
     };
-    let left: Vec<String> = known.iter().filter(|axis| differs(axis) && !asked(axis) && !taken(axis)).cloned().collect();
+    let left: Vec<String> =
+        known.iter().filter(|axis| differs(axis) && !asked(axis) && !taken(axis)).cloned().collect();
     let is_column = |axis: &String| axis == "method" || axis == "metric";
     let (mut rows, mut columns) = (request.rows.clone(), request.columns.clone());
     match (rows.is_empty(), columns.is_empty()) {
@@ -140,7 +162,10 @@ fn axes(records: &[Record], request: &Request, known: &[String]) -> (Vec<String>
         (false, true) => columns = left,
         (false, false) => {}
     }
-    if rows.is_empty() && !columns.iter().any(|axis| axis == "method") && known.iter().any(|axis| axis == "method") {
+    if rows.is_empty()
+        && !columns.iter().any(|axis| axis == "method")
+        && known.iter().any(|axis| axis == "method")
+    {
         rows.push("method".into());
     }
     if columns.is_empty() && !rows.iter().any(|axis| axis == "metric") {
@@ -153,11 +178,16 @@ fn levels(record: &Record, axes: &[String]) -> Vec<String> {
     axes.iter().map(|axis| record.level(axis).unwrap_or("-").to_string()).collect()
 }
 
-/// The places that records take on the axes: ordered by the order of each axis' levels, the last axis changing fastest.
+/// The places that records take on the axes: ordered by the order of each axis' levels, the last axis
+/// changing fastest.
 fn places(records: &[Record], axes: &[String]) -> Vec<Vec<String>> {
     let orders: Vec<Vec<String>> = axes.iter().map(|axis| levels_of(records, axis)).collect();
     let rank = |place: &Vec<String>| -> Vec<usize> {
-        place.iter().zip(&orders).map(|(level, order)| order.iter().position(|known| known == level).unwrap_or(usize::MAX)).collect()
+        place
+            .iter()
+            .zip(&orders)
+            .map(|(level, order)| order.iter().position(|known| known == level).unwrap_or(usize::MAX))
+            .collect()
     };
     let mut places: Vec<Vec<String>> = records.iter().map(|record| levels(record, axes)).collect();
     places.sort_by_key(rank);
@@ -166,14 +196,20 @@ fn places(records: &[Record], axes: &[String]) -> Vec<Vec<String>> {
 }
 
 fn two_in_one(one: &Record, other: &Record, row: &[String], column: &[String]) -> String {
-    let differ: Vec<&str> = one.place.iter().filter(|(axis, level)| other.level(axis) != Some(level)).map(|(axis, _)| axis.as_str()).collect();
+    let differ: Vec<&str> = one
+        .place
+        .iter()
+        .filter(|(axis, level)| other.level(axis) != Some(level))
+        .map(|(axis, _)| axis.as_str())
+        .collect();
     let cell = row.iter().chain(column).map(String::as_str).collect::<Vec<_>>().join(", ");
     if differ.is_empty() {
         return format!("two scores have the same place ({cell})\n  is a file named twice?");
     }
     let differ = differ.join("`, `");
     format!(
-        "two scores fall into one cell ({cell}): they differ in `{differ}`\n  name that axis in --rows or --columns, or choose one of its levels with --where"
+        "two scores fall into one cell ({cell}): they differ in `{differ}`\n  name that axis in --rows or \
+         --columns, or choose one of its levels with --where"
     )
 }
 
@@ -183,7 +219,11 @@ pub mod tests {
 
     /// A record at `axis=level` places.
     pub fn record(place: &str, value: f64) -> Record {
-        let place: Vec<(String, String)> = place.split(' ').filter_map(|pair| pair.split_once('=')).map(|(a, l)| (a.into(), l.into())).collect();
+        let place: Vec<(String, String)> = place
+            .split(' ')
+            .filter_map(|pair| pair.split_once('='))
+            .map(|(a, l)| (a.into(), l.into()))
+            .collect();
         let unit = if place.iter().any(|(_, level)| level == "psnr_db") { "dB" } else { "" };
         Record { place, unit: unit.into(), value, card: "a card".into(), missing: None }
     }
@@ -193,8 +233,20 @@ pub mod tests {
         let mut all = Vec::new();
         for (scene, values) in [("fan", [30.0, 28.0, 29.0]), ("ball", [20.0, 21.0, f64::NAN])] {
             for (method, value) in ["ours", "edi", "akf"].iter().zip(values) {
-                all.push(record(&format!("file=t scene={scene} node=psnr_{method} method={method} metric=psnr_db"), value));
-                all.push(record(&format!("file=t scene={scene} node=lpips_{method} method={method} metric=lpips"), value / 100.0));
+                all.push(record(
+                    &format!(
+                        "file=t scene={scene} node=psnr_{method} method={method} \
+                                          metric=psnr_db"
+                    ),
+                    value,
+                ));
+                all.push(record(
+                    &format!(
+                        "file=t scene={scene} node=lpips_{method} method={method} \
+                                          metric=lpips"
+                    ),
+                    value / 100.0,
+                ));
             }
         }
         all
@@ -207,18 +259,29 @@ pub mod tests {
 
     #[test]
     fn what_falls_into_one_cell_is_added_up_when_that_is_asked_for() {
-        let said = [("fan", 1.0), ("fan", 2.0), ("ball", 4.0)]
-            .map(|(scene, value)| record(&format!("scene={scene} recording={value} metric=count node=n method=n"), value));
+        let said = [("fan", 1.0), ("fan", 2.0), ("ball", 4.0)].map(|(scene, value)| {
+            record(
+                &format!(
+                    "scene={scene} recording={value} metric=count node=n \
+                                                   method=n"
+                ),
+                value,
+            )
+        });
         let request = Request { rows: vec!["scene".into()], columns: vec!["metric".into()], sum: true };
         let grid = Grid::new(&said, &request).expect("a grid");
-        let values: Vec<f64> = grid.cells.iter().map(|row| row[0].as_ref().expect("a number").value).collect();
+        let values: Vec<f64> =
+            grid.cells.iter().map(|row| row[0].as_ref().expect("a number").value).collect();
         assert_eq!(values, [3.0, 4.0]);
-        assert!(Grid::new(&said, &Request { sum: false, ..request }).err().expect("refused").contains("one cell"));
+        assert!(
+            Grid::new(&said, &Request { sum: false, ..request }).err().expect("refused").contains("one cell")
+        );
     }
 
     #[test]
     fn numbers_of_two_metrics_are_never_added_up() {
-        let records = [record("scene=fan metric=count node=n", 1.0), record("scene=fan metric=f1 node=n", 2.0)];
+        let records =
+            [record("scene=fan metric=count node=n", 1.0), record("scene=fan metric=f1 node=n", 2.0)];
         let request = Request { rows: vec!["scene".into()], columns: vec!["node".into()], sum: true };
         assert!(Grid::new(&records, &request).is_err());
     }
@@ -226,7 +289,10 @@ pub mod tests {
     #[test]
     fn what_differs_is_laid_out_without_being_asked() {
         let grid = Grid::new(&records(), &request(&[], &[])).expect("a grid");
-        assert_eq!((grid.row_axes.as_slice(), grid.column_axes.as_slice()), (["scene".to_string()].as_slice(), ["method".into(), "metric".into()].as_slice()));
+        assert_eq!(
+            (grid.row_axes.as_slice(), grid.column_axes.as_slice()),
+            (["scene".to_string()].as_slice(), ["method".into(), "metric".into()].as_slice())
+        );
         assert_eq!(grid.rows, [["fan"], ["ball"]]);
         assert_eq!(grid.columns.len(), 6);
         assert_eq!(grid.columns[1], ["ours", "lpips"]);
@@ -239,7 +305,10 @@ pub mod tests {
     fn rows_and_columns_can_change_places() {
         let grid = Grid::new(&records(), &request(&["method"], &["metric", "scene"])).expect("a grid");
         assert_eq!(grid.rows, [["ours"], ["edi"], ["akf"]]);
-        assert_eq!(grid.columns, [["psnr_db", "fan"], ["psnr_db", "ball"], ["lpips", "fan"], ["lpips", "ball"]]);
+        assert_eq!(
+            grid.columns,
+            [["psnr_db", "fan"], ["psnr_db", "ball"], ["lpips", "fan"], ["lpips", "ball"]]
+        );
         assert_eq!(grid.cells[1][1].as_ref().map(|cell| cell.value), Some(21.0));
         // Methods are compared with methods.
         assert!(!grid.columns_compare());
@@ -247,10 +316,22 @@ pub mod tests {
 
     #[test]
     fn two_numbers_in_one_cell_and_unknown_axes_are_reported() {
-        let message = |rows: &[&str], columns: &[&str]| Grid::new(&records(), &request(rows, columns)).err().expect("a mistake");
+        let message = |rows: &[&str], columns: &[&str]| {
+            Grid::new(&records(), &request(rows, columns)).err().expect("a mistake")
+        };
         let found = message(&["scene"], &["metric"]);
-        assert!(found.starts_with("two scores fall into one cell (fan, psnr_db): they differ in `node`, `method`"), "{found}");
-        assert_eq!(message(&["scenes"], &[]), "there is no axis `scenes`; there are file, scene, node, method, metric");
+        assert!(
+            found.starts_with(
+                "two scores fall into one cell (fan, psnr_db): they differ in `node`, \
+                                   `method`"
+            ),
+            "{found}"
+        );
+        assert_eq!(
+            message(&["scenes"], &[]),
+            "there is no axis `scenes`; there are file, scene, node, \
+                                               method, metric"
+        );
         assert!(message(&["scene"], &["scene"]).contains("stands twice"));
     }
 }

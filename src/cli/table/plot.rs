@@ -11,7 +11,8 @@ const LOG_FROM: f64 = 8.0;
 
 /// Writes the figure; the file's ending says how.
 pub fn save(grid: &Grid, style: &Style, path: &Path) -> Result<(), Failure> {
-    let figure = figure(grid, style).map_err(|message| usage(format!("--plot {}: {message}", path.display())))?;
+    let figure =
+        figure(grid, style).map_err(|message| usage(format!("--plot {}: {message}", path.display())))?;
     let failed = |message: String| Failure::other(format!("{}: {message}", path.display()));
     let bytes = match path.extension().and_then(|extension| extension.to_str()) {
         Some("svg") => figure.svg().map_err(failed)?.into_bytes(),
@@ -27,9 +28,21 @@ pub fn save(grid: &Grid, style: &Style, path: &Path) -> Result<(), Failure> {
 /// One panel for each metric.
 pub fn figure(grid: &Grid, style: &Style) -> Result<Figure, String> {
     let [axis] = grid.row_axes.as_slice() else {
-        return Err(format!("one axis makes the rows of a figure, and here {} do: {}", grid.row_axes.len(), grid.row_axes.join(", ")));
+        return Err(format!(
+            "one axis makes the rows of a figure, and here {} do: {}",
+            grid.row_axes.len(),
+            grid.row_axes.join(", ")
+        ));
     };
-    let levels = grid.rows.iter().map(|row| number(&row[0]).ok_or_else(|| format!("the level `{}` of `{axis}` is no number with a unit", row[0])));
+    let levels = grid.rows.iter().map(|row| {
+        number(&row[0]).ok_or_else(|| {
+            format!(
+                "the level `{}` of \
+                                                            `{axis}` is no number with a unit",
+                row[0]
+            )
+        })
+    });
     let levels: Vec<(f64, String)> = levels.collect::<Result<_, _>>()?;
     let unit = &levels[0].1;
     if let Some((_, other)) = levels.iter().find(|(_, other)| other != unit) {
@@ -40,12 +53,20 @@ pub fn figure(grid: &Grid, style: &Style) -> Result<Figure, String> {
     let name = style.name(axis);
     let metrics = grid.metrics();
     let panels = metrics.iter().map(|metric| {
-        let columns = (0..grid.columns.len()).filter(|&column| grid.cells.iter().filter_map(|row| row[column].as_ref()).any(|cell| cell.metric == *metric));
+        let columns = (0..grid.columns.len()).filter(|&column| {
+            grid.cells.iter().filter_map(|row| row[column].as_ref()).any(|cell| cell.metric == *metric)
+        });
         let series = columns.map(|column| {
             let value = |row: usize| grid.cells[row][column].as_ref().map_or(f64::NAN, |cell| cell.value);
-            let mut points: Vec<(f64, f64)> = levels.iter().enumerate().map(|(row, (x, _))| (*x, value(row))).collect();
+            let mut points: Vec<(f64, f64)> =
+                levels.iter().enumerate().map(|(row, (x, _))| (*x, value(row))).collect();
             points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let names = grid.column_axes.iter().zip(&grid.columns[column]).filter(|(axis, _)| *axis != "metric").map(|(_, level)| style.name(level));
+            let names = grid
+                .column_axes
+                .iter()
+                .zip(&grid.columns[column])
+                .filter(|(axis, _)| *axis != "metric")
+                .map(|(_, level)| style.name(level));
             let label = names.collect::<Vec<_>>().join(", ");
             Series { label, points, is_reference: false }
         });
@@ -92,16 +113,26 @@ mod tests {
         ];
         let figure = drawn(&records, "light").expect("a figure");
         let [panel] = figure.panels.as_slice() else { panic!("one metric, one panel") };
-        assert_eq!((panel.x_label.as_str(), panel.y_label.as_str(), panel.is_log), ("light [lx]", "psnr_db [dB]", true));
-        assert_eq!(panel.series.iter().map(|series| series.label.as_str()).collect::<Vec<_>>(), ["EDI", "map"]);
+        assert_eq!(
+            (panel.x_label.as_str(), panel.y_label.as_str(), panel.is_log),
+            ("light [lx]", "psnr_db [dB]", true)
+        );
+        assert_eq!(
+            panel.series.iter().map(|series| series.label.as_str()).collect::<Vec<_>>(),
+            ["EDI", "map"]
+        );
         assert_eq!(panel.series[0].points, [(50.0, 1.0), (1000.0, 3.0)]);
         assert!(panel.series[1].points[0].1.is_nan() && panel.series[1].points[1] == (1000.0, 5.0));
     }
 
     #[test]
     fn what_is_no_number_cannot_be_an_axis() {
-        assert!(drawn(&[("scene=fan method=edi metric=psnr_db", 3.0)], "scene").is_err_and(|message| message.contains("`fan` of `scene` is no number")));
-        let mixed = [("light=50lx method=edi metric=psnr_db", 3.0), ("light=50klx method=edi metric=psnr_db", 3.0)];
+        assert!(
+            drawn(&[("scene=fan method=edi metric=psnr_db", 3.0)], "scene")
+                .is_err_and(|message| message.contains("`fan` of `scene` is no number"))
+        );
+        let mixed =
+            [("light=50lx method=edi metric=psnr_db", 3.0), ("light=50klx method=edi metric=psnr_db", 3.0)];
         assert!(drawn(&mixed, "light").is_err_and(|message| message.contains("two units, `lx` and `klx`")));
         assert_eq!(number("-2.5ms"), Some((-2.5, "ms".into())));
         assert_eq!(number("fan"), None);

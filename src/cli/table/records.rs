@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 /// One number and its place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
-    /// (axis, level): `file`, those of the ablation, `node`, `method`, `label`, `metric`, `frame`, as far as the line has them.
+    /// (axis, level): `file`, those of the ablation, `node`, `method`, `label`, `metric`, `frame`, as far as
+    /// the line has them.
     pub place: Vec<(String, String)>,
     /// Its unit, "" for none.
     pub unit: String,
@@ -48,18 +49,33 @@ pub fn read(sources: &[PathBuf], choice: &Choice) -> Result<Vec<Record>, Failure
     let mut all = Vec::new();
     for source in sources {
         let (path, name) = find(source, choice.by_frame)?;
-        let text = std::fs::read_to_string(&path).map_err(|error| usage(format!("{}: cannot read: {error}", path.display())))?;
+        let text = std::fs::read_to_string(&path)
+            .map_err(|error| usage(format!("{}: cannot read: {error}", path.display())))?;
         for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-            let wrong = |what: &str| usage(format!("{}:{}: {what}\n  expected a line of metrics.pooled.jsonl (docs/formats.md)", path.display(), number + 1));
-            let value: Value = serde_json::from_str(line).map_err(|error| wrong(&format!("no JSON: {error}")))?;
+            let wrong = |what: &str| {
+                usage(format!(
+                    "{}:{}: {what}\n  expected a line of \
+                                                    metrics.pooled.jsonl (docs/formats.md)",
+                    path.display(),
+                    number + 1
+                ))
+            };
+            let value: Value =
+                serde_json::from_str(line).map_err(|error| wrong(&format!("no JSON: {error}")))?;
             all.extend(record(&value, &name, choice).map_err(|what| wrong(&what))?);
         }
     }
     let all = placed(all);
     if all.is_empty() {
-        let (what, hint) =
-            if choice.by_frame { ("of single frames", "leave `frame` out") } else { ("pooled over frames", "name `frame` in --rows or --columns") };
-        return Err(usage(format!("{}: no score {what}\n  {hint}, or run the pipeline again", sources[0].display())));
+        let (what, hint) = if choice.by_frame {
+            ("of single frames", "leave `frame` out")
+        } else {
+            ("pooled over frames", "name `frame` in --rows or --columns")
+        };
+        return Err(usage(format!(
+            "{}: no score {what}\n  {hint}, or run the pipeline again",
+            sources[0].display()
+        )));
     }
     chosen(all, choice)
 }
@@ -67,16 +83,23 @@ pub fn read(sources: &[PathBuf], choice: &Choice) -> Result<Vec<Record>, Failure
 /// The file to read, and what to call it.
 fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
     let file = if by_frame { "metrics.jsonl" } else { "metrics.pooled.jsonl" };
-    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let name =
+        |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let kind = FileKind::of(source);
     if matches!(kind, FileKind::Recording(_) | FileKind::Artefact | FileKind::Sensor | FileKind::Diagnosis) {
-        return Err(kind.refuse(source, "table", "a manifest that was run, a folder with scores, or a file of scores"));
+        return Err(kind.refuse(
+            source,
+            "table",
+            "a manifest that was run, a folder with scores, or a file \
+                                                 of scores",
+        ));
     }
     if matches!(kind, FileKind::Manifest) || source.extension().is_some_and(|extension| extension == "toml") {
         let stem = source.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         if !source.exists() {
             return Err(usage(format!(
-                "{}: there is no such manifest\n  name a manifest that was run, the folder that it wrote to, or a file {file}",
+                "{}: there is no such manifest\n  name a manifest that was run, the folder that it wrote \
+                 to, or a file {file}",
                 source.display()
             )));
         }
@@ -97,13 +120,15 @@ fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
         let other = if by_frame { "metrics.jsonl" } else { "pooled.jsonl" };
         let path = [file, other].iter().map(|file| source.join(file)).find(|path| path.exists());
         return path.map(|path| (path, name(source))).ok_or_else(|| {
-            let hint = "name a folder that `photocurrent run` wrote scores to (out/NAME of the manifest), or one of write/table";
+            let hint = "name a folder that `photocurrent run` wrote scores to (out/NAME of the manifest), \
+                        or one of write/table";
             usage(format!("{}: the folder has no {file}\n  {hint}", source.display()))
         });
     }
     if !source.exists() {
         return Err(usage(format!(
-            "{} is not there\n  name a manifest that was run, the folder that it wrote to (out/NAME unless --out said otherwise), or a file {file}; `photocurrent run MANIFEST` writes them",
+            "{} is not there\n  name a manifest that was run, the folder that it wrote to (out/NAME unless \
+             --out said otherwise), or a file {file}; `photocurrent run MANIFEST` writes them",
             source.display()
         )));
     }
@@ -150,7 +175,8 @@ fn record(line: &Value, file: &str, choice: &Choice) -> Result<Option<Record>, S
     if let Some(frame) = frame {
         put("frame", &frame.to_string());
     }
-    let (unit, card) = (text("unit").unwrap_or_default().to_string(), text("card").unwrap_or_default().to_string());
+    let (unit, card) =
+        (text("unit").unwrap_or_default().to_string(), text("card").unwrap_or_default().to_string());
     for field in &choice.card {
         place.extend(card_field(&card, field).map(|level| (format!("card.{field}"), level.to_string())));
     }
@@ -160,19 +186,27 @@ fn record(line: &Value, file: &str, choice: &Choice) -> Result<Option<Record>, S
 /// The metric of what was not measured, before that is known.
 const UNPLACED: &str = "";
 
-/// What was not measured stands where the numbers of the other methods do: a node whose name begins alike (psnr_edi, psnr_film) would have given the same metrics.
-/// Without another method it stands nowhere.
+/// What was not measured stands where the numbers of the other methods do: a node whose name begins alike
+/// (psnr_edi, psnr_film) would have given the same metrics. Without another method it stands nowhere.
 fn placed(all: Vec<Record>) -> Vec<Record> {
-    let sort = |record: &Record| record.level("node").map(|node| node.split('_').next().unwrap_or(node).to_string());
+    let sort =
+        |record: &Record| record.level("node").map(|node| node.split('_').next().unwrap_or(node).to_string());
     let measured: Vec<Record> = all.iter().filter(|record| record.missing.is_none()).cloned().collect();
     let as_others = |record: Record| -> Vec<Record> {
         if record.missing.is_none() {
             return vec![record];
         }
-        let alike: Vec<Record> = measured.iter().filter(|other| sort(other) == sort(&record)).cloned().collect();
+        let alike: Vec<Record> =
+            measured.iter().filter(|other| sort(other) == sort(&record)).cloned().collect();
         let place = |metric: String| {
-            let unit = alike.iter().find(|other| other.level("metric") == Some(&metric)).map(|other| other.unit.clone()).unwrap_or_default();
-            let place = record.place.iter().map(|(axis, level)| (axis.clone(), if axis == "metric" { metric.clone() } else { level.clone() }));
+            let unit = alike
+                .iter()
+                .find(|other| other.level("metric") == Some(&metric))
+                .map(|other| other.unit.clone())
+                .unwrap_or_default();
+            let place = record.place.iter().map(|(axis, level)| {
+                (axis.clone(), if axis == "metric" { metric.clone() } else { level.clone() })
+            });
             Record { place: place.collect(), unit, ..record.clone() }
         };
         levels_of(&alike, "metric").into_iter().map(place).collect()
@@ -183,7 +217,11 @@ fn placed(all: Vec<Record>) -> Vec<Record> {
 /// A field of a metric card: `definition: key = text; key = text`.
 fn card_field<'a>(card: &'a str, field: &str) -> Option<&'a str> {
     let (_, fields) = card.split_once(": ")?;
-    fields.split("; ").filter_map(|pair| pair.split_once(" = ")).find(|(key, _)| *key == field).map(|(_, text)| text)
+    fields
+        .split("; ")
+        .filter_map(|pair| pair.split_once(" = "))
+        .find(|(key, _)| *key == field)
+        .map(|(_, text)| text)
 }
 
 /// What is wanted, in the order in which it is wanted.
@@ -236,7 +274,13 @@ mod tests {
     use serde_json::json;
 
     fn wish(by_frame: bool) -> Choice {
-        Choice { metrics: Vec::new(), levels: Vec::new(), statistic: Pooled::Value, by_frame, card: Vec::new() }
+        Choice {
+            metrics: Vec::new(),
+            levels: Vec::new(),
+            statistic: Pooled::Value,
+            by_frame,
+            card: Vec::new(),
+        }
     }
 
     #[test]
@@ -244,16 +288,28 @@ mod tests {
         let line = json!({"variant": "recording=a", "node": "right", "metric": "count", "frame": -1, "value": 1.0, "unit": "", "card": "d.v1: truth = blur; said = none"});
         let asked = Choice { card: vec!["truth".into(), "colour".into()], ..wish(false) };
         let found = record(&line, "concealed", &asked).expect("a line").expect("pooled");
-        assert_eq!((found.level("card.truth"), found.level("card.said"), found.level("card.colour")), (Some("blur"), None, None));
+        assert_eq!(
+            (found.level("card.truth"), found.level("card.said"), found.level("card.colour")),
+            (Some("blur"), None, None)
+        );
     }
 
     #[test]
     fn a_pooled_line_stands_on_the_axes_of_its_variant_and_node() {
-        let line =
-            json!({"variant": "scene=fan,light=50lx", "node": "psnr_akf_late", "metric": "psnr_db", "frame": -1, "value": 30.5, "unit": "dB", "min": 20.0});
+        let line = json!({"variant": "scene=fan,light=50lx", "node": "psnr_akf_late", "metric": "psnr_db", "frame": -1, "value": 30.5, "unit": "dB", "min": 20.0});
         let found = record(&line, "table1", &wish(false)).expect("a line").expect("pooled");
         let place: Vec<String> = found.place.iter().map(|(axis, level)| format!("{axis}={level}")).collect();
-        assert_eq!(place, ["file=table1", "scene=fan", "light=50lx", "node=psnr_akf_late", "method=akf_late", "metric=psnr_db"]);
+        assert_eq!(
+            place,
+            [
+                "file=table1",
+                "scene=fan",
+                "light=50lx",
+                "node=psnr_akf_late",
+                "method=akf_late",
+                "metric=psnr_db"
+            ]
+        );
         assert_eq!((found.value, found.unit.as_str()), (30.5, "dB"));
         let least = Choice { statistic: Pooled::Min, ..wish(false) };
         assert_eq!(record(&line, "", &least).expect("a line").expect("pooled").value, 20.0);
@@ -264,10 +320,20 @@ mod tests {
     fn what_is_missing_stands_where_other_methods_have_numbers() {
         let number = |node: &str, metric: &str| json!({"variant": "scene=fan", "node": node, "metric": metric, "frame": -1, "value": 1.0, "unit": "dB"});
         let absent = |node: &str| json!({"variant": "scene=fan", "node": node, "missing": "film.onnx", "why": "cannot read weights/film.onnx"});
-        let lines = [number("psnr_edi", "psnr_db"), number("psnr_edi", "sharpness"), absent("film"), absent("psnr_film"), absent("lpips_film")];
-        let read = |wish: &Choice| placed(lines.iter().filter_map(|line| record(line, "", wish).expect("a line")).collect());
-        let missing: Vec<Record> = read(&wish(false)).into_iter().filter(|record| record.missing.is_some()).collect();
-        let places: Vec<_> = missing.iter().map(|record| (record.level("method"), record.level("metric"))).collect();
+        let lines = [
+            number("psnr_edi", "psnr_db"),
+            number("psnr_edi", "sharpness"),
+            absent("film"),
+            absent("psnr_film"),
+            absent("lpips_film"),
+        ];
+        let read = |wish: &Choice| {
+            placed(lines.iter().filter_map(|line| record(line, "", wish).expect("a line")).collect())
+        };
+        let missing: Vec<Record> =
+            read(&wish(false)).into_iter().filter(|record| record.missing.is_some()).collect();
+        let places: Vec<_> =
+            missing.iter().map(|record| (record.level("method"), record.level("metric"))).collect();
         // No other method was measured by `lpips`, and `film` itself measures nothing.
         assert_eq!(places, [(Some("film"), Some("psnr_db")), (Some("film"), Some("sharpness"))]);
         assert!(missing.iter().all(|record| record.value.is_nan() && record.unit == "dB"));
@@ -280,17 +346,31 @@ mod tests {
         let found = record(&line(Value::Null), "", &wish(false)).expect("a line").expect("pooled");
         assert_eq!(found.level("label"), Some("EDI, late = 2"));
         assert!(found.value.is_nan());
-        assert_eq!(record(&line(json!("Infinity")), "", &wish(false)).expect("a line").expect("pooled").value, f64::INFINITY);
+        assert_eq!(
+            record(&line(json!("Infinity")), "", &wish(false)).expect("a line").expect("pooled").value,
+            f64::INFINITY
+        );
         assert!(record(&line(json!([1])), "", &wish(false)).is_err_and(|what| what.contains("no number")));
     }
 
     #[test]
     fn levels_come_in_the_order_in_which_they_are_asked_for() {
         let line = |scene: &str| json!({"variant": format!("scene={scene}"), "node": "psnr", "metric": "psnr_db", "frame": -1, "value": 1.0});
-        let all: Vec<Record> = ["fan", "ball", "text"].iter().filter_map(|scene| record(&line(scene), "", &wish(false)).expect("a line")).collect();
-        let asked = |levels: &[&str]| Choice { levels: vec![("scene".into(), levels.iter().map(ToString::to_string).collect())], ..wish(false) };
-        assert!(chosen(all.clone(), &asked(&["text", "fan"])).is_ok_and(|found| levels_of(&found, "scene") == ["text", "fan"]));
-        let Err(Failure::Other { message, .. }) = chosen(all, &asked(&["moon"])) else { panic!("there is no moon") };
+        let all: Vec<Record> = ["fan", "ball", "text"]
+            .iter()
+            .filter_map(|scene| record(&line(scene), "", &wish(false)).expect("a line"))
+            .collect();
+        let asked = |levels: &[&str]| Choice {
+            levels: vec![("scene".into(), levels.iter().map(ToString::to_string).collect())],
+            ..wish(false)
+        };
+        assert!(
+            chosen(all.clone(), &asked(&["text", "fan"]))
+                .is_ok_and(|found| levels_of(&found, "scene") == ["text", "fan"])
+        );
+        let Err(Failure::Other { message, .. }) = chosen(all, &asked(&["moon"])) else {
+            panic!("there is no moon")
+        };
         assert_eq!(message, "there is no scene `moon`; there are fan, ball, text");
     }
 }

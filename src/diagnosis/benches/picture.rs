@@ -1,6 +1,8 @@
-//! Time to fit a moving picture to the frames of a made-up scene, to fit it again to frames like them, and to ask every effect of its events.
+//! Time to fit a moving picture to the frames of a made-up scene, to fit it again to frames like them, and to
+//! ask every effect of its events.
 //!
-//! Run with `cargo bench -p photocurrent-diagnosis --bench picture`; the argument is the array's width, three quarters of it are its height.
+//! Run with `cargo bench -p photocurrent-diagnosis --bench picture`; the argument is the array's width, three
+//! quarters of it are its height.
 
 use divan::Bencher;
 use photocurrent_core::Extent;
@@ -18,7 +20,9 @@ fn main() {
 }
 
 fn recording(width: u32) -> (Case, Nominal) {
-    let case = MadeUp::new(3, 2, Extent { width, height: width * 3 / 4 }, 0.15).recording().expect("a scene is made");
+    let case = MadeUp::new(3, 2, Extent { width, height: width * 3 / 4 }, 0.15)
+        .recording()
+        .expect("a scene is made");
     let nominal = case.nominal().expect("its sensor is stated");
     (case, nominal)
 }

@@ -1,6 +1,7 @@
 //! What events say on a scene ([`crate::residual::evidence`]), in the form that [`crate::verdict`] joins.
 //!
-//! An effect cannot hide in a scene that frames alone state: what is not seen there is not there, to the size that its own noise allows ([`limits`]).
+//! An effect cannot hide in a scene that frames alone state: what is not seen there is not there, to the size
+//! that its own noise allows ([`limits`]).
 //!
 //! - `model`: probabilities.
 //!
@@ -26,13 +27,16 @@ pub struct Decision {
     pub least: f64,
     /// And there is a second effect from this probability on.
     pub least_second: f64,
-    /// Where the control's median absolute residual over the threshold is larger, this sensor is not modelled, and nothing is decided.
+    /// Where the control's median absolute residual over the threshold is larger, this sensor is not
+    /// modelled, and nothing is decided.
     pub most_control: f64,
-    /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
+    /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than
+    /// this.
     pub most_left: f64,
     /// And finding nothing decides nothing where more than this is left.
     pub most_silent: f64,
-    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to decide.
+    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to
+    /// decide.
     pub most_needed: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     pub shared_error: f64,
@@ -60,22 +64,33 @@ impl Default for Decision {
 pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Decided, String> {
     if found.control_median > decision.most_control {
         return Err(format!(
-            "events of the nominal sensor on its own scene miss their thresholds by {:.2} of them: this sensor is not modelled well enough",
+            "events of the nominal sensor on its own scene miss their thresholds by {:.2} of them: this \
+             sensor is not modelled well enough",
             found.control_median
         ));
     }
     // Known light is not at fault.
     let is_known = found.scene == KINDS[1];
     if !is_known && found.left[0] > decision.most_left {
-        return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
+        return Err(format!(
+            "events miss their thresholds by {:.2} of them, and no effect explains it on \
+                            this scene",
+            found.left[0]
+        ));
     }
     let said = said(found, nominal, decision);
     if !said.detected && found.left[0] > decision.most_silent {
-        return Err(format!("events miss their thresholds by {:.2} of them on this scene: an effect of that size would not be seen", found.left[0]));
+        return Err(format!(
+            "events miss their thresholds by {:.2} of them on this scene: an effect of that \
+                            size would not be seen",
+            found.left[0]
+        ));
     }
     let needed = needed_gain(found, decision);
     if !said.detected && needed > decision.most_needed {
-        return Err("what events say on this scene does not separate effects from errors of the scene, but for the largest".to_owned());
+        return Err("what events say on this scene does not separate effects from errors of the scene, but \
+                    for the largest"
+            .to_owned());
     }
     Ok(said)
 }
@@ -90,8 +105,14 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let facts = Facts::of(found);
     let posterior = decision.models.of(&found.scene).first(&facts);
     let is_something = posterior.something >= decision.least;
-    let first =
-        proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &posterior, posterior.something / decision.least, nominal, decision);
+    let first = proposals(
+        found,
+        &hypotheses(&found.ranked, &found.random, found.noise[0]),
+        &posterior,
+        posterior.something / decision.least,
+        nominal,
+        decision,
+    );
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
     let is_unnamed = is_something && posterior.unnamed > most;
     let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |posterior| {
@@ -106,18 +127,25 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         detected: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },
-        unexplained: curve.map(|curve| Unexplained::by(&curve.dependence, posterior.something / decision.least)),
+        unexplained: curve
+            .map(|curve| Unexplained::by(&curve.dependence, posterior.something / decision.least)),
         detectability: limits(found, nominal, decision),
         nats_per_event: Some(found.nats_per_event),
         ks: Some(found.ks),
         residual_left: Some(found.left[0] / f64::max(found.median, 1e-12)),
-        located: Locations { first: located(&found.ranked), second: located(&found.second), unnamed: curve.and_then(|curve| curve.located.clone()) },
+        located: Locations {
+            first: located(&found.ranked),
+            second: located(&found.second),
+            unnamed: curve.and_then(|curve| curve.located.clone()),
+        },
     }
 }
 
-/// What could have been seen of each effect that has a size: the size whose gain just says that something differs, and what was estimated.
+/// What could have been seen of each effect that has a size: the size whose gain just says that something
+/// differs, and what was estimated.
 ///
-/// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
+/// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at
+/// which the model's probability is [`Decision::least`].
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
     let needed = needed_gain(found, decision);
     let has_limit = |one: &&Ranked| {
@@ -127,7 +155,11 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
     let one = |one: &Ranked| {
         let kind = &CANDIDATES[one.candidate];
         let (parameter, unit) = kind.json_key();
-        let needed = if kind.sought.is_of_swing { needed * libm::exp(decision.models.of(&found.scene).discount[1]) } else { needed };
+        let needed = if kind.sought.is_of_swing {
+            needed * libm::exp(decision.models.of(&found.scene).discount[1])
+        } else {
+            needed
+        };
         Detectable {
             id: kind.id.to_owned(),
             parameter,
@@ -137,7 +169,8 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
             unit: unit.to_owned(),
         }
     };
-    let mut limits: Vec<(usize, Detectable)> = found.ranked.iter().filter(has_limit).map(|ranked| (ranked.candidate, one(ranked))).collect();
+    let mut limits: Vec<(usize, Detectable)> =
+        found.ranked.iter().filter(has_limit).map(|ranked| (ranked.candidate, one(ranked))).collect();
     limits.sort_by_key(|limit| limit.0);
     limits.into_iter().map(|limit| limit.1).filter(|limit| limit.minimal_detectable.is_finite()).collect()
 }
@@ -148,7 +181,14 @@ fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
 }
 
 /// One proposal for each hypothesis, best first; `score`: how far over what is said something is.
-fn proposals(found: &Evidence, list: &[&Ranked], posterior: &Posterior, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+fn proposals(
+    found: &Evidence,
+    list: &[&Ranked],
+    posterior: &Posterior,
+    score: f64,
+    nominal: &Nominal,
+    decision: &Decision,
+) -> Vec<Proposal> {
     let events = found.events as f64;
     let one = |(one, probability): (&&Ranked, &f64)| {
         let width = one.error / f64::max(one.effect_size.abs(), 1e-12);
@@ -162,7 +202,8 @@ fn proposals(found: &Evidence, list: &[&Ranked], posterior: &Posterior, score: f
             ci95: (error > 0.0 && error.is_finite()).then_some([one.value - error, one.value + error]),
             passed: score >= 1.0,
             heldout_nats: Some(one.beyond() * events),
-            heldout_nats_ci95: (one.gain_error > 0.0).then(|| [-1.96, 1.96].map(|sigmas| (one.beyond() + sigmas * one.gain_error) * events)),
+            heldout_nats_ci95: (one.gain_error > 0.0)
+                .then(|| [-1.96, 1.96].map(|sigmas| (one.beyond() + sigmas * one.gain_error) * events)),
             heldout_nats_per_event: Some(one.beyond()),
             ks: Some(one.ks).filter(|ks| *ks > 0.0),
         }
@@ -178,7 +219,16 @@ mod tests {
 
     fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
-        Ranked { candidate, gain, control_gain, effect_size: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
+        Ranked {
+            candidate,
+            gain,
+            control_gain,
+            effect_size: 1.0,
+            value: 1.0,
+            is_exact: true,
+            is_material: true,
+            ..Ranked::default()
+        }
     }
 
     fn said(found: &Evidence) -> Decided {
@@ -187,8 +237,12 @@ mod tests {
 
     #[test]
     fn gains_count_from_the_control() {
-        let found =
-            Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
+        let found = Evidence {
+            share: 1.0,
+            left: [0.01; 2],
+            ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)],
+            ..Evidence::default()
+        };
         let said = said(&found);
         assert!(said.detected && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
@@ -197,7 +251,12 @@ mod tests {
 
     #[test]
     fn what_gains_almost_nothing_is_no_finding() {
-        let found = Evidence { share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
+        let found = Evidence {
+            share: 1.0,
+            left: [0.05; 2],
+            ranked: vec![ranked("clock_offset", 0.004, 0.001)],
+            ..Evidence::default()
+        };
         assert!(!said(&found).detected);
     }
 
@@ -205,20 +264,33 @@ mod tests {
     fn what_changes_the_swing_of_light_needs_more_where_scenes_err_in_it() {
         let nominal = testing::case().nominal().unwrap();
         let model = Model { something: [6.0, 2.0, 0.0], discount: [0.0, 2.0], ..Model::default() };
-        let decision = Decision { models: Models { picture: model, ..Models::default() }, ..Decision::default() };
-        let of = |id: &str| Evidence { share: 1.0, ranked: vec![Ranked { information: 2.0, unit: 1.0, ..ranked(id, 0.3, 0.0) }], ..Evidence::default() };
+        let decision =
+            Decision { models: Models { picture: model, ..Models::default() }, ..Decision::default() };
+        let of = |id: &str| Evidence {
+            share: 1.0,
+            ranked: vec![Ranked { information: 2.0, unit: 1.0, ..ranked(id, 0.3, 0.0) }],
+            ..Evidence::default()
+        };
         let said = |id: &str| super::said(&of(id), &nominal, &decision);
         // 6 + 2 ln 0.3 is 3.6, and 4 less for a swing.
         assert!(said("clock_offset").detected && !said("threshold_scale").detected);
-        let [clock, swing] = ["clock_offset", "threshold_scale"].map(|id| said(id).detectability[0].minimal_detectable);
+        let [clock, swing] =
+            ["clock_offset", "threshold_scale"].map(|id| said(id).detectability[0].minimal_detectable);
         assert!((swing / clock - libm::exp(1.0)).abs() < 1e-9, "gains grow with the square of a size");
     }
 
     #[test]
     fn finding_nothing_counts_only_where_an_effect_would_be_seen() {
         let nominal = testing::case().nominal().unwrap();
-        let of = |left: f64, gain: f64| Evidence { share: 1.0, left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
-        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.detected);
+        let of = |left: f64, gain: f64| Evidence {
+            share: 1.0,
+            left: [left; 2],
+            ranked: vec![ranked("clock_offset", gain, 0.0)],
+            ..Evidence::default()
+        };
+        let decided = |left: f64, gain: f64| {
+            decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.detected)
+        };
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
         assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
         assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));
@@ -227,9 +299,17 @@ mod tests {
     #[test]
     fn where_no_gain_would_count_finding_nothing_decides_nothing() {
         let nominal = testing::case().nominal().unwrap();
-        let of =
-            |scene: &str| Evidence { scene: scene.into(), share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.01, 0.0)], ..Evidence::default() };
-        assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.detected), Ok(false));
+        let of = |scene: &str| Evidence {
+            scene: scene.into(),
+            share: 1.0,
+            left: [0.05; 2],
+            ranked: vec![ranked("clock_offset", 0.01, 0.0)],
+            ..Evidence::default()
+        };
+        assert_eq!(
+            decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.detected),
+            Ok(false)
+        );
         let deaf = Decision { most_needed: 1e-4, ..Decision::default() };
         assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not separate effects"));
     }
@@ -238,7 +318,11 @@ mod tests {
     fn alike_gains_share_their_probability() {
         let found = Evidence {
             share: 1.0,
-            ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)],
+            ranked: vec![
+                ranked("clock_offset", 1.0, 0.0),
+                ranked("second_pole", 0.99, 0.0),
+                ranked("blur", 0.5, 0.0),
+            ],
             ..Evidence::default()
         };
         let said = said(&found).proposals;

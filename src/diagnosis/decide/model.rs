@@ -1,8 +1,11 @@
 //! The one model of the decision: from what residuals say of every hypothesis to probabilities.
 //!
-//! - That something differs: a logistic function of what the best effect gains and a second one in addition to it.
-//! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an offset of their own.
-//! - That there is a second one in addition to the first: a logistic function of its gain, alone and over the first one's.
+//! - That something differs: a logistic function of what the best effect gains and a second one in addition
+//!   to it.
+//! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an
+//!   offset of their own.
+//! - That there is a second one in addition to the first: a logistic function of its gain, alone and over the
+//!   first one's.
 //!
 //! Its numbers are calibrated on simulated recordings (the crate `photocurrent-calibrate`).
 
@@ -14,19 +17,23 @@ use serde::{Deserialize, Serialize};
 /// Numbers of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Model {
-    /// Log odds that something differs: constant, and weights of the logarithms of the best gain and of the share of the events that count ([`Facts::something`]).
+    /// Log odds that something differs: constant, and weights of the logarithms of the best gain and of the
+    /// share of the events that count ([`Facts::something`]).
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of [`Facts::second`].
     pub second: [f64; SECOND],
-    /// Random effects gain where the scene errs, and so do those that change how far light swings: their gains count less by this, in their logarithms.
+    /// Random effects gain where the scene errs, and so do those that change how far light swings: their
+    /// gains count less by this, in their logarithms.
     pub discount: [f64; 2],
-    /// A hypothesis whose gain is smaller than the best by a share is a factor e less probable: logarithm of that share where the best gains 1 nat an event, and what it
-    /// grows by with the logarithm of the best gain. Small gains say little of which of them is right.
+    /// A hypothesis whose gain is smaller than the best by a share is a factor e less probable: logarithm of
+    /// that share where the best gains 1 nat an event, and what it grows by with the logarithm of the best
+    /// gain. Small gains say little of which of them is right.
     pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: f64,
-    /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the gain of the best curve with that effect over the effect's own gain, and of
-    /// the gain of the best curve alone over that.
+    /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the
+    /// gain of the best curve with that effect over the effect's own gain, and of the gain of the best curve
+    /// alone over that.
     pub unnamed: [f64; 3],
 }
 
@@ -120,7 +127,8 @@ pub struct Gains {
     pub sized: f64,
     /// Of random ones.
     pub random: f64,
-    /// Of those that change how far light swings from event to event; nothing in lists that do not distinguish them.
+    /// Of those that change how far light swings from event to event; nothing in lists that do not
+    /// distinguish them.
     #[serde(default = "nothing")]
     pub swing: f64,
 }
@@ -152,7 +160,8 @@ pub struct Facts {
     pub second: Vec<(String, f64, bool)>,
     /// Logarithms of the gains of curves over that of the best effect: with it, and alone.
     pub open: [f64; 2],
-    /// Logarithm of the share of the events that count: where the scene explains few of them, it may err in those as well.
+    /// Logarithm of the share of the events that count: where the scene explains few of them, it may err in
+    /// those as well.
     pub share: f64,
     /// Kind of scene ([`KINDS`]).
     #[serde(default)]
@@ -168,7 +177,9 @@ impl Facts {
         let small = explained_by_little(&found.ranked, &found.random);
         let second_small = explained_by_little(&found.second, &found.random_second);
         let gain = |list: &[&Ranked], small: f64, kind: [bool; 2]| {
-            let of_kind = |one: &&&Ranked| [CANDIDATES[one.candidate].is_random, CANDIDATES[one.candidate].sought.is_of_swing] == kind;
+            let of_kind = |one: &&&Ranked| {
+                [CANDIDATES[one.candidate].is_random, CANDIDATES[one.candidate].sought.is_of_swing] == kind
+            };
             libm::log(list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max))
         };
         let gains = |list: &[&Ranked], small: f64| Gains {
@@ -180,9 +191,19 @@ impl Facts {
         let best = of_first.best();
         let named = |list: &[&Ranked], noise: f64| {
             let best = list.first().map_or(LEAST_GAIN, |one| one.standing(noise).max(LEAST_GAIN));
-            list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.standing(noise) / best, CANDIDATES[one.candidate].is_random)).collect()
+            list.iter()
+                .map(|one| {
+                    (
+                        CANDIDATES[one.candidate].id.to_owned(),
+                        one.standing(noise) / best,
+                        CANDIDATES[one.candidate].is_random,
+                    )
+                })
+                .collect()
         };
-        let curve = |list: &[Open], small: f64| libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)));
+        let curve = |list: &[Open], small: f64| {
+            libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)))
+        };
         Facts {
             gains: of_first,
             second_gains: (!second.is_empty()).then(|| gains(&second, second_small)),
@@ -197,8 +218,11 @@ impl Facts {
     /// To four digits behind the point.
     pub fn rounded(&self) -> Facts {
         let round = |x: f64| (x * 1e4).round() / 1e4;
-        let gains = |of: Gains| Gains { sized: round(of.sized), random: round(of.random), swing: round(of.swing) };
-        let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();
+        let gains =
+            |of: Gains| Gains { sized: round(of.sized), random: round(of.random), swing: round(of.swing) };
+        let list = |of: &[(String, f64, bool)]| {
+            of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect()
+        };
         Facts {
             gains: gains(self.gains),
             second_gains: self.second_gains.map(gains),
@@ -210,7 +234,8 @@ impl Facts {
         }
     }
 
-    /// 1, the logarithm of what the best effect gains and another in addition to it, as some only show together, and that of the share of the events that count.
+    /// 1, the logarithm of what the best effect gains and another in addition to it, as some only show
+    /// together, and that of the share of the events that count.
     pub fn something(&self, discount: [f64; 2]) -> [f64; SOMETHING] {
         let second = self.second_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
         [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + second), self.share]
@@ -224,7 +249,8 @@ impl Facts {
 }
 
 impl Model {
-    /// The gain of one effect, nats an event, at which the log odds that something differs are `log_odds`, with the logarithm of the share of the events that count.
+    /// The gain of one effect, nats an event, at which the log odds that something differs are `log_odds`,
+    /// with the logarithm of the share of the events that count.
     pub fn needed_gain(&self, log_odds: f64, share: f64) -> f64 {
         let [constant, gain, of_share] = self.something;
         libm::exp((log_odds - constant - of_share * share) / gain).max(LEAST_GAIN)
@@ -233,12 +259,22 @@ impl Model {
 
 /// The most that an effect of a size that does not matter gains, nats an event; at least 0.
 fn explained_by_little(ranked: &[Ranked], random: &[Ranked]) -> f64 {
-    ranked.iter().chain(random).filter(|one| one.is_exact && !one.is_material).map(Ranked::beyond).fold(0.0, f64::max)
+    ranked
+        .iter()
+        .chain(random)
+        .filter(|one| one.is_exact && !one.is_material)
+        .map(Ranked::beyond)
+        .fold(0.0, f64::max)
 }
 
-/// Each effect by its best parameter, best first: those that were fitted exactly and matter. `noise`: what wider noise of events alone gains.
+/// Each effect by its best parameter, best first: those that were fitted exactly and matter. `noise`: what
+/// wider noise of events alone gains.
 pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) -> Vec<&'a Ranked> {
-    let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.is_exact && one.beyond() > 0.0 && one.is_material).collect();
+    let mut all: Vec<&Ranked> = ranked
+        .iter()
+        .chain(random)
+        .filter(|one| one.is_exact && one.beyond() > 0.0 && one.is_material)
+        .collect();
     all.sort_by(|a, b| b.standing(noise).total_cmp(&a.standing(noise)).then(a.candidate.cmp(&b.candidate)));
     let mut ids: Vec<&str> = Vec::new();
     all.retain(|one| {
@@ -265,23 +301,46 @@ impl Model {
     /// Posterior of the first effect.
     pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
-        self.posterior(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))
+        self.posterior(
+            dot(&self.something, &facts.something(self.discount)),
+            facts.gains.best(),
+            &facts.first,
+            Some(odds),
+        )
     }
 
     /// And of a second one.
     pub fn second(&self, facts: &Facts) -> Option<Posterior> {
         let gains = facts.second_gains?;
-        Some(self.posterior(dot(&self.second, &facts.second(self.discount)?), gains.best(), &facts.second, None))
+        Some(self.posterior(
+            dot(&self.second, &facts.second(self.discount)?),
+            gains.best(),
+            &facts.second,
+            None,
+        ))
     }
 
     /// `ln_gain`: of the best hypothesis, nats an event.
-    fn posterior(&self, log_odds: f64, ln_gain: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Posterior {
-        let softness = libm::exp((self.softness[0] + self.softness[1] * ln_gain).clamp(SOFTNESS.0, SOFTNESS.1));
-        let score = |(_, share, is_random): &(String, f64, bool)| libm::exp((share - 1.0) / softness + if *is_random { self.random } else { 0.0 });
+    fn posterior(
+        &self,
+        log_odds: f64,
+        ln_gain: f64,
+        list: &[(String, f64, bool)],
+        unnamed: Option<f64>,
+    ) -> Posterior {
+        let softness =
+            libm::exp((self.softness[0] + self.softness[1] * ln_gain).clamp(SOFTNESS.0, SOFTNESS.1));
+        let score = |(_, share, is_random): &(String, f64, bool)| {
+            libm::exp((share - 1.0) / softness + if *is_random { self.random } else { 0.0 })
+        };
         let each: Vec<f64> = list.iter().map(score).collect();
         let unnamed = unnamed.map_or(0.0, |odds| libm::exp(odds.clamp(-50.0, 50.0)));
         let sum = (each.iter().sum::<f64>() + unnamed).max(1e-300);
-        Posterior { something: logistic(log_odds), each: each.iter().map(|one| one / sum).collect(), unnamed: unnamed / sum }
+        Posterior {
+            something: logistic(log_odds),
+            each: each.iter().map(|one| one / sum).collect(),
+            unnamed: unnamed / sum,
+        }
     }
 }
 

@@ -1,11 +1,15 @@
-//! 95 % intervals of what direct tests estimate, for all of them in one way: each test is made again without a tenth of the array, ten times.
+//! 95 % intervals of what direct tests estimate, for all of them in one way: each test is made again without
+//! a tenth of the array, ten times.
 //!
-//! The array is cut into blocks of 8 x 8 pixels, and these are dealt in pairs to ten groups. What an estimate differs by from group to group gives its standard error (the
-//! delete-a-group jackknife: Shao and Tu, *The Jackknife and Bootstrap*, 1995, section 2.3), Student's t the interval; what all groups are known to share ([`common`]) is
-//! added in squares. Of a recording with more than [`MANY`] events each group is looked at alone instead, so that all ten together cost one pass.
+//! The array is cut into blocks of 8 x 8 pixels, and these are dealt in pairs to ten groups. What an estimate
+//! differs by from group to group gives its standard error (the delete-a-group jackknife: Shao and Tu, *The
+//! Jackknife and Bootstrap*, 1995, section 2.3), Student's t the interval; what all groups are known to share
+//! ([`common`]) is added in squares. Of a recording with more than [`MANY`] events each group is looked at
+//! alone instead, so that all ten together cost one pass.
 //!
-//! Limits: an estimate that is wrong everywhere by more than [`common`] allows has a narrow interval around the wrong number: what a test assumes is not questioned. Where a
-//! test finds nothing in more than three of the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
+//! Limits: an estimate that is wrong everywhere by more than [`common`] allows has a narrow interval around
+//! the wrong number: what a test assumes is not questioned. Where a test finds nothing in more than three of
+//! the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
 
 use super::{BLOCK, Finding, TestsAgain};
 use photocurrent_scene::case::Case;
@@ -20,7 +24,8 @@ const NORMAL: f64 = 1.96;
 /// From so many events on, each group is looked at alone.
 const MANY: usize = 2_000_000;
 
-/// The group of a pixel. Blocks are those of [`super::half`]; of two that follow each other one is of each half, or the rows below bring the other.
+/// The group of a pixel. Blocks are those of [`super::half`]; of two that follow each other one is of each
+/// half, or the rows below bring the other.
 fn group(case: &Case, pixel: usize) -> usize {
     let (x, y) = case.place(pixel);
     let block = y / BLOCK * case.extent.width.div_ceil(BLOCK) + x / BLOCK;
@@ -32,25 +37,42 @@ pub(crate) fn lacks_interval(finding: &Finding) -> bool {
     finding.parameters.iter().any(|(name, _)| finding.interval(name).is_none())
 }
 
-/// Adds intervals to findings. `again` makes the same tests of a recording in which the pixels of the list have no events and are left out.
+/// Adds intervals to findings. `again` makes the same tests of a recording in which the pixels of the list
+/// have no events and are left out.
 pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsAgain<'_>) {
     if !findings.iter().any(lacks_interval) {
         return;
     }
     let is_alone = case.events.len() > MANY;
     let groups: Vec<usize> = (0..case.extent.pixels()).map(|pixel| group(case, pixel)).collect();
-    let is_empty = |number: usize| groups.iter().zip(0..).all(|(group, pixel)| *group != number || case.events.of(pixel).is_empty());
+    let is_empty = |number: usize| {
+        groups.iter().zip(0..).all(|(group, pixel)| *group != number || case.events.of(pixel).is_empty())
+    };
     if (0..GROUPS).any(is_empty) {
         return;
     }
     let part = |number: usize| -> Vec<Finding> {
-        let out: Vec<u32> = groups.iter().zip(0..).filter(|(group, _)| (**group == number) != is_alone).map(|(_, pixel)| pixel).collect();
-        again(&Case { events: case.events.without(&out), sensor: case.sensor.clone(), frames: case.frames.clone(), ..*case }, &out)
+        let out: Vec<u32> = groups
+            .iter()
+            .zip(0..)
+            .filter(|(group, _)| (**group == number) != is_alone)
+            .map(|(_, pixel)| pixel)
+            .collect();
+        again(
+            &Case {
+                events: case.events.without(&out),
+                sensor: case.sensor.clone(),
+                frames: case.frames.clone(),
+                ..*case
+            },
+            &out,
+        )
     };
     let parts: Vec<Vec<Finding>> = (0..GROUPS).into_par_iter().map(part).collect();
     for finding in findings {
         let same = |part: &Vec<Finding>, name: &str| -> Option<f64> {
-            let twin = part.iter().find(|other| other.id == finding.id && other.threshold == finding.threshold)?;
+            let twin =
+                part.iter().find(|other| other.id == finding.id && other.threshold == finding.threshold)?;
             twin.value(name)
         };
         let unknown = finding.parameters.iter().filter(|(name, _)| finding.interval(name).is_none());
@@ -59,7 +81,8 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsA
             if values.len() < FEWEST {
                 return None;
             }
-            let (apart, common) = (student(values.len()) * standard_error(&values, is_alone), NORMAL * common(finding, *value));
+            let (apart, common) =
+                (student(values.len()) * standard_error(&values, is_alone), NORMAL * common(finding, *value));
             let reach = libm::sqrt(apart * apart + common * common);
             // What no part has a say in (the period of the frames) is not estimated from them.
             (reach > 1e-9 * value.abs()).then_some((*name, [value - reach, value + reach]))
@@ -78,7 +101,8 @@ fn student(groups: usize) -> f64 {
     }
 }
 
-/// Standard error of what all parts share: the errors that these tests have on simulated recordings (`again_tests.rs`), or that their files state.
+/// Standard error of what all parts share: the errors that these tests have on simulated recordings
+/// (`again_tests.rs`), or that their files state.
 fn common(finding: &Finding, value: f64) -> f64 {
     match finding.id {
         "hot_rows" | "hot_pixels" => 0.01 * value.abs(),
@@ -108,16 +132,23 @@ mod tests {
 
     #[test]
     fn the_standard_error_of_a_mean_comes_back() {
-        // A mean of 1,000 normal values in ten groups: without each, or of each, the standard error is 1 / sqrt(1000) on average.
+        // A mean of 1,000 normal values in ten groups: without each, or of each, the standard error is 1 /
+        // sqrt(1000) on average.
         let (mut without, mut alone) = (0.0, 0.0);
         for seed in 0..200 {
             let mut random = Random::new(seed, &[]);
             let sums: Vec<f64> = (0..GROUPS).map(|_| (0..100).map(|_| random.normal()).sum()).collect();
             let all: f64 = sums.iter().sum();
-            without += standard_error(&sums.iter().map(|sum| (all - sum) / 900.0).collect::<Vec<_>>(), false).powi(2) / 200.0;
-            alone += standard_error(&sums.iter().map(|sum| sum / 100.0).collect::<Vec<_>>(), true).powi(2) / 200.0;
+            without += standard_error(&sums.iter().map(|sum| (all - sum) / 900.0).collect::<Vec<_>>(), false)
+                .powi(2)
+                / 200.0;
+            alone +=
+                standard_error(&sums.iter().map(|sum| sum / 100.0).collect::<Vec<_>>(), true).powi(2) / 200.0;
         }
-        assert!((without * 1000.0 - 1.0).abs() < 0.1 && (alone * 1000.0 - 1.0).abs() < 0.1, "{without} {alone}");
+        assert!(
+            (without * 1000.0 - 1.0).abs() < 0.1 && (alone * 1000.0 - 1.0).abs() < 0.1,
+            "{without} {alone}"
+        );
     }
 
     #[test]
@@ -125,8 +156,14 @@ mod tests {
         for (width, height) in [(96, 72), (88, 72), (346, 260)] {
             let case = Case { extent: Extent { width, height }, ..crate::testing::case() };
             let (all, mut pixels) = (f64::from(width * height), [[0.0; 2]; GROUPS]);
-            (0..case.extent.pixels()).for_each(|pixel| pixels[group(&case, pixel)][super::super::half(&case, pixel)] += 20.0 / all);
-            assert!(pixels.iter().flatten().all(|share| (0.8..1.25).contains(share)), "{width} x {height}: {pixels:?}");
+            (0..case.extent.pixels()).for_each(|pixel| {
+                pixels[group(&case, pixel)][super::super::half(&case, pixel)] += 20.0 / all
+            });
+            assert!(
+                pixels.iter().flatten().all(|share| (0.8..1.25).contains(share)),
+                "{width} x {height}: \
+                                                            {pixels:?}"
+            );
         }
     }
 }

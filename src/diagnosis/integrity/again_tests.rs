@@ -8,15 +8,23 @@ use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use photocurrent_scene::case::Case;
 
-/// Of `seeds` recordings in which a parameter has an interval: how many, how many of these hold the truth, and the mean estimate over the truth.
+/// Of `seeds` recordings in which a parameter has an interval: how many, how many of these hold the truth,
+/// and the mean estimate over the truth.
 fn held(seeds: u64, of: impl Fn(u64) -> Case, id: &str, parameter: &str, truth: f64) -> (usize, usize, f64) {
-    let found: Vec<Integrity> = (0..seeds).map(of).map(|case| integrity(&case, case.nominal().ok().as_ref())).collect();
+    let found: Vec<Integrity> =
+        (0..seeds).map(of).map(|case| integrity(&case, case.nominal().ok().as_ref())).collect();
     let all = found.iter().flat_map(|found| &found.findings).filter(|finding| finding.id == id);
-    let with: Vec<(f64, [f64; 2])> = all.filter_map(|finding| Some((finding.value(parameter)?, finding.interval(parameter)?))).collect();
+    let with: Vec<(f64, [f64; 2])> =
+        all.filter_map(|finding| Some((finding.value(parameter)?, finding.interval(parameter)?))).collect();
     let holding = with.iter().filter(|(_, [low, high])| (*low..=*high).contains(&truth)).count();
     let mean = with.iter().map(|one| one.0).sum::<f64>() / with.len().max(1) as f64;
     let width = with.iter().map(|(_, [low, high])| high - low).sum::<f64>() / with.len().max(1) as f64;
-    eprintln!("{id}.{parameter}: {} intervals, {holding} hold the truth, mean {:.4} of it, half width {:.4}", with.len(), mean / truth, 0.5 * width / truth);
+    eprintln!(
+        "{id}.{parameter}: {} intervals, {holding} hold the truth, mean {:.4} of it, half width {:.4}",
+        with.len(),
+        mean / truth,
+        0.5 * width / truth
+    );
     (with.len(), holding, mean / truth)
 }
 
@@ -51,12 +59,27 @@ fn hold(seeds: u64) {
     let pixels = held(seeds, |seed| loud(seed, &many, 200), "hot_pixels", "rate", 200.0 / 0.3);
     let late = held(seeds, |seed| seeded(seed, 4_000_000, 0), "clock_offset", "offset", 4e-3);
     let blind = held(seeds, |seed| seeded(seed, 0, 3_000_000), "refractory", "refractory", 3e-3);
-    let all = [("leak", rate), ("noise", noise), ("rows", rows), ("pixels", pixels), ("late", late), ("blind", blind)];
+    let all = [
+        ("leak", rate),
+        ("noise", noise),
+        ("rows", rows),
+        ("pixels", pixels),
+        ("late", late),
+        ("blind", blind),
+    ];
     for (what, (intervals, holding, mean)) in all {
-        assert!(10 * intervals >= 8 * seeds as usize && (0.8..1.25).contains(&mean), "{what}: {intervals} {holding} {mean}");
-        assert!(seeds < 10 || 10 * holding >= 8 * intervals, "{what}: {holding} of {intervals} hold the truth");
+        assert!(
+            10 * intervals >= 8 * seeds as usize && (0.8..1.25).contains(&mean),
+            "{what}: {intervals} \
+                                                            {holding} {mean}"
+        );
+        assert!(
+            seeds < 10 || 10 * holding >= 8 * intervals,
+            "{what}: {holding} of {intervals} hold the truth"
+        );
     }
-    let [intervals, holding] = [0, 1].map(|which| all.iter().map(|(_, of)| if which == 0 { of.0 } else { of.1 }).sum::<usize>());
+    let [intervals, holding] =
+        [0, 1].map(|which| all.iter().map(|(_, of)| if which == 0 { of.0 } else { of.1 }).sum::<usize>());
     assert!(10 * holding >= 8 * intervals, "{holding} of {intervals} hold the truth");
 }
 

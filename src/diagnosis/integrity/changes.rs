@@ -1,13 +1,17 @@
-//! What the light did between two frames, by the frames and by the events: events that come late (`late`), and light that is lost while pixels are blind (`blind`).
+//! What the light did between two frames, by the frames and by the events: events that come late (`late`),
+//! and light that is lost while pixels are blind (`blind`).
 //!
-//! Events of a pixel between two frames say how far its log light went: a threshold each. They agree best with the frames when they are moved by as much as their clock or
-//! their path is late. An event stands for the light that made its step before it, and for the light that is lost after it: half an interval less a blind time, which
-//! is no delay and is subtracted. A pixel that is blind after each event does not see what the light does meanwhile: the faster its events follow each other, the further the light
-//! went for each. `change = threshold * interval / (interval - blind)` for steady light, which is fitted; without a blind time the change for an event does not depend on
-//! how fast they come, whatever the scene does.
+//! Events of a pixel between two frames say how far its log light went: a threshold each. They agree best
+//! with the frames when they are moved by as much as their clock or their path is late. An event stands for
+//! the light that made its step before it, and for the light that is lost after it: half an interval less a
+//! blind time, which is no delay and is subtracted. A pixel that is blind after each event does not see what
+//! the light does meanwhile: the faster its events follow each other, the further the light went for each.
+//! `change = threshold * interval / (interval - blind)` for steady light, which is fitted; without a blind
+//! time the change for an event does not depend on how fast they come, whatever the scene does.
 //!
-//! Limits: frames that average over a large part of their period are the business of [`super::means`]; finer delays, and bandwidths that depend on light, are the
-//! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates have an error of up to a third.
+//! Limits: frames that average over a large part of their period are the business of [`super::means`]; finer
+//! delays, and bandwidths that depend on light, are the business of tests that estimate the scene. Another
+//! threshold than stated changes neither. Estimates have an error of up to a third.
 
 use super::still::noise_dn;
 use super::{Finding, NATS, half, lowest, quantile};
@@ -31,7 +35,8 @@ pub(super) const DELAY_NS: f64 = 1e6;
 const DELAY_EXPOSURES: f64 = 0.3;
 /// and from this share of the period on.
 const DELAY_PERIODS: f64 = 0.04;
-/// Events that are early by less than this multiple of the shortest interval may be late enough, and their pixels blind.
+/// Events that are early by less than this multiple of the shortest interval may be late enough, and their
+/// pixels blind.
 pub(super) const SHORTEST: f64 = 1.2;
 /// A blind time must be longer than stated by this share of the shortest intervals,
 const BLIND_INTERVALS: f64 = 0.25;
@@ -56,7 +61,8 @@ struct Changes {
 }
 
 impl Changes {
-    /// Of a recording; none where its frames are too few, or average over too much of their period. Pixels of `masked` are left out.
+    /// Of a recording; none where its frames are too few, or average over too much of their period. Pixels of
+    /// `masked` are left out.
     fn of(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Changes> {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
         let exposures = &frames.times.exposures;
@@ -74,7 +80,9 @@ impl Changes {
             (dn < FULL * nominal.saturation_dn && signal > least).then(|| libm::log(signal))
         };
         let mut all = Vec::new();
-        for pixel in (0..case.extent.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty() && masked.binary_search(&(pixel as u32)).is_err()) {
+        for pixel in (0..case.extent.pixels()).filter(|&pixel| {
+            !case.events.of(pixel).is_empty() && masked.binary_search(&(pixel as u32)).is_err()
+        }) {
             let y = case.place(pixel).1;
             let middle = |frame: usize| {
                 let exposure = frames.times.exposure(frame, y);
@@ -186,10 +194,16 @@ pub(super) struct Shifts {
 }
 
 impl Shifts {
-    /// Adds up to each shift's sums what `add` says of it, item by item: what is known of an item is at hand for all shifts. Events are moved earlier by the shift, ns.
-    pub fn tried<T>(period_ns: f64, items: impl IntoIterator<Item = T>, add: impl Fn(&T, i64, &mut [Sums; 2])) -> Shifts {
+    /// Adds up to each shift's sums what `add` says of it, item by item: what is known of an item is at hand
+    /// for all shifts. Events are moved earlier by the shift, ns.
+    pub fn tried<T>(
+        period_ns: f64,
+        items: impl IntoIterator<Item = T>,
+        add: impl Fn(&T, i64, &mut [Sums; 2]),
+    ) -> Shifts {
         let step_ns = REACH * period_ns / SHIFTS as f64;
-        let mut tried: Vec<(i64, [Sums; 2])> = (-SHIFTS..=SHIFTS).map(|k| ((k as f64 * step_ns).round() as i64, Default::default())).collect();
+        let mut tried: Vec<(i64, [Sums; 2])> =
+            (-SHIFTS..=SHIFTS).map(|k| ((k as f64 * step_ns).round() as i64, Default::default())).collect();
         for item in items {
             tried.iter_mut().for_each(|(shift_ns, sums)| add(&item, *shift_ns, sums));
         }
@@ -211,7 +225,10 @@ impl Shifts {
         let unmoved = &self.tried[SHIFTS as usize];
         let gain = |side: usize| -> Option<f64> {
             let other = 1 - side;
-            let moved = self.tried.iter().min_by(|a, b| Shifts::left(&a[other]).total_cmp(&Shifts::left(&b[other])))?;
+            let moved = self
+                .tried
+                .iter()
+                .min_by(|a, b| Shifts::left(&a[other]).total_cmp(&Shifts::left(&b[other])))?;
             let better = Predicted::new(moved[side], moved[other], 2)?;
             Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
         };
@@ -219,14 +236,18 @@ impl Shifts {
     }
 }
 
-/// Events of a pixel at the middle of the light that they stand for: what made their step before them, and what is lost after them while the pixel is blind. The next
-/// interval of the same sign stands in where it is shorter, and `usual_ns` where there is none.
+/// Events of a pixel at the middle of the light that they stand for: what made their step before them, and
+/// what is lost after them while the pixel is blind. The next interval of the same sign stands in where it is
+/// shorter, and `usual_ns` where there is none.
 pub(super) fn centred(events: &[Recorded], usual_ns: i64, blind_ns: i64) -> impl Iterator<Item = i64> {
-    let interval = |a: usize, b: usize| (events[a].polarity == events[b].polarity).then(|| events[b].t_in_ns - events[a].t_in_ns);
+    let interval = |a: usize, b: usize| {
+        (events[a].polarity == events[b].polarity).then(|| events[b].t_in_ns - events[a].t_in_ns)
+    };
     (0..events.len()).map(move |k| {
         let before = k.checked_sub(1).and_then(|before| interval(before, k));
         let after = (k + 1 < events.len()).then(|| interval(k, k + 1)).flatten();
-        let way = [before, after].into_iter().flatten().min().map_or(2 * usual_ns, |way| way.min(3 * usual_ns));
+        let way =
+            [before, after].into_iter().flatten().min().map_or(2 * usual_ns, |way| way.min(3 * usual_ns));
         events[k].t_in_ns - way / 2 + blind_ns
     })
 }
@@ -234,12 +255,16 @@ pub(super) fn centred(events: &[Recorded], usual_ns: i64, blind_ns: i64) -> impl
 /// Intervals between events of one sign, rising, ns.
 pub(super) fn intervals(case: &Case) -> Vec<i64> {
     let pairs = (0..case.events.pixels()).flat_map(|pixel| case.events.of(pixel).windows(2));
-    let mut all: Vec<i64> = pairs.filter(|pair| pair[0].polarity == pair[1].polarity).map(|pair| pair[1].t_in_ns - pair[0].t_in_ns).collect();
+    let mut all: Vec<i64> = pairs
+        .filter(|pair| pair[0].polarity == pair[1].polarity)
+        .map(|pair| pair[1].t_in_ns - pair[0].t_in_ns)
+        .collect();
     all.sort_unstable();
     all
 }
 
-/// What changes between frames show: a blind time, and a delay. The blind time does not ask for the delay exactly, the delay does for the blind time.
+/// What changes between frames show: a blind time, and a delay. The blind time does not ask for the delay
+/// exactly, the delay does for the blind time.
 pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> {
     let Some(changes) = Changes::of(case, nominal, masked) else { return Vec::new() };
     let stated_ns = nominal.pixel.refractory_ns;
@@ -249,7 +274,8 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
     late(case, nominal, &changes, blind_ns).1.into_iter().chain([blind]).collect()
 }
 
-/// By how much events come later than the frames say, ns (less is earlier), and the finding when that is an offset; pixels are blind for `blind_ns`.
+/// By how much events come later than the frames say, ns (less is earlier), and the finding when that is an
+/// offset; pixels are blind for `blind_ns`.
 fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f64, Option<Finding>) {
     let usual_ns = quantile(&intervals(case), 0.5);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
@@ -265,7 +291,10 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         if k == 0 || large[k - 1].pixel != change.pixel {
             let events = case.events.of(change.pixel);
             plain.push(events.iter().map(|event| (event.t_in_ns, event.polarity)).collect());
-            let mut middle: Vec<(i64, i8)> = centred(events, usual_ns, blind_ns).zip(events).map(|(t_ns, event)| (t_ns, event.polarity)).collect();
+            let mut middle: Vec<(i64, i8)> = centred(events, usual_ns, blind_ns)
+                .zip(events)
+                .map(|(t_ns, event)| (t_ns, event.polarity))
+                .collect();
             middle.sort_unstable();
             middles.push(middle);
         }
@@ -284,7 +313,8 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
     let nats = of_shift.nats();
     let least = DELAY_NS.max(DELAY_EXPOSURES * changes.exposure_ns).max(DELAY_PERIODS * changes.period_ns);
-    // Light that is lost after events makes them look early by the blind time, which is at most the shortest interval.
+    // Light that is lost after events makes them look early by the blind time, which is at most the shortest
+    // interval.
     let shortest = quantile(&intervals(case), 0.001);
     let is_loss = -late_ns > 0.0 && -late_ns < SHORTEST * (shortest - blind_ns) as f64;
     if late_ns.abs() < least || nats < NATS || is_loss {
@@ -297,7 +327,8 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     let raw_ns = shifted(&plain).best_ns().unwrap_or(late_ns);
     let events = large.iter().map(|change| within(change)).sum();
     let seen = format!(
-        "{} changes between frames agree best with the events when these are taken {:.2} ms {}; as recorded, with the time that a threshold takes, {:.2} ms",
+        "{} changes between frames agree best with the events when these are taken {:.2} ms {}; as \
+         recorded, with the time that a threshold takes, {:.2} ms",
         large.len(),
         late_ns.abs() * 1e-6,
         if late_ns > 0.0 { "earlier" } else { "later" },
@@ -318,15 +349,21 @@ struct Run {
 }
 
 impl Run {
-    /// The events, and the light that is lost for one threshold and a blind time of 1 s: the first event's is that of the others on average.
+    /// The events, and the light that is lost for one threshold and a blind time of 1 s: the first event's is
+    /// that of the others on average.
     fn terms(&self, blind_ns: f64) -> (f64, f64) {
         let events = self.intervals.len() as f64 + 1.0;
-        let lost: f64 = self.intervals.iter().map(|interval| 1e9 / f64::max(*interval as f64 - blind_ns, 0.25 * *interval as f64)).sum();
+        let lost: f64 = self
+            .intervals
+            .iter()
+            .map(|interval| 1e9 / f64::max(*interval as f64 - blind_ns, 0.25 * *interval as f64))
+            .sum();
         (events, lost * events / (events - 1.0))
     }
 }
 
-/// Sums of both halves: thresholds of ON and OFF, and what is lost with a blind time that is `free`, or else as it is assumed.
+/// Sums of both halves: thresholds of ON and OFF, and what is lost with a blind time that is `free`, or else
+/// as it is assumed.
 fn sums_of(runs: &[Run], blind_ns: f64, is_free: bool) -> [Sums; 2] {
     let mut sums = [Sums::default(); 2];
     for run in runs {
@@ -338,7 +375,8 @@ fn sums_of(runs: &[Run], blind_ns: f64, is_free: bool) -> [Sums; 2] {
     sums
 }
 
-/// A blind time longer than stated: light goes further for an event where events follow each other faster. `late_ns` is by how much events come late.
+/// A blind time longer than stated: light goes further for an event where events follow each other faster.
+/// `late_ns` is by how much events come late.
 fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Option<Finding> {
     let late = late_ns.round() as i64;
     let runs: Vec<Run> = changes
@@ -348,8 +386,11 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
             let events = case.events.of(change.pixel);
             let at = |t_ns: i64| events.partition_point(|event| event.t_in_ns < t_ns + late);
             let within = &events[at(change.span.0)..at(change.span.1)];
-            let first = within.first().filter(|first| within.len() >= 3 && within.iter().all(|event| event.polarity == first.polarity))?;
-            let intervals: Vec<i64> = within.windows(2).map(|pair| pair[1].t_in_ns - pair[0].t_in_ns).collect();
+            let first = within.first().filter(|first| {
+                within.len() >= 3 && within.iter().all(|event| event.polarity == first.polarity)
+            })?;
+            let intervals: Vec<i64> =
+                within.windows(2).map(|pair| pair[1].t_in_ns - pair[0].t_in_ns).collect();
             let is_on = first.polarity > 0;
             intervals.iter().all(|interval| *interval > 0).then(|| Run {
                 half: half(case, change.pixel),
@@ -378,7 +419,9 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
     let (found_ns, _) = fit(&|[a, b]| a.and(&b))?;
     let stated_ns = nominal.pixel.refractory_ns as f64;
     // A blind time longer than the shortest intervals contradicts them.
-    if found_ns - stated_ns < f64::max(BLIND_INTERVALS * short_ns, BLIND_EXPOSURES * changes.exposure_ns) || found_ns > 1.2 * short_ns {
+    if found_ns - stated_ns < f64::max(BLIND_INTERVALS * short_ns, BLIND_EXPOSURES * changes.exposure_ns)
+        || found_ns > 1.2 * short_ns
+    {
         return None;
     }
     let stated = sums_of(&runs, stated_ns, false);
@@ -396,10 +439,18 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
     let shortest = quantile(&intervals(case), 0.001) as f64;
     let value_ns = f64::min(found_ns, shortest);
     let seen = format!(
-        "in {} runs of events between two frames light went the further for an event the faster they came, as if pixels were blind for {:.0} us after each; a thousandth of the intervals is shorter than {:.0} us",
+        "in {} runs of events between two frames light went the further for an event the faster they came, \
+         as if pixels were blind for {:.0} us after each; a thousandth of the intervals is shorter than \
+         {:.0} us",
         runs.len(),
         found_ns * 1e-3,
         shortest * 1e-3
     );
-    Some(Finding::of_halves("refractory", ("refractory", value_ns * 1e-9), nats, within.len() + runs.len(), seen))
+    Some(Finding::of_halves(
+        "refractory",
+        ("refractory", value_ns * 1e-9),
+        nats,
+        within.len() + runs.len(),
+        seen,
+    ))
 }

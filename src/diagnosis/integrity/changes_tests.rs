@@ -1,4 +1,5 @@
-//! Light that rises and falls steadily, at a speed of each pixel's own, seen by a comparator that is written out here.
+//! Light that rises and falls steadily, at a speed of each pixel's own, seen by a comparator that is written
+//! out here.
 
 use super::Finding;
 use super::changes::findings;
@@ -10,7 +11,8 @@ const PERIOD_NS: i64 = 40_000_000;
 const FRAMES: i64 = 26;
 const THRESHOLD: f64 = 0.2;
 
-/// 40 x 32 pixels, a second at 25 Hz with exposures of 500 us. Thresholds are a fifth more than stated, events are stamped `late_ns` late, pixels are blind for `blind_ns`.
+/// 40 x 32 pixels, a second at 25 Hz with exposures of 500 us. Thresholds are a fifth more than stated,
+/// events are stamped `late_ns` late, pixels are blind for `blind_ns`.
 fn camera(late_ns: i64, blind_ns: i64) -> Case {
     seeded(21, late_ns, blind_ns)
 }
@@ -22,21 +24,28 @@ pub(super) fn seeded(seed: u64, late_ns: i64, blind_ns: i64) -> Case {
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
     let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
         .map(|pixel| {
-            // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing moves, and they show that frames are without noise.
-            let (height, phase) = (if pixel % 40 < 30 { 1.0 + 3.5 * random.uniform() } else { 0.0 }, random.uniform());
+            // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing
+            // moves, and they show that frames are without noise.
+            let (height, phase) =
+                (if pixel % 40 < 30 { 1.0 + 3.5 * random.uniform() } else { 0.0 }, random.uniform());
             let log = |t_ns: i64| {
                 let turn = (t_ns as f64 / 180e6 + phase).rem_euclid(1.0);
                 height * (2.0 * turn - 1.0).abs()
             };
             for frame in 0..FRAMES {
-                frames[frame as usize * extent.pixels() + pixel] = (20.0 * libm::exp(log(frame * PERIOD_NS + 250_000))) as f32;
+                frames[frame as usize * extent.pixels() + pixel] =
+                    (20.0 * libm::exp(log(frame * PERIOD_NS + 250_000))) as f32;
             }
             let (mut events, mut t, mut reference) = (Vec::new(), 0, log(0));
             while t < FRAMES * PERIOD_NS {
                 t += 40_000;
                 let away = log(t) - reference;
                 if away.abs() >= 1.2 * THRESHOLD {
-                    events.push(Recorded { t_in_ns: t + late_ns, t_off_ns: t + late_ns, polarity: if away > 0.0 { 1 } else { -1 } });
+                    events.push(Recorded {
+                        t_in_ns: t + late_ns,
+                        t_off_ns: t + late_ns,
+                        polarity: if away > 0.0 { 1 } else { -1 },
+                    });
                     t += blind_ns;
                     reference = log(t);
                 }
@@ -83,13 +92,15 @@ fn events_of_a_late_clock_show_by_how_much() {
 
 #[test]
 fn events_that_are_early_by_less_than_an_interval_have_no_name() {
-    // The shortest intervals are 5 ms: pixels that are blind for 3 ms lose light after their events, and these look as early.
+    // The shortest intervals are 5 ms: pixels that are blind for 3 ms lose light after their events, and
+    // these look as early.
     assert_eq!(found(&camera(-3_000_000, 0)), (None, None));
 }
 
 #[test]
 fn light_that_is_lost_after_events_is_a_blind_time() {
-    // With a threshold of 0.24 and slopes of 11 to 50 per second, events are 8 to 25 ms apart; 3 ms of that is blind.
+    // With a threshold of 0.24 and slopes of 11 to 50 per second, events are 8 to 25 ms apart; 3 ms of that
+    // is blind.
     let mut case = camera(0, 3_000_000);
     let (offset, blind) = found(&case);
     let blind = blind.unwrap();
@@ -113,7 +124,9 @@ fn both_at_once_are_separated() {
 fn frames_that_average_over_their_period_decide_nothing() {
     let mut case = camera(4_000_000, 0);
     if let Some(frames) = &mut case.frames {
-        let exposures = (0..FRAMES).map(|l| Exposure::new(l * PERIOD_NS - 9_000_000, l * PERIOD_NS + 9_000_000)).collect();
+        let exposures = (0..FRAMES)
+            .map(|l| Exposure::new(l * PERIOD_NS - 9_000_000, l * PERIOD_NS + 9_000_000))
+            .collect();
         frames.times = FrameTimes::new(exposures, 0).unwrap();
     }
     assert_eq!(found(&case), (None, None));

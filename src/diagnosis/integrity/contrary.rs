@@ -1,11 +1,13 @@
-//! Events against the light: one of the other sign between two of a pixel, while all around it goes their way.
+//! Events against the light: one of the other sign between two of a pixel, while all around it goes their
+//! way.
 //!
-//! Where a pixel fires twice with the same sign, and the eight around it have fired so too in between and never otherwise, the light went one way. An event of the other
-//! sign there has no light: it is noise. The time between such pairs is how long was watched, so the rate of what came against it is the rate of the noise, for each sign
-//! apart.
+//! Where a pixel fires twice with the same sign, and the eight around it have fired so too in between and
+//! never otherwise, the light went one way. An event of the other sign there has no light: it is noise. The
+//! time between such pairs is how long was watched, so the rate of what came against it is the rate of the
+//! noise, for each sign apart.
 //!
-//! Limits: textures finer than three pixels, and scenes in which little moves, give little such time, and the test is silent. A shot that comes with the light is not
-//! seen, and need not be: as many come against it.
+//! Limits: textures finer than three pixels, and scenes in which little moves, give little such time, and the
+//! test is silent. A shot that comes with the light is not seen, and need not be: as many come against it.
 
 use super::Finding;
 use photocurrent_scene::case::Case;
@@ -36,7 +38,13 @@ impl OfSign {
         let (mut first, mut t_ns) = (Vec::with_capacity(pixels + 1), Vec::new());
         for pixel in 0..pixels {
             first.push(t_ns.len());
-            t_ns.extend(case.events.of(pixel).iter().filter(|event| event.polarity.signum() == sign).map(|event| event.t_in_ns));
+            t_ns.extend(
+                case.events
+                    .of(pixel)
+                    .iter()
+                    .filter(|event| event.polarity.signum() == sign)
+                    .map(|event| event.t_in_ns),
+            );
         }
         first.push(t_ns.len());
         OfSign { first, t_ns }
@@ -73,16 +81,24 @@ pub fn noise(case: &Case, masked: &[u32]) -> Option<Finding> {
         let (x, y) = (pixel % width, pixel / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
         let columns = x.saturating_sub(1)..(x + 2).min(width);
-        let around: Vec<usize> =
-            rows.flat_map(|row| columns.clone().map(move |column| row * width + column)).filter(|&other| other != pixel && !is_masked(other)).collect();
+        let around: Vec<usize> = rows
+            .flat_map(|row| columns.clone().map(move |column| row * width + column))
+            .filter(|&other| other != pixel && !is_masked(other))
+            .collect();
         let events = case.events.of(pixel);
         for (at, start) in events.iter().enumerate() {
             // The next of the same sign, with one of the other sign between them at most.
-            let Some(ahead) = (1..=2).find(|ahead| events.get(at + ahead).is_some_and(|event| event.polarity == start.polarity)) else { continue };
+            let Some(ahead) = (1..=2)
+                .find(|ahead| events.get(at + ahead).is_some_and(|event| event.polarity == start.polarity))
+            else {
+                continue;
+            };
             let span = (start.t_in_ns, events[at + ahead].t_in_ns);
-            let (with, other) = if start.polarity > 0 { (&signs[1], &signs[0]) } else { (&signs[0], &signs[1]) };
-            let goes_one_way =
-                around.iter().map(|&near| with.between(near, span)).sum::<usize>() >= NEIGHBOURS && around.iter().all(|&near| other.between(near, span) == 0);
+            let (with, other) =
+                if start.polarity > 0 { (&signs[1], &signs[0]) } else { (&signs[0], &signs[1]) };
+            let goes_one_way = around.iter().map(|&near| with.between(near, span)).sum::<usize>()
+                >= NEIGHBOURS
+                && around.iter().all(|&near| other.between(near, span) == 0);
             if goes_one_way {
                 let against = if start.polarity > 0 { &mut off } else { &mut on };
                 against.seconds += (span.1 - span.0) as f64 * 1e-9;
@@ -104,9 +120,15 @@ fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
     pixels.dedup();
     let length = ((case.span.1 - case.span.0) / PARTS as i64).max(1);
     let mut parts = [false; PARTS];
-    all.iter().for_each(|event| parts[(((event.0 - case.span.0) / length).max(0) as usize).min(PARTS - 1)] = true);
+    all.iter()
+        .for_each(|event| parts[(((event.0 - case.span.0) / length).max(0) as usize).min(PARTS - 1)] = true);
     let is_steady = parts.iter().filter(|part| **part).count() >= STEADY;
-    if all.len() < FEWEST || share < SHARE || rate < LEAST_RATE_HZ || (pixels.len() as f64) < PIXELS * all.len() as f64 || !is_steady {
+    if all.len() < FEWEST
+        || share < SHARE
+        || rate < LEAST_RATE_HZ
+        || (pixels.len() as f64) < PIXELS * all.len() as f64
+        || !is_steady
+    {
         return None;
     }
     let polarity = if on.rate_hz() > 0.9 * rate {
@@ -121,11 +143,14 @@ fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
         parameters: vec![("rate", rate)],
         statistic: share,
         threshold: SHARE,
-        share: (rate * case.events.pixels() as f64 * (case.span.1 - case.span.0) as f64 * 1e-9 / case.events.len() as f64).min(1.0),
+        share: (rate * case.events.pixels() as f64 * (case.span.1 - case.span.0) as f64 * 1e-9
+            / case.events.len() as f64)
+            .min(1.0),
         polarity,
         pixels: Vec::new(),
         seen: format!(
-            "{} events of {} pixels come against the light, between two of the other sign while all around goes their way: {:.1} ON and {:.1} OFF a second and pixel",
+            "{} events of {} pixels come against the light, between two of the other sign while all around \
+             goes their way: {:.1} ON and {:.1} OFF a second and pixel",
             all.len(),
             pixels.len(),
             on.rate_hz(),

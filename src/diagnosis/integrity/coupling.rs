@@ -1,11 +1,16 @@
-//! Events that come when the frame's row is read: the readout shakes the pixels of its row, and what is nearly due fires.
+//! Events that come when the frame's row is read: the readout shakes the pixels of its row, and what is
+//! nearly due fires.
 //!
-//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a strong impulse stand out of the others. Their time since the start of the frame, less a delay for every row, is tried for all delays
-//! at which the readout is over within a period; the delay that piles them up is the readout's, and the pile is the instant. One half of the array chooses, the other is
-//! predicted. Source: Brandli et al. (2014), the shared readout of DAVIS pixels.
+//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a
+//! strong impulse stand out of the others. Their time since the start of the frame, less a delay for every
+//! row, is tried for all delays at which the readout is over within a period; the delay that piles them up is
+//! the readout's, and the pile is the instant. One half of the array chooses, the other is predicted. Source:
+//! Brandli et al. (2014), the shared readout of DAVIS pixels.
 //!
-//! How strong an impulse is shows where light changes steadily: between two events of one sign the way that is left to the threshold is anywhere in the threshold, so an impulse
-//! of `step` fires in `step / threshold` of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events as well; they are not counted.
+//! How strong an impulse is shows where light changes steadily: between two events of one sign the way that
+//! is left to the threshold is anywhere in the threshold, so an impulse of `step` fires in `step / threshold`
+//! of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events
+//! as well; they are not counted.
 
 use super::{Finding, Heldout, half, quantile};
 use photocurrent_scene::case::Case;
@@ -17,7 +22,8 @@ const BINS: usize = 50;
 const DELAYS: i64 = 2 * BINS as i64;
 /// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
-/// Events where nothing moves must gain so much on the half that was not looked at, nats an event; as if half of them came in a fifth of the time.
+/// Events where nothing moves must gain so much on the half that was not looked at, nats an event; as if half
+/// of them came in a fifth of the time.
 const NATS_AN_EVENT: f64 = 0.3;
 /// And in all.
 const NATS: f64 = 20.0;
@@ -25,7 +31,8 @@ const NATS: f64 = 20.0;
 const PEAK: f64 = 5.0;
 /// And events of so many frames, as a share of the frames or of its events, whichever is less.
 const FRAMES: f64 = 0.4;
-/// Without a delay of rows, light that flickers in step with the frames would do: events of one sign must be so many times those of the other.
+/// Without a delay of rows, light that flickers in step with the frames would do: events of one sign must be
+/// so many times those of the other.
 const LEAN: usize = 4;
 /// Of pixels that move, so many events are enough to look at.
 const ENOUGH_EVENTS: usize = 40_000;
@@ -62,7 +69,9 @@ impl Phases {
 
     /// The delay that piles up most.
     fn sharpest(&self, keep: impl Fn(usize) -> bool + Copy) -> i64 {
-        let sharpness = |number: i64| self.counts(self.delay(number), keep).iter().map(|count| count * count).sum::<f64>();
+        let sharpness = |number: i64| {
+            self.counts(self.delay(number), keep).iter().map(|count| count * count).sum::<f64>()
+        };
         let mut best = (0, sharpness(0));
         for number in (-DELAYS..=DELAYS).filter(|number| *number != 0) {
             let here = sharpness(number);
@@ -81,7 +90,10 @@ impl Phases {
                 let seen = self.counts(delay, |half| half != side);
                 let total: f64 = seen.iter().sum::<f64>() + BINS as f64;
                 let there = self.counts(delay, |half| half == side);
-                seen.iter().zip(there).map(|(seen, there)| there * libm::log((seen + 1.0) * BINS as f64 / total)).sum::<f64>()
+                seen.iter()
+                    .zip(there)
+                    .map(|(seen, there)| there * libm::log((seen + 1.0) * BINS as f64 / total))
+                    .sum::<f64>()
             })
             .sum()
     }
@@ -90,7 +102,9 @@ impl Phases {
     fn line(&self, delay: f64, peak: usize) -> (f64, f64) {
         let (mut delay, mut middle) = (delay, (peak as f64 + 0.5) * self.period / BINS as f64);
         let width = 1.5 * self.period / BINS as f64;
-        let rest = |phase: f64, at: f64| (phase - at + 0.5 * self.period).rem_euclid(self.period) - 0.5 * self.period;
+        let rest = |phase: f64, at: f64| {
+            (phase - at + 0.5 * self.period).rem_euclid(self.period) - 0.5 * self.period
+        };
         let near = |delay: f64, middle: f64| -> Vec<(f64, f64)> {
             let all = self.events.iter().map(|&(row, phase, ..)| (row, rest(phase, middle + row * delay)));
             all.filter(|(_, rest)| rest.abs() < width).collect()
@@ -98,9 +112,13 @@ impl Phases {
         for _ in 0..4 {
             let near = near(delay, middle);
             let n = near.len() as f64;
-            let (row, off) = (near.iter().map(|one| one.0).sum::<f64>() / n, near.iter().map(|one| one.1).sum::<f64>() / n);
+            let (row, off) = (
+                near.iter().map(|one| one.0).sum::<f64>() / n,
+                near.iter().map(|one| one.1).sum::<f64>() / n,
+            );
             let spread: f64 = near.iter().map(|one| (one.0 - row) * (one.0 - row)).sum();
-            let slope = near.iter().map(|one| (one.0 - row) * (one.1 - off)).sum::<f64>() / f64::max(spread, 1.0);
+            let slope =
+                near.iter().map(|one| (one.0 - row) * (one.1 - off)).sum::<f64>() / f64::max(spread, 1.0);
             delay += slope;
             middle += off - slope * row;
         }
@@ -111,7 +129,8 @@ impl Phases {
     }
 }
 
-/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out. Where still pixels decide nothing, all are asked.
+/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those
+/// that are left out. Where still pixels decide nothing, all are asked.
 pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Finding> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
         let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
@@ -121,25 +140,40 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
     let prevails = if on >= off { 1 } else { -1 };
     let found = in_step(case, nominal, (still, prevails), on.min(off), masked, "where nothing moves");
     found.or_else(|| {
-        let all: Vec<u32> = (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
+        let all: Vec<u32> =
+            (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
         // A share of the pixels without a pattern, for rows and columns alike.
         let share = ENOUGH_EVENTS as f64 / case.events.len().max(1) as f64;
-        let is_drawn = |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
+        let is_drawn =
+            |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
         let some: Vec<u32> = all.into_iter().filter(|&pixel| is_drawn(pixel)).collect();
-        let strongest = [1, -1].into_iter().filter_map(|polarity| in_step(case, nominal, (&some, polarity), count(&some, -polarity), masked, "of all pixels"));
+        let strongest = [1, -1].into_iter().filter_map(|polarity| {
+            in_step(case, nominal, (&some, polarity), count(&some, -polarity), masked, "of all pixels")
+        });
         strongest.max_by(|a, b| a.statistic.total_cmp(&b.statistic))
     })
 }
 
-/// The test on events of one sign of some pixels, which have `other` events of the other sign; `where_from` is the word for them.
-fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), other: usize, masked: &[u32], where_from: &str) -> Option<Finding> {
-    let starts: Vec<i64> = case.frames.as_ref()?.times.exposures.iter().map(|exposure| exposure.start.0).collect();
+/// The test on events of one sign of some pixels, which have `other` events of the other sign; `where_from`
+/// is the word for them.
+fn in_step(
+    case: &Case,
+    nominal: &Nominal,
+    (pixels, polarity): (&[u32], i8),
+    other: usize,
+    masked: &[u32],
+    where_from: &str,
+) -> Option<Finding> {
+    let starts: Vec<i64> =
+        case.frames.as_ref()?.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let frames = starts.len();
     if frames < 5 {
         return None;
     }
     let period = (starts[frames - 1] - starts[0]) as f64 / (frames - 1) as f64;
-    let is_regular = starts.windows(2).all(|pair| ((pair[1] - pair[0]) as f64 - period).abs() < 0.25 * period / BINS as f64);
+    let is_regular = starts
+        .windows(2)
+        .all(|pair| ((pair[1] - pair[0]) as f64 - period).abs() < 0.25 * period / BINS as f64);
     if !is_regular {
         return None;
     }
@@ -150,7 +184,12 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
             let frame = starts.partition_point(|start| *start <= event.t_off_ns);
             if (1..frames).contains(&frame) {
                 let since = (event.t_off_ns - starts[frame - 1]) as f64;
-                phases.events.push(((pixel as usize / width) as f64, since, frame - 1, half(case, pixel as usize)));
+                phases.events.push((
+                    (pixel as usize / width) as f64,
+                    since,
+                    frame - 1,
+                    half(case, pixel as usize),
+                ));
             }
         }
     }
@@ -161,8 +200,12 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
     let counts = phases.counts(phases.delay(number), |_| true);
     let peak = (0..BINS).max_by(|&a, &b| counts[a].total_cmp(&counts[b]).then(b.cmp(&a)))?;
     let ratio = counts[peak] * BINS as f64 / phases.events.len() as f64;
-    let mut in_step: Vec<usize> =
-        phases.events.iter().filter(|&&(row, phase, ..)| phases.bin(phase - row * phases.delay(number)) == peak).map(|event| event.2).collect();
+    let mut in_step: Vec<usize> = phases
+        .events
+        .iter()
+        .filter(|&&(row, phase, ..)| phases.bin(phase - row * phases.delay(number)) == peak)
+        .map(|event| event.2)
+        .collect();
     in_step.sort_unstable();
     in_step.dedup();
     let nats = phases.heldout();
@@ -190,7 +233,9 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
         polarity: if polarity > 0 { "on" } else { "off" },
         pixels: Vec::new(),
         seen: format!(
-            "of {} {sign} events {where_from}, {:.0} come in one fiftieth of the frame period, {:.2} ms after the start of the exposure and {:.2} us later from row to row: {ratio:.0} times their share",
+            "of {} {sign} events {where_from}, {:.0} come in one fiftieth of the frame period, {:.2} ms \
+             after the start of the exposure and {:.2} us later from row to row: {ratio:.0} times their \
+             share",
             phases.events.len(),
             counts[peak],
             since_start * 1e-6,
@@ -201,10 +246,18 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
     })
 }
 
-/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving pixels do not come at readouts more often than around them.
+/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving
+/// pixels do not come at readouts more often than around them.
 ///
 /// `readout` is the time of row 0 since the start of a frame, the delay of a row and the period, ns.
-fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[i64], readout: (f64, f64, f64)) -> Option<f64> {
+fn impulse(
+    case: &Case,
+    nominal: &Nominal,
+    masked: &[u32],
+    polarity: i8,
+    starts: &[i64],
+    readout: (f64, f64, f64),
+) -> Option<f64> {
     let (since_start, delay, period) = readout;
     let window = period / BINS as f64;
     let (mut hits, mut around, mut chances) = (0.0, 0.0, 0.0);
@@ -212,9 +265,15 @@ fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts:
         let row = f64::from(case.place(pixel).1);
         // Time since the readout of row 0 of the first frame, in readouts of the own row.
         let readouts = |t_ns: i64| ((t_ns - starts[0]) as f64 - since_start - row * delay) / period;
-        for pair in case.events.of(pixel).windows(2).filter(|pair| pair[0].polarity == polarity && pair[1].polarity == polarity) {
+        for pair in case
+            .events
+            .of(pixel)
+            .windows(2)
+            .filter(|pair| pair[0].polarity == polarity && pair[1].polarity == polarity)
+        {
             let (before, after) = (readouts(pair[0].t_off_ns), readouts(pair[1].t_off_ns));
-            // Slower light keeps step with the impulses: the way that is left at one is no longer anywhere in the threshold.
+            // Slower light keeps step with the impulses: the way that is left at one is no longer anywhere in
+            // the threshold.
             if after - before > 0.5 {
                 continue;
             }
@@ -222,12 +281,15 @@ fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts:
             let since = (after - after.floor()) * period;
             if since < window {
                 hits += 1.0;
-            } else if (2.0 * window..4.0 * window).contains(&since) || (period - 3.0 * window..period - window).contains(&since) {
+            } else if (2.0 * window..4.0 * window).contains(&since)
+                || (period - 3.0 * window..period - window).contains(&since)
+            {
                 around += 0.25;
             }
         }
     }
     let excess = hits - around;
     let threshold = if polarity > 0 { nominal.pixel.threshold_on } else { nominal.pixel.threshold_off };
-    (chances >= 100.0 && excess > 5.0 * libm::sqrt(hits + around)).then(|| f64::from(polarity) * threshold * excess / chances)
+    (chances >= 100.0 && excess > 5.0 * libm::sqrt(hits + around))
+        .then(|| f64::from(polarity) * threshold * excess / chances)
 }

@@ -8,7 +8,8 @@ pub const FEWEST_EVENTS: usize = 300;
 /// With fewer frames the two paths cannot be compared.
 pub const FEWEST_FRAMES: usize = 3;
 
-/// Mean rate of a pixel from which stamps must be of another unit: the fastest read-outs give a thousand events a pixel and second with all pixels firing.
+/// Mean rate of a pixel from which stamps must be of another unit: the fastest read-outs give a thousand
+/// events a pixel and second with all pixels firing.
 const FASTEST_HZ: f64 = 5_000.0;
 
 /// What makes the data useless, a sentence each.
@@ -18,7 +19,10 @@ pub fn broken(case: &Case) -> Vec<String> {
     if events.len() >= FEWEST_EVENTS {
         let early = events.iter().filter(|event| event.t_off_ns < event.t_in_ns).count();
         if case.has_t_in && early * 100 > events.len() {
-            why.push(format!("{early} of {} events leave the array before they fire: t < t_in in /events", events.len()));
+            why.push(format!(
+                "{early} of {} events leave the array before they fire: t < t_in in /events",
+                events.len()
+            ));
         }
         let first = events.iter().next().map_or(0, |event| event.t_off_ns);
         if events.iter().all(|event| event.t_off_ns == first) {
@@ -28,18 +32,30 @@ pub fn broken(case: &Case) -> Vec<String> {
         let rate_hz = events.len() as f64 / (seconds * case.extent.pixels().max(1) as f64);
         if seconds > 0.0 && rate_hz > FASTEST_HZ {
             why.push(format!(
-                "{} events in {seconds:.3e} s, {rate_hz:.0} a pixel and second, are more than any sensor gives: the stamps are of a larger unit",
+                "{} events in {seconds:.3e} s, {rate_hz:.0} a pixel and second, are more than any sensor \
+                 gives: the stamps are of a larger unit",
                 events.len()
             ));
         }
-        // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly all.
-        let pairs = events.len() - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();
+        // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly
+        // all.
+        let pairs = events.len()
+            - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();
         let equal: usize = (0..case.events.pixels())
-            .map(|pixel| case.events.of(pixel).windows(2).filter(|pair| pair[0].t_off_ns == pair[1].t_off_ns && pair[0].polarity == pair[1].polarity).count())
+            .map(|pixel| {
+                case.events
+                    .of(pixel)
+                    .windows(2)
+                    .filter(|pair| {
+                        pair[0].t_off_ns == pair[1].t_off_ns && pair[0].polarity == pair[1].polarity
+                    })
+                    .count()
+            })
             .sum();
         if pairs >= FEWEST_EVENTS && equal * 2 > pairs {
             why.push(format!(
-                "{equal} of {pairs} events repeat the time and sign of the pixel's event before: the same event twice, or stamps that stand still"
+                "{equal} of {pairs} events repeat the time and sign of the pixel's event before: the same \
+                 event twice, or stamps that stand still"
             ));
         }
     }
@@ -66,19 +82,31 @@ pub fn broken(case: &Case) -> Vec<String> {
         // Noise about a black of zero makes half of a dark frame negative, but not on average.
         let negative = known.iter().filter(|dn| **dn < 0.0).count();
         let mean = known.iter().map(|dn| f64::from(*dn)).sum::<f64>() / known.len().max(1) as f64;
-        let variance = known.iter().map(|dn| (f64::from(*dn) - mean) * (f64::from(*dn) - mean)).sum::<f64>() / known.len().max(1) as f64;
+        let variance = known.iter().map(|dn| (f64::from(*dn) - mean) * (f64::from(*dn) - mean)).sum::<f64>()
+            / known.len().max(1) as f64;
         if negative * 2 > known.len() && mean < black.min(0.0) - 0.2 * variance.sqrt() {
-            why.push(format!("{negative} of {} frame values are negative, {mean:.4} on average: no light is", known.len()));
+            why.push(format!(
+                "{negative} of {} frame values are negative, {mean:.4} on average: no light is",
+                known.len()
+            ));
         }
-        let absurd = known.iter().filter(|dn| f64::from(**dn) < black - room || f64::from(**dn) > black + 10.0 * room).count();
+        let absurd = known
+            .iter()
+            .filter(|dn| f64::from(**dn) < black - room || f64::from(**dn) > black + 10.0 * room)
+            .count();
         if absurd * 10 > known.len() {
-            why.push(format!("{absurd} of {} frame values lie outside anything that black level {black} and saturation {full} allow", known.len()));
+            why.push(format!(
+                "{absurd} of {} frame values lie outside anything that black level {black} and \
+                              saturation {full} allow",
+                known.len()
+            ));
         }
     }
     why
 }
 
-/// Events and frames that share no time: their clocks have different zeros, and nothing of one can be compared with the other.
+/// Events and frames that share no time: their clocks have different zeros, and nothing of one can be
+/// compared with the other.
 fn apart(case: &Case) -> Option<String> {
     let events = &case.events;
     let frames = case.frames.as_ref().and_then(|frames| frames.times.span(case.extent.height))?;
@@ -87,7 +115,8 @@ fn apart(case: &Case) -> Option<String> {
     let seconds = |ns: i64| ns as f64 * 1e-9;
     (last < frames.start.0 || first > frames.end.0).then(|| {
         format!(
-            "events are stamped {:.6} to {:.6} s, frames are exposed {:.6} to {:.6} s: they share no time, so one of the clocks has another zero; move one of them, or state `effects.clock_offset`",
+            "events are stamped {:.6} to {:.6} s, frames are exposed {:.6} to {:.6} s: they share no time, \
+             so one of the clocks has another zero; move one of them, or state `effects.clock_offset`",
             seconds(first),
             seconds(last),
             seconds(frames.start.0),

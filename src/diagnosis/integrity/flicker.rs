@@ -1,7 +1,8 @@
 //! Flicker of the light: one rhythm at one phase over the whole array, in events and in frames.
 //!
-//! The mean over many pixels of the summed signed thresholds follows the mean log light; what moves across the array averages out, what is common to all pixels
-//! stays. Both paths see it: it is a property of the scene, and no fault of the sensor.
+//! The mean over many pixels of the summed signed thresholds follows the mean log light; what moves across
+//! the array averages out, what is common to all pixels stays. Both paths see it: it is a property of the
+//! scene, and no fault of the sensor.
 
 use super::Stream;
 use crate::report::SceneProperty;
@@ -39,7 +40,8 @@ pub fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProp
     }
     for event in &stream.0 {
         let step = (((event.t_ns - first) / STEP_NS) as usize).min(steps);
-        let threshold = if event.polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
+        let threshold =
+            if event.polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
         change[zone(event.pixel as usize)][step] += threshold;
     }
     let curves: Vec<Vec<f64>> = change
@@ -64,7 +66,8 @@ pub fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProp
     }
     let mut best: Option<(f64, f64, f64)> = None;
     for hz in FREQUENCIES {
-        let amplitudes: Vec<(f64, f64)> = curves.iter().map(|curve| amplitude(curve, f64::from(hz))).collect();
+        let amplitudes: Vec<(f64, f64)> =
+            curves.iter().map(|curve| amplitude(curve, f64::from(hz))).collect();
         let n = amplitudes.len() as f64;
         let mean = amplitudes.iter().fold((0.0, 0.0), |sum, one| (sum.0 + one.0 / n, sum.1 + one.1 / n));
         let power = amplitudes.iter().map(|one| one.0 * one.0 + one.1 * one.1).sum::<f64>() / n;

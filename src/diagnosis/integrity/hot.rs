@@ -1,7 +1,9 @@
-//! Rows and pixels that fire by themselves: far more than those around them, all the time, whatever the scene does.
+//! Rows and pixels that fire by themselves: far more than those around them, all the time, whatever the scene
+//! does.
 //!
-//! Rows come first, or each pixel of a hot row would count as a hot pixel. Counts are compared with neighbours' (the scene moves across all of them) and with the
-//! spread of that comparison over the array: where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
+//! Rows come first, or each pixel of a hot row would count as a hot pixel. Counts are compared with
+//! neighbours' (the scene moves across all of them) and with the spread of that comparison over the array:
+//! where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
 
 use super::{Finding, median};
 use photocurrent_scene::case::Case;
@@ -9,11 +11,13 @@ use photocurrent_scene::nominal::Nominal;
 
 /// The effects that are found here; their pixels are excluded.
 pub const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
-/// A row must have this many standard deviations of counting more events in its median pixel than the rows around it.
+/// A row must have this many standard deviations of counting more events in its median pixel than the rows
+/// around it.
 const ROW_SIGMAS: f64 = 1.6;
 /// In this share of its pixels it must be more than both.
 const ROW_SHARE: f64 = 0.75;
-/// Its events and its frames must disagree by so many times as much as those around: a median of many pixels, which is the sharper.
+/// Its events and its frames must disagree by so many times as much as those around: a median of many pixels,
+/// which is the sharper.
 const ROW_DISAGREES: f64 = 1.2;
 /// A pixel must have this many times the spread of the comparison.
 const PIXEL_SIGMAS: f64 = 8.0;
@@ -34,11 +38,17 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Find
     let count = |x: usize, y: usize| case.events.of(y * width + x).len() as f64;
     let (mut hot, mut excess, mut strongest) = (Vec::new(), 0.0, 0.0_f64);
     let is_in = |x: usize, y: usize| out.binary_search(&((y * width + x) as u32)).is_err();
-    let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).filter(|&x| is_in(x, y)).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
+    let medians: Vec<f64> = (0..height)
+        .map(|y| median(&mut (0..width).filter(|&x| is_in(x, y)).map(|x| count(x, y)).collect::<Vec<_>>()))
+        .collect();
     // What stands at the rim has nothing on its other side to be held against.
     for y in 1..height - 1 {
         // Two rows may stand next to each other: of the four around, the quieter two pairs decide.
-        let around: Vec<usize> = [y.checked_sub(2), y.checked_sub(1), Some(y + 1), Some(y + 2)].into_iter().flatten().filter(|row| *row < height).collect();
+        let around: Vec<usize> = [y.checked_sub(2), y.checked_sub(1), Some(y + 1), Some(y + 2)]
+            .into_iter()
+            .flatten()
+            .filter(|row| *row < height)
+            .collect();
         let mut levels: Vec<f64> = around.iter().map(|&row| medians[row]).collect();
         let middle = median(&mut levels);
         let sigmas = (medians[y] - middle) / libm::sqrt(middle + 1.0);
@@ -46,11 +56,18 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Find
             continue;
         }
         let quiet: Vec<usize> = around.iter().copied().filter(|&row| medians[row] <= middle).collect();
-        let columns: Vec<usize> = (0..width).filter(|&x| is_in(x, y) && quiet.iter().all(|&row| is_in(x, row))).collect();
-        let more = columns.iter().filter(|&&x| quiet.iter().all(|&row| count(x, y) > count(x, row) + 1.0)).count();
-        let steady =
-            steady(case, &columns.iter().map(|x| y * width + x).collect::<Vec<_>>(), |pixel| quiet.iter().map(|&row| row * width + pixel % width).collect());
-        let of = |row: usize| median(&mut columns.iter().map(|x| disagreement(case, nominal, row * width + x)).collect::<Vec<_>>());
+        let columns: Vec<usize> =
+            (0..width).filter(|&x| is_in(x, y) && quiet.iter().all(|&row| is_in(x, row))).collect();
+        let more =
+            columns.iter().filter(|&&x| quiet.iter().all(|&row| count(x, y) > count(x, row) + 1.0)).count();
+        let steady = steady(case, &columns.iter().map(|x| y * width + x).collect::<Vec<_>>(), |pixel| {
+            quiet.iter().map(|&row| row * width + pixel % width).collect()
+        });
+        let of = |row: usize| {
+            median(
+                &mut columns.iter().map(|x| disagreement(case, nominal, row * width + x)).collect::<Vec<_>>(),
+            )
+        };
         let elsewhere = quiet.iter().map(|&row| of(row)).fold(0.0, f64::max);
         if 2 * columns.len() > width
             && more as f64 > ROW_SHARE * columns.len() as f64
@@ -64,7 +81,8 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Find
             strongest = strongest.max(sigmas);
         }
     }
-    let pixels: Vec<u32> = hot.iter().flat_map(|y| (0..width as u32).map(move |x| y * width as u32 + x)).collect();
+    let pixels: Vec<u32> =
+        hot.iter().flat_map(|y| (0..width as u32).map(move |x| y * width as u32 + x)).collect();
     // More than a few rows are no defect but a scene with stripes.
     if hot.is_empty() || hot.len() * 8 > height {
         return (None, Vec::new());
@@ -80,7 +98,10 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Find
         share,
         polarity: polarity(case, &pixels),
         pixels: pixels.clone(),
-        seen: format!("rows {hot:?}: every pixel fires about {rate:.0} times a second more than in the rows around, all the time"),
+        seen: format!(
+            "rows {hot:?}: every pixel fires about {rate:.0} times a second more than in the rows \
+                       around, all the time"
+        ),
         heldout: None,
         ci95: Vec::new(),
     };
@@ -97,16 +118,25 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
         let (x, y) = (pixel % width, pixel / width);
         let columns = x.saturating_sub(1)..(x + 2).min(width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
-        rows.flat_map(|row| columns.clone().map(move |column| row * width + column)).filter(|&other| other != pixel && !is_masked(other)).collect()
+        rows.flat_map(|row| columns.clone().map(move |column| row * width + column))
+            .filter(|&other| other != pixel && !is_masked(other))
+            .collect()
     };
     let level = |pixel: usize| median(&mut around(pixel).into_iter().map(count).collect::<Vec<_>>());
     let sound: Vec<usize> = (0..width * height).filter(|&pixel| !is_masked(pixel)).collect();
-    let sigmas: Vec<f64> = sound.iter().map(|&pixel| (count(pixel) - level(pixel)) / libm::sqrt(level(pixel) + 1.0)).collect();
-    let spread = f64::max(1.0, 1.4826 * median(&mut sigmas.iter().map(|sigma| sigma.abs()).collect::<Vec<_>>()));
+    let sigmas: Vec<f64> =
+        sound.iter().map(|&pixel| (count(pixel) - level(pixel)) / libm::sqrt(level(pixel) + 1.0)).collect();
+    let spread =
+        f64::max(1.0, 1.4826 * median(&mut sigmas.iter().map(|sigma| sigma.abs()).collect::<Vec<_>>()));
     let (mut hot, mut strongest, mut excess) = (Vec::new(), 0.0_f64, 0.0);
     for (&pixel, sigma) in sound.iter().zip(&sigmas) {
         let is_unlike = || {
-            let elsewhere = median(&mut around(pixel).into_iter().map(|other| disagreement(case, nominal, other)).collect::<Vec<_>>());
+            let elsewhere = median(
+                &mut around(pixel)
+                    .into_iter()
+                    .map(|other| disagreement(case, nominal, other))
+                    .collect::<Vec<_>>(),
+            );
             elsewhere == 0.0 || disagreement(case, nominal, pixel) > DISAGREES * elsewhere
         };
         let (x, y) = (pixel % width, pixel / width);
@@ -129,7 +159,10 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
     masked.sort_unstable();
     let rate = excess / hot.len() as f64 / ((case.span.1 - case.span.0) as f64 * 1e-9);
     let share = hot.len() as f64 / (width * height) as f64;
-    let seen = format!("{} pixels fire about {rate:.0} times a second more than those around them, all the time", hot.len());
+    let seen = format!(
+        "{} pixels fire about {rate:.0} times a second more than those around them, all the time",
+        hot.len()
+    );
     let polarity = polarity(case, &hot);
     Some(Finding {
         id: IDS[1],
@@ -145,8 +178,9 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
     })
 }
 
-/// By how much the events of a pixel disagree with its frames: root mean square, over pairs of frames, of what events add up to less what the frames changed, natural-log
-/// units. A pixel that sees much fires much, and agrees with its frames; 0 where there are no frames.
+/// By how much the events of a pixel disagree with its frames: root mean square, over pairs of frames, of
+/// what events add up to less what the frames changed, natural-log units. A pixel that sees much fires much,
+/// and agrees with its frames; 0 where there are no frames.
 fn disagreement(case: &Case, nominal: Option<&Nominal>, pixel: usize) -> f64 {
     let (Some(nominal), Some(frames)) = (nominal, &case.frames) else { return 0.0 };
     let (_, row) = case.place(pixel);
@@ -158,8 +192,13 @@ fn disagreement(case: &Case, nominal: Option<&Nominal>, pixel: usize) -> f64 {
     };
     let before = |t_ns: i64| events.partition_point(|event| event.t_in_ns < t_ns);
     let squares = (1..frames.times.len()).filter_map(|frame| {
-        let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
-        let sum: f64 = events[before(middle(frame - 1))..before(middle(frame))].iter().map(|event| step(event.polarity)).sum();
+        let step = |polarity: i8| {
+            if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off }
+        };
+        let sum: f64 = events[before(middle(frame - 1))..before(middle(frame))]
+            .iter()
+            .map(|event| step(event.polarity))
+            .sum();
         let off = sum - libm::log(signal(frame) / signal(frame - 1));
         off.is_finite().then_some(off * off)
     });
@@ -167,7 +206,8 @@ fn disagreement(case: &Case, nominal: Option<&Nominal>, pixel: usize) -> f64 {
     libm::sqrt(sum / f64::max(count, 1.0))
 }
 
-/// In how many of [`PARTS`] equal parts of the recording some pixels have more events than their reference pixels have on average.
+/// In how many of [`PARTS`] equal parts of the recording some pixels have more events than their reference
+/// pixels have on average.
 fn steady(case: &Case, pixels: &[usize], reference: impl Fn(usize) -> Vec<usize>) -> usize {
     let length = ((case.span.1 - case.span.0) / PARTS as i64).max(1);
     let part = |t_ns: i64| (((t_ns - case.span.0) / length) as usize).min(PARTS - 1);
@@ -176,7 +216,10 @@ fn steady(case: &Case, pixels: &[usize], reference: impl Fn(usize) -> Vec<usize>
         case.events.of(pixel).iter().for_each(|event| excess[part(event.t_in_ns)] += 1.0);
         let others = reference(pixel);
         for &other in &others {
-            case.events.of(other).iter().for_each(|event| excess[part(event.t_in_ns)] -= 1.0 / others.len() as f64);
+            case.events
+                .of(other)
+                .iter()
+                .for_each(|event| excess[part(event.t_in_ns)] -= 1.0 / others.len() as f64);
         }
     }
     excess.iter().filter(|excess| **excess > 0.0).count()

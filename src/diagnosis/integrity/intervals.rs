@@ -1,6 +1,8 @@
-//! Intervals between events of a pixel: far shorter than the scene ever asks for (noise events, jitter), or piled up at their shortest (blind time).
+//! Intervals between events of a pixel: far shorter than the scene ever asks for (noise events, jitter), or
+//! piled up at their shortest (blind time).
 //!
-//! What the scene asks for is read off the intervals themselves: below 0.3 times their 2nd percentile there are none on a sound sensor, whatever moves.
+//! What the scene asks for is read off the intervals themselves: below 0.3 times their 2nd percentile there
+//! are none on a sound sensor, whatever moves.
 
 use super::{Finding, quantile, stamps};
 use photocurrent_scene::case::Case;
@@ -8,7 +10,8 @@ use photocurrent_scene::nominal::Nominal;
 
 /// Too short is below this share of the 2nd percentile.
 const SHORT: f64 = 0.3;
-/// This share of the reversals (events of the other sign than the one before) must be too short for noise events.
+/// This share of the reversals (events of the other sign than the one before) must be too short for noise
+/// events.
 const NOISE_REVERSALS: f64 = 0.003;
 /// And this share of all intervals: leaks give short reversals alone.
 const NOISE_ALL: f64 = 0.0003;
@@ -75,7 +78,8 @@ fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
         polarity: "both",
         pixels: Vec::new(),
         seen: format!(
-            "{:.2} % of the reversals come within {:.0} us, where the scene has none: events without light, about {rate:.1} Hz a pixel",
+            "{:.2} % of the reversals come within {:.0} us, where the scene has none: events without light, \
+             about {rate:.1} Hz a pixel",
             100.0 * share,
             limit * 1e-3
         ),
@@ -84,7 +88,8 @@ fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
     })
 }
 
-/// Intervals of one sign that are too short, while reversals are not: the events are right and their stamps are not.
+/// Intervals of one sign that are too short, while reversals are not: the events are right and their stamps
+/// are not.
 fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Finding> {
     let ((share, limit), (other, _)) = (too_short(all), too_short(reversals));
     // Below a few steps of the stamps a share means nothing.
@@ -100,7 +105,8 @@ fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Finding> {
         polarity: "both",
         pixels: Vec::new(),
         seen: format!(
-            "{:.2} % of the intervals are below {:.0} us, a third of what the scene asks for, and only between events of one sign",
+            "{:.2} % of the intervals are below {:.0} us, a third of what the scene asks for, and only \
+             between events of one sign",
             100.0 * share,
             limit * 1e-3
         ),
@@ -127,17 +133,29 @@ fn blind_time(case: &Case, nominal: &Nominal, blind: &[i64]) -> Option<Finding> 
     };
     if early > BLIND {
         let shortest = quantile(blind, 0.002).max(0);
-        let text = format!("{:.1} % of the events come before the stated blind time of {:.1} us is over", 100.0 * early, stated as f64 * 1e-3);
+        let text = format!(
+            "{:.1} % of the events come before the stated blind time of {:.1} us is over",
+            100.0 * early,
+            stated as f64 * 1e-3
+        );
         return Some(finding(shortest, early, BLIND, text));
     }
     let shortest = quantile(blind, 0.001);
     if shortest < stated + 4 * step || shortest < 8 * step {
         return None;
     }
-    let below = |factor: f64| blind.partition_point(|interval| (*interval as f64) < shortest as f64 * factor) as f64 / blind.len() as f64;
+    let below = |factor: f64| {
+        blind.partition_point(|interval| (*interval as f64) < shortest as f64 * factor) as f64
+            / blind.len() as f64
+    };
     let (near, next) = (below(1.03), below(1.2) - below(1.03));
     // As dense again in the next fifth would be a scene that is fast, not a pixel that is blind.
     let is_sharp = near / 0.03 > 3.0 * next / 0.17;
-    let seen = format!("{:.1} % of the intervals lie within 3 % of the shortest, {:.1} us: pixels are blind that long", 100.0 * near, shortest as f64 * 1e-3);
+    let seen = format!(
+        "{:.1} % of the intervals lie within 3 % of the shortest, {:.1} us: pixels are blind \
+                        that long",
+        100.0 * near,
+        shortest as f64 * 1e-3
+    );
     (near > PILE && is_sharp).then(|| finding(shortest, near, PILE, seen))
 }

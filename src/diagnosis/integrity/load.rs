@@ -1,4 +1,5 @@
-//! Counts of the whole array in windows of time: one and the same count again and again (something removes what is beyond it), and bursts in step with the frames.
+//! Counts of the whole array in windows of time: one and the same count again and again (something removes
+//! what is beyond it), and bursts in step with the frames.
 
 use super::{Finding, Stream};
 use photocurrent_scene::case::Case;
@@ -22,7 +23,8 @@ pub fn loss(case: &Case, stream: &Stream) -> Option<Finding> {
             found.extend(full(case, stream, window, origin));
         }
     }
-    // Parts of the buffer's own window are full sometimes, and its multiples as often as itself: the shortest of those that are full most often.
+    // Parts of the buffer's own window are full sometimes, and its multiples as often as itself: the shortest
+    // of those that are full most often.
     let most = found.iter().map(|(share, _)| *share).fold(0.0, f64::max);
     found.into_iter().find(|(share, _)| *share >= 0.9 * most).map(|(_, finding)| finding)
 }
@@ -34,7 +36,9 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
     let mut with = vec![0_usize; most + 6];
     counts.iter().for_each(|count| with[count.0] += 1);
     let cap = (20..=most).max_by_key(|&count| (with[count], count))?;
-    let around = (cap - 5..=cap + 5).filter(|&count| count != cap).map(|count| with[count]).sum::<usize>() as f64 / 10.0;
+    let around = (cap - 5..=cap + 5).filter(|&count| count != cap).map(|count| with[count]).sum::<usize>()
+        as f64
+        / 10.0;
     let ratio = with[cap] as f64 / f64::max(around, 1.0);
     let over = with[cap + 1..].iter().sum::<usize>();
     if with[cap] < FULL_WINDOWS || ratio < FULL_OVER_NEXT || over as f64 > OVERFULL * counts.len() as f64 {
@@ -42,7 +46,8 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
     }
     // Where the last event of a full window stands shows how much more would have come.
     let step = case.t_resolution_ns.max(1);
-    let lost = |last: i64| cap as f64 * (window as f64 / ((last + step).clamp(window / 10, window)) as f64 - 1.0);
+    let lost =
+        |last: i64| cap as f64 * (window as f64 / ((last + step).clamp(window / 10, window)) as f64 - 1.0);
     let lost: f64 = counts.iter().filter(|count| count.0 == cap).map(|count| lost(count.1)).sum();
     let fraction = lost / (lost + stream.0.len() as f64);
     let finding = Finding {
@@ -53,7 +58,12 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
         share: fraction,
         polarity: "both",
         pixels: Vec::new(),
-        seen: format!("{} of {} windows of {} us hold exactly {cap} events: what is beyond is lost", with[cap], counts.len(), window / 1000),
+        seen: format!(
+            "{} of {} windows of {} us hold exactly {cap} events: what is beyond is lost",
+            with[cap],
+            counts.len(),
+            window / 1000
+        ),
         heldout: None,
         ci95: Vec::new(),
     };
@@ -92,20 +102,26 @@ pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Finding> {
             continue;
         }
         let period = starts[frame] - starts[frame - 1];
-        let bin = (((event.t_ns - starts[frame - 1]) as i128 * BINS as i128 / i128::from(period.max(1))) as usize).min(BINS - 1);
+        let bin = (((event.t_ns - starts[frame - 1]) as i128 * BINS as i128 / i128::from(period.max(1)))
+            as usize)
+            .min(BINS - 1);
         counts[frame - 1][bin] += 1;
         signs[bin] += i64::from(event.polarity);
     }
-    let whole: Vec<usize> = (0..counts.len()).filter(|&frame| starts[frame] >= first && starts[frame + 1] <= last).collect();
+    let whole: Vec<usize> =
+        (0..counts.len()).filter(|&frame| starts[frame] >= first && starts[frame + 1] <= last).collect();
     if whole.len() < 5 {
         return None;
     }
     let total = |bin: usize| whole.iter().map(|&frame| counts[frame][bin]).sum::<usize>();
     let bin = (0..BINS).max_by_key(|&bin| (total(bin), BINS - bin))?;
     // The scene's own ups and downs are slower than a fiftieth of a period: compare with bins a little away.
-    let away: Vec<usize> = [bin + BINS - 4, bin + BINS - 3, bin + 3, bin + 4].iter().map(|bin| bin % BINS).collect();
-    let around = |frame: usize| away.iter().map(|&bin| counts[frame][bin]).sum::<usize>() as f64 / away.len() as f64;
-    let in_step = whole.iter().filter(|&&frame| counts[frame][bin] as f64 > 1.5 * around(frame) + 5.0).count();
+    let away: Vec<usize> =
+        [bin + BINS - 4, bin + BINS - 3, bin + 3, bin + 4].iter().map(|bin| bin % BINS).collect();
+    let around =
+        |frame: usize| away.iter().map(|&bin| counts[frame][bin]).sum::<usize>() as f64 / away.len() as f64;
+    let in_step =
+        whole.iter().filter(|&&frame| counts[frame][bin] as f64 > 1.5 * around(frame) + 5.0).count();
     let level = whole.iter().map(|&frame| around(frame)).sum::<f64>();
     let ratio = total(bin) as f64 / f64::max(level, 1.0);
     let everywhere: usize = counts.iter().map(|bins| bins[bin]).sum();
@@ -122,7 +138,8 @@ pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Finding> {
         polarity: if lean > 0.0 { "on" } else { "off" },
         pixels: Vec::new(),
         seen: format!(
-            "in {in_step} of {} frame periods {ratio:.1} times as many events as around come at {:.0} % of the period, {:.0} % of them {}",
+            "in {in_step} of {} frame periods {ratio:.1} times as many events as around come at {:.0} % of \
+             the period, {:.0} % of them {}",
             whole.len(),
             100.0 * (bin as f64 + 0.5) / BINS as f64,
             50.0 * (1.0 + lean.abs()),

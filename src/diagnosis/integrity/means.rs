@@ -1,14 +1,22 @@
-//! Frames that average over a large part of their period, against the events within: events that come late, thresholds, and a current that events see and frames do not.
+//! Frames that average over a large part of their period, against the events within: events that come late,
+//! thresholds, and a current that events see and frames do not.
 //!
-//! Between two exposures, and within both, events say how far the log light went: a threshold each. From any thresholds, two frames of a pixel then follow from each other by the double integral
-//! (Pan et al., CVPR 2019, Eq. 8): the mean over an exposure of the exponential of what its events add up to. That is linear in small changes of the thresholds, with events weighted by the
-//! light that follows them, so thresholds are a least-squares fit, for every shift of the clock and for every dark current: events see `ln(i + current)`, so with one, it is that sum that
-//! their thresholds must explain. An event is taken at the middle of the light that it stands for ([`super::changes::centred`]), and earlier by the delay that is stated for its pixel's light.
+//! Between two exposures, and within both, events say how far the log light went: a threshold each. From any
+//! thresholds, two frames of a pixel then follow from each other by the double integral (Pan et al., CVPR
+//! 2019, Eq. 8): the mean over an exposure of the exponential of what its events add up to. That is linear in
+//! small changes of the thresholds, with events weighted by the light that follows them, so thresholds are a
+//! least-squares fit, for every shift of the clock and for every dark current: events see `ln(i + current)`,
+//! so with one, it is that sum that their thresholds must explain. An event is taken at the middle of the
+//! light that it stands for ([`super::changes::centred`]), and earlier by the delay that is stated for its
+//! pixel's light.
 //!
-//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds have an error of up to a tenth, as events that are lost make them look larger. Light that
-//! neighbours mix in, and frames whose black level is too low, look like a dark current.
+//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds
+//! have an error of up to a tenth, as events that are lost make them look larger. Light that neighbours mix
+//! in, and frames whose black level is too low, look like a dark current.
 
-use super::changes::{DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals};
+use super::changes::{
+    DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals,
+};
 use super::still::noise_dn;
 use super::{Finding, NATS, half, lowest, quantile};
 use photocurrent_core::sensor::Reset;
@@ -49,11 +57,13 @@ impl Pair {
 
     /// Natural logarithm of how much denser the light lies in that.
     fn density(&self, dark: f64) -> f64 {
-        0.5 * (libm::log(self.light[0] / (self.light[0] + dark)) + libm::log(self.light[1] / (self.light[1] + dark)))
+        0.5 * (libm::log(self.light[0] / (self.light[0] + dark))
+            + libm::log(self.light[1] / (self.light[1] + dark)))
     }
 }
 
-/// An event at the middle of the light that it stands for, and what that is in thresholds of its sign: one, and what is lost while the pixel is blind after it.
+/// An event at the middle of the light that it stands for, and what that is in thresholds of its sign: one,
+/// and what is lost while the pixel is blind after it.
 #[derive(Clone, Copy, Debug)]
 struct Step {
     t_ns: i64,
@@ -72,10 +82,12 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// Of a recording; none where its frames are few, or short enough for the tests of [`super::changes`] and [`super::steps`].
+    /// Of a recording; none where its frames are few, or short enough for the tests of [`super::changes`] and
+    /// [`super::steps`].
     fn of(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Pairs> {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
-        let (period_ns, exposure_ns) = (frames.times.mean_period_ns()?, frames.times.nominal_exposure_ns()? as f64);
+        let (period_ns, exposure_ns) =
+            (frames.times.mean_period_ns()?, frames.times.nominal_exposure_ns()? as f64);
         if exposure_ns <= LONGEST_EXPOSURE * period_ns {
             return None;
         }
@@ -86,8 +98,11 @@ impl Pairs {
             let is_known = dn < FULL * nominal.saturation_dn && dn - nominal.number.black_level > least;
             is_known.then(|| nominal.number.integral(dn) / seconds)
         };
-        let pixels: Vec<usize> =
-            (0..case.extent.pixels()).filter(|&pixel| case.events.of(pixel).len() > 1 && masked.binary_search(&(pixel as u32)).is_err()).collect();
+        let pixels: Vec<usize> = (0..case.extent.pixels())
+            .filter(|&pixel| {
+                case.events.of(pixel).len() > 1 && masked.binary_search(&(pixel as u32)).is_err()
+            })
+            .collect();
         let stride = (pixels.len() * frames.times.len()).div_ceil(MOST).max(1);
         let mut pairs = Pairs { events: Vec::new(), all: Vec::new(), period_ns, exposure_ns, median: 0.0 };
         let mut lights = Vec::new();
@@ -101,7 +116,12 @@ impl Pairs {
                 let times = (exposure.start.0, exposure.end.0);
                 let now = light(frame, pixel, exposure.length_ns() as f64 * 1e-9).map(|light| (times, light));
                 if let (Some(before), Some(now)) = (before, now) {
-                    pairs.all.push(Pair { place: pairs.events.len(), half: half(case, pixel), exposures: [before.0, now.0], light: [before.1, now.1] });
+                    pairs.all.push(Pair {
+                        place: pairs.events.len(),
+                        half: half(case, pixel),
+                        exposures: [before.0, now.0],
+                        light: [before.1, now.1],
+                    });
                 }
                 if let Some((_, light)) = now {
                     sum = (sum.0 + light, sum.1 + 1.0);
@@ -128,7 +148,10 @@ impl Pairs {
         let all = &events[begin..end];
         let mut between = Level::default();
         events[begin..to_second].iter().for_each(|step| between.add(step));
-        let (a, b) = (Mean::of(all, first, shift_ns, thresholds), Mean::of(&events[to_second..end], second, shift_ns, thresholds));
+        let (a, b) = (
+            Mean::of(all, first, shift_ns, thresholds),
+            Mean::of(&events[to_second..end], second, shift_ns, thresholds),
+        );
         let change = between.log(thresholds) + b.log - a.log;
         let (on, off) = (between.on + b.level.on - a.level.on, between.off + b.level.off - a.level.off);
         Seen { on, off, beyond: change - thresholds.0 * on - thresholds.1 * off, is_active: !all.is_empty() }
@@ -147,13 +170,20 @@ fn steps(case: &Case, nominal: &Nominal, events: &[Recorded], usual_ns: i64, slo
         })
     };
     let middles = centred(events, usual_ns, nominal.pixel.refractory_ns);
-    let mut steps: Vec<Step> =
-        middles.enumerate().map(|(k, t_ns)| Step { t_ns: t_ns - slow_ns, polarity: events[k].polarity, thresholds: 1.0 + lost(k) }).collect();
+    let mut steps: Vec<Step> = middles
+        .enumerate()
+        .map(|(k, t_ns)| Step {
+            t_ns: t_ns - slow_ns,
+            polarity: events[k].polarity,
+            thresholds: 1.0 + lost(k),
+        })
+        .collect();
     steps.sort_by_key(|step| step.t_ns);
     steps
 }
 
-/// Of one pair: `change = beyond + on threshold_on + off threshold_off` to first order around the thresholds that were assumed.
+/// Of one pair: `change = beyond + on threshold_on + off threshold_off` to first order around the thresholds
+/// that were assumed.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     on: f64,
@@ -211,7 +241,8 @@ impl Mean {
     }
 }
 
-/// What pairs of frames say against the description. It is proposed, not found: whoever asks judges by frames that were held out ([`crate::judge`]).
+/// What pairs of frames say against the description. It is proposed, not found: whoever asks judges by frames
+/// that were held out ([`crate::judge`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Proposed {
     /// An offset of the clock.
@@ -262,7 +293,12 @@ fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f
 fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>> {
     let shift_ns = late_ns.round() as i64;
     let seen_with = |thresholds: (f64, f64)| -> Vec<(&Pair, Seen)> {
-        pairs.all.iter().map(|pair| (pair, pairs.seen(pair, thresholds, shift_ns))).filter(|(_, seen)| seen.is_active).collect()
+        pairs
+            .all
+            .iter()
+            .map(|pair| (pair, pairs.seen(pair, thresholds, shift_ns)))
+            .filter(|(_, seen)| seen.is_active)
+            .collect()
     };
     let sums = |seen: &[(&Pair, Seen)], dark: f64| -> [Fit; 2] {
         let mut fits = [Fit::default(); 2];
@@ -290,7 +326,10 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>
             _ => return Vec::new(),
         }
     }
-    let best_of = |side: usize| (0..tried.len()).max_by(|&a, &b| tried[a][side].log_likelihood().total_cmp(&tried[b][side].log_likelihood()));
+    let best_of = |side: usize| {
+        (0..tried.len())
+            .max_by(|&a, &b| tried[a][side].log_likelihood().total_cmp(&tried[b][side].log_likelihood()))
+    };
     let gain = |side: usize| -> Option<f64> {
         let with = &tried[best_of(1 - side)?];
         Some(with[side].predicted_by(&with[1 - side])? - tried[0][side].predicted_by(&tried[0][1 - side])?)
@@ -299,7 +338,8 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>
     let mut all = vec![thresholds(sums(&seen, 0.0), stated, seen.len())];
     if nats > NATS && dark > LEAST_DARK * pairs.median {
         let said = format!(
-            "in {} pairs of frames events need the more change of light the darker it is, as if {:.2} of the median light were there without light",
+            "in {} pairs of frames events need the more change of light the darker it is, as if {:.2} of \
+             the median light were there without light",
             seen.len(),
             dark / pairs.median
         );
@@ -314,13 +354,17 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>
 fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Finding> {
     let Some([on, off, _]) = fits[0].and(&fits[1]).sums.solve(2) else { return Vec::new() };
     let ratios = (on / stated.0, off / stated.1);
-    let (scale, asymmetry) = (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
+    let (scale, asymmetry) =
+        (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
     // With what is made of the thresholds that are best on the other half.
     let nats = |of: &dyn Fn([f64; 3]) -> [f64; 3], against: &dyn Fn([f64; 3]) -> [f64; 3]| -> f64 {
         let gain = |side: usize| -> Option<f64> {
             let (these, from) = (fits[side].sums, fits[1 - side].sums);
             let factors = from.solve(2)?;
-            Some(Predicted { these, from, factors: of(factors) }.log_likelihood() - Predicted { these, from, factors: against(factors) }.log_likelihood())
+            Some(
+                Predicted { these, from, factors: of(factors) }.log_likelihood()
+                    - Predicted { these, from, factors: against(factors) }.log_likelihood(),
+            )
         };
         gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b)
     };
@@ -330,10 +374,19 @@ fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Findin
     };
     let of_scale = nats(&scaled, &|_| [stated.0, stated.1, 0.0]);
     let apart = nats(&|factors| factors, &scaled);
-    let said = format!("in {measured} pairs of frames an ON event comes for a change of {on:.3} of the log light and an OFF event for {off:.3}");
+    let said = format!(
+        "in {measured} pairs of frames an ON event comes for a change of {on:.3} of the log \
+                        light and an OFF event for {off:.3}"
+    );
     let mut all = Vec::new();
     if scale.abs() > LEAST_SCALE && of_scale > NATS {
-        all.push(Finding::of_halves("threshold_scale", ("fraction", scale), of_scale, measured, said.clone()));
+        all.push(Finding::of_halves(
+            "threshold_scale",
+            ("fraction", scale),
+            of_scale,
+            measured,
+            said.clone(),
+        ));
     }
     if asymmetry.abs() > LEAST_SCALE && apart > NATS {
         all.push(Finding::of_halves("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));

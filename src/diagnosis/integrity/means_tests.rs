@@ -1,4 +1,5 @@
-//! Waves of light over an array, their frames averaged over 16 of 25 ms and their events fired by a comparator that is written out here.
+//! Waves of light over an array, their frames averaged over 16 of 25 ms and their events fired by a
+//! comparator that is written out here.
 
 use super::Finding;
 use super::means::{Proposed, proposed};
@@ -33,16 +34,19 @@ fn camera(actual: Actual) -> Case {
         let phase = 0.35 * x + 0.5 * y - 60.0 * t_ns as f64 * 1e-9;
         // In the last columns nothing moves, and they show that frames are without noise.
         let swing = if x < 22.0 { 1.0 } else { 0.0 };
-        1.0 + 1.2 * libm::sin(0.11 * x + 0.17 * y) + swing * (0.6 * libm::sin(phase) + 0.3 * libm::sin(1.7 * phase + 1.0))
+        1.0 + 1.2 * libm::sin(0.11 * x + 0.17 * y)
+            + swing * (0.6 * libm::sin(phase) + 0.3 * libm::sin(1.7 * phase + 1.0))
     };
-    let (on, off) = (STATED.0 * (1.0 + actual.scale) * (1.0 + actual.scale_on), STATED.1 * (1.0 + actual.scale));
+    let (on, off) =
+        (STATED.0 * (1.0 + actual.scale) * (1.0 + actual.scale_on), STATED.1 * (1.0 + actual.scale));
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
     let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
         .map(|pixel| {
             for frame in 0..FRAMES {
                 let steps = EXPOSURE_NS / STEP_NS;
                 let light = |n: i64| libm::exp(log(pixel, frame * PERIOD_NS + n * STEP_NS + STEP_NS / 2));
-                frames[frame as usize * extent.pixels() + pixel] = (DN * (0..steps).map(light).sum::<f64>() / steps as f64) as f32;
+                frames[frame as usize * extent.pixels() + pixel] =
+                    (DN * (0..steps).map(light).sum::<f64>() / steps as f64) as f32;
             }
             let voltage = |t_ns: i64| libm::log(libm::exp(log(pixel, t_ns)) + actual.dark);
             let (mut events, mut reference) = (Vec::new(), voltage(0));
@@ -50,7 +54,11 @@ fn camera(actual: Actual) -> Case {
                 let (t_ns, away) = (n * STEP_NS, voltage(n * STEP_NS) - reference);
                 if away >= on || away <= -off {
                     let t = t_ns + actual.late_ns;
-                    events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: if away > 0.0 { 1 } else { -1 } });
+                    events.push(Recorded {
+                        t_in_ns: t,
+                        t_off_ns: t,
+                        polarity: if away > 0.0 { 1 } else { -1 },
+                    });
                     reference += if away > 0.0 { on } else { -off };
                 }
             }
@@ -82,7 +90,12 @@ fn of(actual: Actual) -> Proposed {
 
 /// The number of a finding.
 fn value(findings: &[Finding], id: &str) -> f64 {
-    findings.iter().find(|finding| finding.id == id).unwrap_or_else(|| panic!("{id} is not in {findings:?}")).parameters[0].1
+    findings
+        .iter()
+        .find(|finding| finding.id == id)
+        .unwrap_or_else(|| panic!("{id} is not in {findings:?}"))
+        .parameters[0]
+        .1
 }
 
 #[test]
@@ -127,7 +140,9 @@ fn a_current_that_frames_do_not_see_is_measured_with_delay_and_thresholds() {
 fn frames_of_short_exposure_are_not_its_business() {
     let mut case = camera(Actual { late_ns: 4_000_000, ..Actual::default() });
     if let Some(frames) = &mut case.frames {
-        let exposures = (0..FRAMES).map(|l| Exposure::new(l * PERIOD_NS + 7_000_000, l * PERIOD_NS + 9_000_000)).collect();
+        let exposures = (0..FRAMES)
+            .map(|l| Exposure::new(l * PERIOD_NS + 7_000_000, l * PERIOD_NS + 9_000_000))
+            .collect();
         frames.times = FrameTimes::new(exposures, 0).unwrap();
     }
     assert_eq!(proposed(&case, &case.nominal().unwrap(), &[]), Proposed::default());

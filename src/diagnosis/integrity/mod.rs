@@ -1,23 +1,29 @@
-//! What shows without an estimate of the scene: data that contradict themselves, stamps on a coarser grid, a readout queue, hot rows and pixels, noise events, lost
-//! events, events in step with the frames, leaks, blind times, late events; and flicker of the light, which is a property of the scene.
+//! What shows without an estimate of the scene: data that contradict themselves, stamps on a coarser grid, a
+//! readout queue, hot rows and pixels, noise events, lost events, events in step with the frames, leaks,
+//! blind times, late events; and flicker of the light, which is a property of the scene.
 //!
-//! Each test is strict: it reports only where a sound sensor could hardly look like this whatever it sees. A test that finds nothing is no proof of health; what is finer
-//! than these tests see is the business of the tests that estimate the scene.
+//! Each test is strict: it reports only where a sound sensor could hardly look like this whatever it sees. A
+//! test that finds nothing is no proof of health; what is finer than these tests see is the business of the
+//! tests that estimate the scene.
 //!
 //! In reading order:
 //!
 //! - [`data`]: broken and insufficient recordings.
 //! - [`stamps`]: grids and regular gaps of time stamps.
 //! - [`hot`]: rows, then pixels, that fire far more than those around them.
-//! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest (blind time).
+//! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest
+//!   (blind time).
 //! - [`contrary`]: events against the light, where all around goes one way (noise).
 //! - [`load`]: windows of time with one and the same count (loss), bursts in step with the frames.
 //! - [`still`]: pixels in which nothing moves, and the leak that shows there.
 //! - [`coupling`]: events there, or anywhere, that come when their row of the frame is read.
-//! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost light.
+//! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost
+//!   light.
 //! - [`steps`]: how many events come for a change between two frames: thresholds.
-//! - [`means`]: both for frames of long exposure, by the double integral; and a dark current. It proposes, [`crate::judge`] decides.
-//! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene does and no effect of the catalogue.
+//! - [`means`]: both for frames of long exposure, by the double integral; and a dark current. It proposes,
+//!   [`crate::judge`] decides.
+//! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene
+//!   does and no effect of the catalogue.
 //! - [`flicker`]: one rhythm common to the whole array.
 //! - [`again`]: 95 % intervals of what is found, by tests made again without parts of the array.
 
@@ -79,7 +85,13 @@ const NATS: f64 = 30.0;
 
 impl Finding {
     /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
-    pub(crate) fn of_halves(id: &'static str, parameter: (&'static str, f64), nats: f64, events: usize, seen: String) -> Finding {
+    pub(crate) fn of_halves(
+        id: &'static str,
+        parameter: (&'static str, f64),
+        nats: f64,
+        events: usize,
+        seen: String,
+    ) -> Finding {
         let heldout = Some(Heldout { nats, events });
         Finding {
             id,
@@ -106,7 +118,8 @@ impl Finding {
     }
 }
 
-/// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both ways.
+/// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both
+/// ways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heldout {
     /// Over the nominal description, nats.
@@ -140,7 +153,8 @@ pub struct Integrity {
     pub lacking: Vec<String>,
     /// Departures, strongest (statistic over threshold) first.
     pub findings: Vec<Finding>,
-    /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes, strongest first.
+    /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes,
+    /// strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dependences: Vec<Dependence>,
     /// Not mismatches.
@@ -168,9 +182,11 @@ pub const TESTED: [&str; 15] = [
     "dark_current",
 ];
 
-/// All direct tests of a recording; `nominal` is the nominal description, none when it lacks what the model needs.
+/// All direct tests of a recording; `nominal` is the nominal description, none when it lacks what the model
+/// needs.
 pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
-    let mut found = Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
+    let mut found =
+        Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
     if !found.broken.is_empty() || case.events.len() < data::FEWEST_EVENTS {
         return found;
     }
@@ -183,7 +199,9 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
     // The same effect by two tests is one finding, the stronger.
-    found.findings.sort_by(|a, b| (b.statistic / b.threshold).total_cmp(&(a.statistic / a.threshold)).then(a.id.cmp(b.id)));
+    found.findings.sort_by(|a, b| {
+        (b.statistic / b.threshold).total_cmp(&(a.statistic / a.threshold)).then(a.id.cmp(b.id))
+    });
     let mut ids: Vec<&str> = Vec::new();
     found.findings.retain(|finding| {
         let is_new = !ids.contains(&finding.id);
@@ -191,18 +209,26 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         is_new
     });
     let Integrity { findings, masked, .. } = &mut found;
-    let ids: Vec<&str> = findings.iter().filter(|finding| lacks_interval(finding)).map(|finding| finding.id).collect();
+    let ids: Vec<&str> =
+        findings.iter().filter(|finding| lacks_interval(finding)).map(|finding| finding.id).collect();
     add_intervals(case, findings, &|case, out| {
-        let mut again = if ids.iter().any(|id| hot::IDS.contains(id)) { hot_ones(case, nominal, out).0 } else { Vec::new() };
+        let mut again = if ids.iter().any(|id| hot::IDS.contains(id)) {
+            hot_ones(case, nominal, out).0
+        } else {
+            Vec::new()
+        };
         let stream = ids.iter().any(|id| OF_STREAM.contains(id)).then(|| Stream::of(case));
-        again.extend(others(case, nominal, stream.as_ref(), &joined(masked, out), &|of| ids.iter().any(|id| of.contains(id))));
+        again.extend(others(case, nominal, stream.as_ref(), &joined(masked, out), &|of| {
+            ids.iter().any(|id| of.contains(id))
+        }));
         again
     });
     found
 }
 
 /// What is found in the order of all events.
-const OF_STREAM: [&str; 5] = [stamps::GRID, "timestamp_jitter", "readout_queue", "event_loss", "frame_coupling"];
+const OF_STREAM: [&str; 5] =
+    [stamps::GRID, "timestamp_jitter", "readout_queue", "event_loss", "frame_coupling"];
 
 /// Two lists of pixels as one, rising.
 pub(crate) fn joined(a: &[u32], b: &[u32]) -> Vec<u32> {
@@ -221,7 +247,13 @@ fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Finding
 }
 
 /// The tests that are `wanted` (by the ids that they may find), without the pixels of `masked`.
-fn others(case: &Case, nominal: Option<&Nominal>, stream: Option<&Stream>, masked: &[u32], wanted: &dyn Fn(&[&str]) -> bool) -> Vec<Finding> {
+fn others(
+    case: &Case,
+    nominal: Option<&Nominal>,
+    stream: Option<&Stream>,
+    masked: &[u32],
+    wanted: &dyn Fn(&[&str]) -> bool,
+) -> Vec<Finding> {
     let mut found: Vec<Finding> = stream.map_or_else(Vec::new, |stream| stamps::findings(case, stream));
     let on_grid = found.iter().any(|finding| finding.id == stamps::GRID);
     if wanted(&["background_activity", "timestamp_jitter", "refractory"]) {
@@ -275,7 +307,11 @@ impl Stream {
     pub fn of(case: &Case) -> Stream {
         let mut all = Vec::with_capacity(case.events.len());
         for pixel in 0..case.events.pixels() {
-            all.extend(case.events.of(pixel).iter().map(|event| Stamped { t_ns: event.t_off_ns, pixel: pixel as u32, polarity: event.polarity }));
+            all.extend(case.events.of(pixel).iter().map(|event| Stamped {
+                t_ns: event.t_off_ns,
+                pixel: pixel as u32,
+                polarity: event.polarity,
+            }));
         }
         all.sort_unstable_by_key(|event| (event.t_ns, event.pixel));
         Stream(all)

@@ -1,15 +1,19 @@
-//! Rates of events over what no scene knows of: the phase of the frames, as each row has it, and the parity of the row.
+//! Rates of events over what no scene knows of: the phase of the frames, as each row has it, and the parity
+//! of the row.
 //!
-//! Whatever moves in front of a sensor with a rolling shutter does not know when a row's exposure begins. Events are counted frame by frame and phase by phase, on the clock of their
-//! row, and held against the mean of the counts around in time: what repeats from frame to frame at one phase, more than it differs there from frame to frame, is the
-//! sensor's. Light that flickers with the frames repeats too, but on one clock for all rows: so what repeats must do so less when all rows are given the first one's clock.
-//! A global shutter has one clock alone, and the test is silent.
+//! Whatever moves in front of a sensor with a rolling shutter does not know when a row's exposure begins.
+//! Events are counted frame by frame and phase by phase, on the clock of their row, and held against the mean
+//! of the counts around in time: what repeats from frame to frame at one phase, more than it differs there
+//! from frame to frame, is the sensor's. Light that flickers with the frames repeats too, but on one clock
+//! for all rows: so what repeats must do so less when all rows are given the first one's clock. A global
+//! shutter has one clock alone, and the test is silent.
 //!
-//! Textures do not know odd rows from even ones. A row is held against the mean of the two next to it, in parts of the array and of the recording: what has one sign in nearly
-//! all of these parts, and in most rows, is the sensor's.
+//! Textures do not know odd rows from even ones. A row is held against the mean of the two next to it, in
+//! parts of the array and of the recording: what has one sign in nearly all of these parts, and in most rows,
+//! is the sensor's.
 //!
-//! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other away: it is the business of its own tests, which come first. Here both signs have to
-//! differ alike.
+//! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other
+//! away: it is the business of its own tests, which come first. Here both signs have to differ alike.
 
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
@@ -22,7 +26,8 @@ const AROUND: usize = 6;
 /// Fewest frames, and events in a bin of a frame.
 const FEWEST_FRAMES: usize = 8;
 const FEWEST_EVENTS: f64 = 8.0;
-/// What repeats over what differs must be so much. By chance it is 1; recordings without such a dependence come to 3.6, those with one to 40 and more.
+/// What repeats over what differs must be so much. By chance it is 1; recordings without such a dependence
+/// come to 3.6, those with one to 40 and more.
 const LEAST_REGULARITY: f64 = 12.0;
 /// And so much more than on one clock for all rows.
 const BY_ROWS: f64 = 1.2;
@@ -42,14 +47,16 @@ const SAME_ROWS: f64 = 0.8;
 
 /// What repeats, strongest first; pixels of `masked` are left out.
 pub fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
-    let mut found: Vec<Dependence> = by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
+    let mut found: Vec<Dependence> =
+        by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
     found.sort_by(|a, b| score(b).total_cmp(&score(a)));
     found
 }
 
 /// What a dependence of [`dependences`] measured, over the least that counts.
 pub fn score(dependence: &Dependence) -> f64 {
-    dependence.significance / if dependence.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
+    dependence.significance
+        / if dependence.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
 }
 
 /// Counts by frame and phase.
@@ -72,10 +79,13 @@ impl Folded {
             return None;
         }
         let mut counts = vec![0.0; frames * bins];
-        for pixel in (0..case.events.pixels()).filter(|pixel| masked.binary_search(&(*pixel as u32)).is_err()) {
+        for pixel in (0..case.events.pixels()).filter(|pixel| masked.binary_search(&(*pixel as u32)).is_err())
+        {
             let row = if by_rows { case.place(pixel).1 } else { 0 };
             for event in case.events.of(pixel).iter().filter(|event| signs.contains(&event.polarity)) {
-                let Some(frame) = times.last_begun(row, event.t_in_ns).filter(|frame| *frame < frames) else { continue };
+                let Some(frame) = times.last_begun(row, event.t_in_ns).filter(|frame| *frame < frames) else {
+                    continue;
+                };
                 let phase_ns = (event.t_in_ns - times.exposure(frame, row).start.0) as f64;
                 let bin = (phase_ns / period_ns * bins as f64) as usize;
                 counts[frame * bins + bin.min(bins - 1)] += 1.0;
@@ -96,10 +106,13 @@ impl Folded {
 
     /// Departures of a phase from what is around, in standard deviations of pure chance, frame by frame.
     fn departures(&self, bin: usize) -> impl Iterator<Item = f64> {
-        (0..self.frames).map(move |frame| frame * self.bins + bin).map(|k| (self.counts[k] - self.around[k]) / libm::sqrt(f64::max(self.around[k], 1.0)))
+        (0..self.frames)
+            .map(move |frame| frame * self.bins + bin)
+            .map(|k| (self.counts[k] - self.around[k]) / libm::sqrt(f64::max(self.around[k], 1.0)))
     }
 
-    /// Squares of what repeats over those of what differs from frame to frame, as a multiple of what chance gives.
+    /// Squares of what repeats over those of what differs from frame to frame, as a multiple of what chance
+    /// gives.
     fn regularity(&self) -> f64 {
         let n = self.frames as f64;
         let (mut repeats, mut differs) = (0.0, 0.0);
@@ -113,7 +126,12 @@ impl Folded {
 
     /// The rate of a phase over that around, less 1, from the frames that `with` keeps.
     fn share(&self, bin: usize, with: impl Fn(usize) -> bool) -> f64 {
-        let sum = |of: &[f64]| (0..self.frames).filter(|frame| with(*frame)).map(|frame| of[frame * self.bins + bin]).sum::<f64>();
+        let sum = |of: &[f64]| {
+            (0..self.frames)
+                .filter(|frame| with(*frame))
+                .map(|frame| of[frame * self.bins + bin])
+                .sum::<f64>()
+        };
         (sum(&self.counts) + 1.0) / (sum(&self.around) + 1.0) - 1.0
     }
 
@@ -137,7 +155,10 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
     let regularity = folded.regularity();
     let value: Vec<f64> = (0..folded.bins).map(|bin| folded.share(bin, |_| true)).collect();
     let most = (0..folded.bins).max_by(|a, b| value[*a].abs().total_cmp(&value[*b].abs()))?;
-    if regularity < LEAST_REGULARITY || value[most].abs() < LEAST_SHARE || regularity < BY_ROWS * Folded::new(case, masked, false, &[-1, 1])?.regularity() {
+    if regularity < LEAST_REGULARITY
+        || value[most].abs() < LEAST_SHARE
+        || regularity < BY_ROWS * Folded::new(case, masked, false, &[-1, 1])?.regularity()
+    {
         return None;
     }
     let of_sign = |sign: i8| Some(Folded::new(case, masked, true, &[sign])?.share(most, |_| true));
@@ -152,10 +173,12 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
         let spread = folded.departures(bin).map(|one| (one - mean) * (one - mean)).sum::<f64>() / (n - 1.0);
         libm::sqrt(spread / f64::max(around, 1.0))
     };
-    let (before, after) = (0..folded.bins).flat_map(|bin| folded.departures(bin).map(move |one| (bin, one))).fold((0.0, 0.0), |(before, after), (bin, one)| {
-        let mean = folded.departures(bin).sum::<f64>() / n;
-        (before + one * one, after + (one - mean) * (one - mean))
-    });
+    let (before, after) = (0..folded.bins)
+        .flat_map(|bin| folded.departures(bin).map(move |one| (bin, one)))
+        .fold((0.0, 0.0), |(before, after), (bin, one)| {
+            let mean = folded.departures(bin).sum::<f64>() / n;
+            (before + one * one, after + (one - mean) * (one - mean))
+        });
     let period_s = case.frames.as_ref()?.times.mean_period_ns()? * 1e-9;
     Some(Dependence {
         moved: Moved::EventRate,
@@ -190,7 +213,9 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
     // A row of which much is left out is none.
     let mut left_out = vec![0; height];
     masked.iter().for_each(|pixel| left_out[*pixel as usize / width] += 1);
-    let rows: Vec<usize> = (1..height.saturating_sub(1)).filter(|y| (y - 1..=y + 1).all(|row| left_out[row] * 4 < width)).collect();
+    let rows: Vec<usize> = (1..height.saturating_sub(1))
+        .filter(|y| (y - 1..=y + 1).all(|row| left_out[row] * 4 < width))
+        .collect();
     if rows.len() < height / 2 || height < 8 {
         return None;
     }
@@ -200,26 +225,47 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
     let contrast = |part: &[f64], y: usize| 0.5 * sign(y) * (part[y] - 0.5 * (part[y - 1] + part[y + 1]));
     let all = |part: &[f64]| rows.iter().map(|y| part[*y]).sum::<f64>();
     let usual = parts.iter().map(|part| all(part)).sum::<f64>() / parts.len() as f64;
-    let contrasts: Vec<(f64, f64)> =
-        parts.iter().filter(|part| all(part) > 0.1 * usual).map(|part| (rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), all(part))).collect();
+    let contrasts: Vec<(f64, f64)> = parts
+        .iter()
+        .filter(|part| all(part) > 0.1 * usual)
+        .map(|part| (rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), all(part)))
+        .collect();
     let n = contrasts.len() as f64;
     let (sum, events) = contrasts.iter().fold((0.0, 0.0), |sums, one| (sums.0 + one.0, sums.1 + one.1));
-    let spread = libm::sqrt(contrasts.iter().map(|one| (one.0 - sum / n) * (one.0 - sum / n)).sum::<f64>() / f64::max(n - 1.0, 1.0));
+    let spread = libm::sqrt(
+        contrasts.iter().map(|one| (one.0 - sum / n) * (one.0 - sum / n)).sum::<f64>()
+            / f64::max(n - 1.0, 1.0),
+    );
     let (share, sigmas) = (sum / f64::max(events, 1.0), sum.abs() / f64::max(spread * libm::sqrt(n), 1e-9));
     let same = |values: &mut dyn Iterator<Item = f64>| {
-        let (agree, count) = values.fold((0.0, 0.0), |(agree, count), one| (agree + f64::from(u8::from(one * sum > 0.0)), count + 1.0));
+        let (agree, count) = values.fold((0.0, 0.0), |(agree, count), one| {
+            (agree + f64::from(u8::from(one * sum > 0.0)), count + 1.0)
+        });
         agree / f64::max(count, 1.0)
     };
     let of_row = |y: &usize| parts.iter().map(|part| contrast(part, *y)).sum::<f64>();
-    let is_steady = same(&mut contrasts.iter().map(|one| one.0)) >= SAME_PARTS && same(&mut rows.iter().map(of_row)) >= SAME_ROWS;
-    if events < FEWEST_EVENTS * parts.len() as f64 || sigmas < LEAST_SIGMAS || share.abs() < LEAST_PARITY || !is_steady {
+    let is_steady = same(&mut contrasts.iter().map(|one| one.0)) >= SAME_PARTS
+        && same(&mut rows.iter().map(of_row)) >= SAME_ROWS;
+    if events < FEWEST_EVENTS * parts.len() as f64
+        || sigmas < LEAST_SIGMAS
+        || share.abs() < LEAST_PARITY
+        || !is_steady
+    {
         return None;
     }
     // Rows of each half of the parts, predicted from those next to them with the share of the other half.
     let (mut gain, mut before, mut after) = (0.0, 0.0, 0.0);
     for half in 0..2 {
-        let of = |which: usize| parts.iter().enumerate().filter(move |(k, _)| (k / PARTS.0 + k % PARTS.0) % 2 == which).map(|(_, part)| part);
-        let (sum, events) = of(1 - half).fold((0.0, 0.0), |sums, part| (sums.0 + rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), sums.1 + all(part)));
+        let of = |which: usize| {
+            parts
+                .iter()
+                .enumerate()
+                .filter(move |(k, _)| (k / PARTS.0 + k % PARTS.0) % 2 == which)
+                .map(|(_, part)| part)
+        };
+        let (sum, events) = of(1 - half).fold((0.0, 0.0), |sums, part| {
+            (sums.0 + rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), sums.1 + all(part))
+        });
         let share = (sum / f64::max(events, 1.0)).clamp(-0.9, 0.9);
         for (part, y) in of(half).flat_map(|part| rows.iter().map(move |y| (part, *y))) {
             let mean = 0.5 * (part[y - 1] + part[y + 1]);

@@ -9,7 +9,8 @@ use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
 const PERIOD_NS: i64 = 8_000_000;
 const ROW_NS: i64 = 40_000;
 
-/// 48 x 36 pixels that see waves for 20 frames; an event of a row, at an instant, of a sign stays with the chance that `keep` gives it.
+/// 48 x 36 pixels that see waves for 20 frames; an event of a row, at an instant, of a sign stays with the
+/// chance that `keep` gives it.
 fn waves(keep: impl Fn(u32, i64, i8) -> f64) -> Case {
     let extent = Extent { width: 48, height: 36 };
     let mut random = Random::new(8, &[2]);
@@ -27,10 +28,20 @@ fn waves(keep: impl Fn(u32, i64, i8) -> f64) -> Case {
         }
         events
     });
-    let exposures: Vec<Exposure> = (0..20).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 4_000_000)).collect();
-    let frames = CaseFrames::new(FrameTimes::new(exposures, ROW_NS).unwrap(), vec![500.0; 20 * extent.pixels()]);
+    let exposures: Vec<Exposure> =
+        (0..20).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 4_000_000)).collect();
+    let frames =
+        CaseFrames::new(FrameTimes::new(exposures, ROW_NS).unwrap(), vec![500.0; 20 * extent.pixels()]);
     let sensor = crate::testing::sensor();
-    Case { extent, span: (0, 20 * PERIOD_NS), events: PixelEvents::new(pixels), has_t_in: true, t_resolution_ns: 1, frames: Some(frames), sensor }
+    Case {
+        extent,
+        span: (0, 20 * PERIOD_NS),
+        events: PixelEvents::new(pixels),
+        has_t_in: true,
+        t_resolution_ns: 1,
+        frames: Some(frames),
+        sensor,
+    }
 }
 
 /// Is it between 4 and 5 ms after the start of the exposure of a row?
@@ -50,14 +61,25 @@ fn events_that_stay_away_at_one_phase_of_every_row_are_reported_with_that_phase(
     assert_eq!(dependence.covariate, Covariate::FramePhase);
     for (at, value) in dependence.at.iter().zip(&dependence.value) {
         // Of 13 bins around the dip, its four hold 0.3: 0.3 / (1 - 0.7 * 4 / 13) less 1, or near that.
-        if (4e-3..5e-3).contains(at) { assert!((value + 0.62).abs() < 0.08, "{at} {value}") } else { assert!(*value > -0.1 && *value < 0.4, "{at} {value}") }
+        if (4e-3..5e-3).contains(at) {
+            assert!((value + 0.62).abs() < 0.08, "{at} {value}")
+        } else {
+            assert!(*value > -0.1 && *value < 0.4, "{at} {value}")
+        }
     }
-    assert!(dependence.error.iter().all(|error| *error < 0.05) && dependence.taken > 0.5 && dependence.nats_per_event > 0.01, "{dependence:?}");
+    assert!(
+        dependence.error.iter().all(|error| *error < 0.05)
+            && dependence.taken > 0.5
+            && dependence.nats_per_event > 0.01,
+        "{dependence:?}"
+    );
 }
 
 #[test]
 fn events_of_one_sign_at_one_phase_are_the_coupling_s() {
-    let more = |signs: &'static [i8]| waves(move |row, t, sign| if is_blind(row, t) && signs.contains(&sign) { 1.0 } else { 0.5 });
+    let more = |signs: &'static [i8]| {
+        waves(move |row, t, sign| if is_blind(row, t) && signs.contains(&sign) { 1.0 } else { 0.5 })
+    };
     assert_eq!(dependences(&more(&[1]), &[]), []);
     assert_eq!(dependences(&more(&[1, -1]), &[]).len(), 1);
 }
@@ -78,7 +100,11 @@ fn rows_that_differ_by_parity_are_reported_with_their_share() {
     let [dependence] = &found[..] else { panic!("{found:?}") };
     assert_eq!(dependence.covariate, Covariate::RowParity);
     // (1 - 0.8) / (1 + 0.8)
-    assert!((dependence.value[0] - 0.111).abs() < 0.02 && (dependence.value[1] + dependence.value[0]).abs() < 1e-12, "{dependence:?}");
+    assert!(
+        (dependence.value[0] - 0.111).abs() < 0.02
+            && (dependence.value[1] + dependence.value[0]).abs() < 1e-12,
+        "{dependence:?}"
+    );
     assert!(dependence.nats_per_event > 0.003 && dependence.error[0] < 0.02, "{dependence:?}");
     // Some busy rows are no parity.
     let busy = waves(|row, _, _| if [6, 14, 22, 30].contains(&row) { 1.0 } else { 0.6 });

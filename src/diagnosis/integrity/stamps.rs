@@ -1,4 +1,5 @@
-//! Time stamps: a coarser grid than stated, no grid where one is stated, gaps of one length that a queue leaves.
+//! Time stamps: a coarser grid than stated, no grid where one is stated, gaps of one length that a queue
+//! leaves.
 
 use super::{Finding, Stream, quantile};
 use photocurrent_scene::case::Case;
@@ -33,7 +34,12 @@ pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
             share: on_it,
             polarity: "both",
             pixels: Vec::new(),
-            seen: format!("{:.1} % of the stamps sit on a grid of {:.1} us; {:.3} us is stated", 100.0 * on_it, step * 1e-3, stated * 1e-3),
+            seen: format!(
+                "{:.1} % of the stamps sit on a grid of {:.1} us; {:.3} us is stated",
+                100.0 * on_it,
+                step * 1e-3,
+                stated * 1e-3
+            ),
             heldout: None,
             ci95: Vec::new(),
         });
@@ -46,7 +52,8 @@ pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
     found
 }
 
-/// The most frequent gap between stamps that differ, ns, and the share of the gaps that are as long (to 0.2 %, at least 10 ns).
+/// The most frequent gap between stamps that differ, ns, and the share of the gaps that are as long (to 0.2
+/// %, at least 10 ns).
 fn usual_gap(unique: &[i64]) -> Option<(f64, f64)> {
     let mut gaps: Vec<i64> = unique.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps.sort_unstable();
@@ -59,10 +66,13 @@ fn usual_gap(unique: &[i64]) -> Option<(f64, f64)> {
             best = (last + 1 - first, first, last);
         }
     }
-    (best.0 > 20).then(|| (gaps[best.1..=best.2].iter().sum::<i64>() as f64 / best.0 as f64, best.0 as f64 / gaps.len() as f64))
+    (best.0 > 20).then(|| {
+        (gaps[best.1..=best.2].iter().sum::<i64>() as f64 / best.0 as f64, best.0 as f64 / gaps.len() as f64)
+    })
 }
 
-/// The grid nearest to a step on which the stamps sit: its step, ns, and the share of them; none when they do not.
+/// The grid nearest to a step on which the stamps sit: its step, ns, and the share of them; none when they do
+/// not.
 fn on_grid(unique: &[i64], step: f64) -> Option<(f64, f64)> {
     let tolerance = f64::max(10.0, 0.02 * step);
     if step < 4.0 * tolerance || unique.len() < 50 {
@@ -111,21 +121,29 @@ fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Finding> {
         share: busy.min(1.0),
         polarity: "both",
         pixels: Vec::new(),
-        seen: format!("{:.0} % of the gaps between stamps are {:.2} us, without a common grid: one event waits for the other", 100.0 * share, gap * 1e-3),
+        seen: format!(
+            "{:.0} % of the gaps between stamps are {:.2} us, without a common grid: one event \
+                       waits for the other",
+            100.0 * share,
+            gap * 1e-3
+        ),
         heldout: None,
         ci95: Vec::new(),
     })
 }
 
-/// Stamps that do not sit on the grid of their stated resolution, not even for moments: something shakes them after they were taken.
+/// Stamps that do not sit on the grid of their stated resolution, not even for moments: something shakes them
+/// after they were taken.
 fn off_grid(case: &Case) -> Option<Finding> {
     if case.t_resolution_ns < 100 {
         return None;
     }
     let step = case.t_resolution_ns as f64;
-    let mut times: Vec<i64> = case.events.iter().map(|event| if case.has_t_in { event.t_in_ns } else { event.t_off_ns }).collect();
+    let mut times: Vec<i64> =
+        case.events.iter().map(|event| if case.has_t_in { event.t_in_ns } else { event.t_off_ns }).collect();
     times.sort_unstable();
-    // Distances of a few steps: long enough to see their remainder, short enough that a clock of another rate does not matter.
+    // Distances of a few steps: long enough to see their remainder, short enough that a clock of another rate
+    // does not matter.
     let usual = (times.last()? - times.first()?) as f64 / times.len() as f64;
     let lag = ((5.0 * step / usual).ceil() as usize).clamp(1, times.len() - 1);
     let (mut re, mut im, mut count) = (0.0, 0.0, 0.0);
@@ -154,13 +172,18 @@ fn off_grid(case: &Case) -> Option<Finding> {
         share: 1.0,
         polarity: "both",
         pixels: Vec::new(),
-        seen: format!("stamps are stated to {:.3} us, and lie anywhere between: they were moved after they were taken", step * 1e-3),
+        seen: format!(
+            "stamps are stated to {:.3} us, and lie anywhere between: they were moved after they \
+                       were taken",
+            step * 1e-3
+        ),
         heldout: None,
         ci95: Vec::new(),
     })
 }
 
-/// Jitter of stamps from the third differences of the fastest runs of four events of one sign, seconds: their variance is 20 sigma^2 and light changes little in them.
+/// Jitter of stamps from the third differences of the fastest runs of four events of one sign, seconds: their
+/// variance is 20 sigma^2 and light changes little in them.
 pub fn jitter_s(case: &Case) -> f64 {
     let mut runs: Vec<(i64, i64)> = Vec::new();
     for pixel in 0..case.events.pixels() {

@@ -11,8 +11,8 @@ const HEIGHT: usize = 40;
 const FRAMES: usize = 50;
 const PERIOD_NS: i64 = 20_000_000;
 
-/// 50 frames of 48 x 40 pixels at 50 Hz with noise of 1 DN; a strip of columns at the right moves. `event` says when, in which pixel and with which sign the n-th of 150
-/// events comes.
+/// 50 frames of 48 x 40 pixels at 50 Hz with noise of 1 DN; a strip of columns at the right moves. `event`
+/// says when, in which pixel and with which sign the n-th of 150 events comes.
 fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case {
     let mut random = Random::new(3, &[]);
     let dn = (0..FRAMES * WIDTH * HEIGHT).map(|k| {
@@ -20,7 +20,8 @@ fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case
         (80.0 + moves + random.normal()) as f32
     });
     let dn = dn.collect();
-    let exposures = (0..FRAMES as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 500_000)).collect();
+    let exposures =
+        (0..FRAMES as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 500_000)).collect();
     let mut pixels = vec![Vec::new(); WIDTH * HEIGHT];
     let mut random = Random::new(4, &[]);
     for n in 0..150 {
@@ -78,7 +79,9 @@ fn value(finding: &super::Finding, parameter: &str) -> f64 {
 
 #[test]
 fn still_pixels_keep_their_distance_from_what_moves() {
-    let (still, leak, coupling) = found(&camera(|_, random| (any_time(random), pixel(random), if random.uniform() < 0.5 { 1 } else { -1 })));
+    let (still, leak, coupling) = found(&camera(|_, random| {
+        (any_time(random), pixel(random), if random.uniform() < 0.5 { 1 } else { -1 })
+    }));
     // 42 columns stand still, and the four next to the strip are too near.
     assert!((still as f64 / (38.0 * HEIGHT as f64) - 1.0).abs() < 0.05, "{still}");
     // As many OFF as ON, at any time: noise, of which these tests do not report.
@@ -94,7 +97,8 @@ fn on_events_at_any_time_where_nothing_moves_are_a_leak_with_their_rate() {
     assert!(coupling.is_none(), "{coupling:?}");
 }
 
-/// Brighter from row to row, up to fifteen times; of the events, one in `every` comes where it likes, and the others in proportion to the row.
+/// Brighter from row to row, up to fifteen times; of the events, one in `every` comes where it likes, and the
+/// others in proportion to the row.
 fn brighter_below(every: usize) -> Case {
     let bright = |pixel: usize| 1.0 + (pixel / WIDTH) as f64;
     let mut case = camera(|n, random| {
@@ -118,10 +122,14 @@ fn a_leak_that_grows_with_the_light_is_the_lights() {
     assert_eq!(leak.id, "parasitic_leak");
     // 0.2 a threshold, one event in so many pixels and seconds for the mean light.
     let nominal = case.nominal().unwrap();
-    let light = |row: f64| (80.0 + 40.0 * (1.0 + row) - nominal.number.black_level) / (nominal.number.gain * 500e-6);
+    let light =
+        |row: f64| (80.0 + 40.0 * (1.0 + row) - nominal.number.black_level) / (nominal.number.gain * 500e-6);
     let mean = (0..HEIGHT).map(|row| light(row as f64)).sum::<f64>() / HEIGHT as f64;
     let rate = 150.0 / still as f64;
-    assert!((value(&leak, "coefficient") / (rate * nominal.pixel.threshold_on / mean) - 1.0).abs() < 0.1, "{leak:?}");
+    assert!(
+        (value(&leak, "coefficient") / (rate * nominal.pixel.threshold_on / mean) - 1.0).abs() < 0.1,
+        "{leak:?}"
+    );
 }
 
 #[test]
@@ -140,7 +148,10 @@ fn events_when_their_row_is_read_are_coupling_with_its_delay() {
     // Rows 120 us apart from 2.3 ms after the start of the exposure on; one event in five at any time.
     let (_, leak, coupling) = found(&camera(|n, random| {
         let pixel = pixel(random);
-        let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS + 2_300_000 + (pixel / WIDTH) as i64 * 120_000 + (50_000.0 * random.uniform()) as i64;
+        let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS
+            + 2_300_000
+            + (pixel / WIDTH) as i64 * 120_000
+            + (50_000.0 * random.uniform()) as i64;
         (if n % 5 == 0 { any_time(random) } else { read }, pixel, 1)
     }));
     let coupling = coupling.unwrap();
@@ -148,7 +159,8 @@ fn events_when_their_row_is_read_are_coupling_with_its_delay() {
     assert!((value(&coupling, "phase") - 2.3e-3).abs() < 0.1e-3, "{coupling:?}");
     assert!((value(&coupling, "period") - 20e-3).abs() < 1e-9, "{coupling:?}");
     assert_eq!(coupling.polarity, "on");
-    // Four of five in a fiftieth of the time, less what 50 counted parts cost: each gains no more than ln(0.8 * 50).
+    // Four of five in a fiftieth of the time, less what 50 counted parts cost: each gains no more than ln(0.8
+    // * 50).
     let nats = coupling.heldout.unwrap();
     assert!(nats.per_event() > 1.0 && nats.per_event() < 3.7, "{nats:?}");
     assert!(leak.is_some(), "coupling brings events forward; that there are any is the leak's doing");
@@ -156,10 +168,13 @@ fn events_when_their_row_is_read_are_coupling_with_its_delay() {
 
 #[test]
 fn the_size_of_an_impulse_is_counted_where_light_rises() {
-    // Log light of the strip rises by 40 to 80 ln/s all the time; thresholds are 0.2. At each readout pixels with less than 0.05 to go fire at once.
+    // Log light of the strip rises by 40 to 80 ln/s all the time; thresholds are 0.2. At each readout pixels
+    // with less than 0.05 to go fire at once.
     let mut case = camera(|_, random| {
         let pixel = pixel(random);
-        let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS + 2_300_000 + (pixel / WIDTH) as i64 * 120_000;
+        let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS
+            + 2_300_000
+            + (pixel / WIDTH) as i64 * 120_000;
         (read, pixel, 1)
     });
     let mut random = Random::new(8, &[]);

@@ -5,7 +5,8 @@ use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use photocurrent_scene::case::{PixelEvents, Recorded};
 
-/// 24 x 20 pixels that see a wave at 30 Hz: bursts of five events of a sign, some milliseconds apart, at times of their own in each pixel.
+/// 24 x 20 pixels that see a wave at 30 Hz: bursts of five events of a sign, some milliseconds apart, at
+/// times of their own in each pixel.
 fn bursts(step_ns: i64) -> Case {
     bursts_on(Extent { width: 24, height: 20 }, 5, step_ns)
 }
@@ -29,7 +30,15 @@ pub(super) fn bursts_on(extent: Extent, seed: u64, step_ns: i64) -> Case {
         events
     });
     let base = crate::testing::case();
-    Case { extent, span: (0, 300_000_000), events: PixelEvents::new(pixels), has_t_in: false, t_resolution_ns: 1000, frames: None, sensor: base.sensor }
+    Case {
+        extent,
+        span: (0, 300_000_000),
+        events: PixelEvents::new(pixels),
+        has_t_in: false,
+        t_resolution_ns: 1000,
+        frames: None,
+        sensor: base.sensor,
+    }
 }
 
 /// With events changed pixel by pixel.
@@ -148,10 +157,24 @@ fn with_its_frames(mut case: Case) -> Case {
     let nominal = case.nominal().unwrap();
     let times: Vec<i64> = (1..28).map(|l| l * 10_000_000).collect();
     let exposures = times.iter().map(|t| photocurrent_core::Exposure::new(*t, *t + 1_000)).collect();
-    let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
-    let sum = |pixel: usize, t_ns: i64| case.events.of(pixel).iter().filter(|event| event.t_in_ns < t_ns).map(|event| step(event.polarity)).sum::<f64>();
-    let dn = times.iter().flat_map(|t| (0..case.extent.pixels()).map(|pixel| (200.0 * libm::exp(sum(pixel, *t))) as f32)).collect();
-    case.frames = Some(photocurrent_scene::case::CaseFrames::new(photocurrent_core::FrameTimes::new(exposures, 0).unwrap(), dn));
+    let step =
+        |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
+    let sum = |pixel: usize, t_ns: i64| {
+        case.events
+            .of(pixel)
+            .iter()
+            .filter(|event| event.t_in_ns < t_ns)
+            .map(|event| step(event.polarity))
+            .sum::<f64>()
+    };
+    let dn = times
+        .iter()
+        .flat_map(|t| (0..case.extent.pixels()).map(|pixel| (200.0 * libm::exp(sum(pixel, *t))) as f32))
+        .collect();
+    case.frames = Some(photocurrent_scene::case::CaseFrames::new(
+        photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
+        dn,
+    ));
     case
 }
 
@@ -182,7 +205,11 @@ fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
 fn a_light_that_blinks_once_is_no_hot_pixel() {
     let case = with(bursts(1000), |pixel, events| {
         if pixel == 100 {
-            events.extend((0..200).map(|k| Recorded { t_in_ns: 120_000_000 + k * 90_000, t_off_ns: 120_000_000 + k * 90_000, polarity: 1 }));
+            events.extend((0..200).map(|k| Recorded {
+                t_in_ns: 120_000_000 + k * 90_000,
+                t_off_ns: 120_000_000 + k * 90_000,
+                polarity: 1,
+            }));
         }
     });
     assert!(of(&case).findings.iter().all(|finding| finding.id != "hot_pixels"));
@@ -201,7 +228,8 @@ fn random_events_of_both_signs_are_background_activity() {
     assert!(rate > 5.0 && rate < 30.0, "{rate}");
 }
 
-/// 24 x 20 pixels over which a wide wave moves: bursts of ten events of a sign, at nearly the same times in neighbours.
+/// 24 x 20 pixels over which a wide wave moves: bursts of ten events of a sign, at nearly the same times in
+/// neighbours.
 fn wide_wave() -> Case {
     wide_wave_on(bursts(1000), 15)
 }
@@ -254,7 +282,9 @@ fn events_against_the_light_are_noise_with_its_rate() {
 
 #[test]
 fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
-    let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
+    let exposures = (0..15)
+        .map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000))
+        .collect();
     let frames = photocurrent_scene::case::CaseFrames::new(
         photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
         // No pixel stands still.
@@ -262,7 +292,8 @@ fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
     );
     let quiet = Case { frames: Some(frames), ..bursts(1000) };
     assert!(of(&quiet).findings.is_empty());
-    // ON events 9.1 ms after the start of the frame, 100 us later from row to row; the others are of the scene, OFF more often than ON.
+    // ON events 9.1 ms after the start of the frame, 100 us later from row to row; the others are of the
+    // scene, OFF more often than ON.
     let coupled = with(quiet, |pixel, events| {
         events.retain(|event| event.polarity < 0 || event.t_in_ns % 3_000 == 0);
         events.extend((0..15).map(|l| {
@@ -271,9 +302,17 @@ fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
         }));
     });
     let found = of(&coupled);
-    let coupling = found.findings.iter().find(|finding| finding.id == "frame_coupling").unwrap_or_else(|| panic!("{found:?}"));
+    let coupling = found
+        .findings
+        .iter()
+        .find(|finding| finding.id == "frame_coupling")
+        .unwrap_or_else(|| panic!("{found:?}"));
     assert_eq!(coupling.polarity, "on");
-    assert!((value(coupling, "row_time") - 100e-6).abs() < 2e-6 && (value(coupling, "phase") - 9.1e-3).abs() < 0.3e-3, "{coupling:?}");
+    assert!(
+        (value(coupling, "row_time") - 100e-6).abs() < 2e-6
+            && (value(coupling, "phase") - 9.1e-3).abs() < 0.3e-3,
+        "{coupling:?}"
+    );
 }
 
 #[test]
@@ -290,7 +329,11 @@ fn windows_that_are_full_have_lost_events() {
             continue;
         }
         *window += 1;
-        pixels[event.pixel as usize].push(Recorded { t_in_ns: event.t_ns, t_off_ns: event.t_ns, polarity: event.polarity });
+        pixels[event.pixel as usize].push(Recorded {
+            t_in_ns: event.t_ns,
+            t_off_ns: event.t_ns,
+            polarity: event.polarity,
+        });
     }
     let share = lost as f64 / stream.0.len() as f64;
     let capped = Case { events: PixelEvents::new(pixels), ..case };
@@ -306,12 +349,18 @@ fn a_row_that_waits_for_the_other_is_a_queue() {
     let case = with(bursts(1000), |_, events| {
         events.iter_mut().for_each(|event| {
             turn += 1;
-            event.t_off_ns = event.t_off_ns / 200_000 * 200_000 + (event.t_off_ns / 200_000 * 37) % 91 * 1000 + turn % 6 * 3000;
+            event.t_off_ns = event.t_off_ns / 200_000 * 200_000
+                + (event.t_off_ns / 200_000 * 37) % 91 * 1000
+                + turn % 6 * 3000;
             event.t_in_ns = event.t_off_ns;
         });
     });
     let found = of(&case);
-    let queue = found.findings.iter().find(|finding| finding.id == "readout_queue").unwrap_or_else(|| panic!("{found:?}"));
+    let queue = found
+        .findings
+        .iter()
+        .find(|finding| finding.id == "readout_queue")
+        .unwrap_or_else(|| panic!("{found:?}"));
     assert!((value(queue, "service") - 3e-6).abs() < 1e-9);
 }
 
@@ -334,7 +383,10 @@ fn broken_and_insufficient_data_are_said() {
         });
     });
     assert!(of(&stopped).broken.iter().any(|why| why.contains("one and the same time")));
-    let early = Case { has_t_in: true, ..with(bursts(1000), |_, events| events.iter_mut().for_each(|event| event.t_off_ns -= 5000)) };
+    let early = Case {
+        has_t_in: true,
+        ..with(bursts(1000), |_, events| events.iter_mut().for_each(|event| event.t_off_ns -= 5000))
+    };
     assert!(of(&early).broken.iter().any(|why| why.contains("before they fire")));
     // Microseconds that were read as nanoseconds.
     let mut fast = with(bursts(1000), |_, events| {
@@ -347,7 +399,10 @@ fn broken_and_insufficient_data_are_said() {
     assert!(of(&fast).broken.iter().any(|why| why.contains("of a larger unit")), "{:?}", of(&fast).broken);
     let few = with(bursts(1000), |pixel, events| events.truncate(usize::from(pixel < 20)));
     let found = of(&few);
-    assert!(found.broken.is_empty() && found.lacking.iter().any(|why| why.starts_with("20 events")), "{found:?}");
+    assert!(
+        found.broken.is_empty() && found.lacking.iter().any(|why| why.starts_with("20 events")),
+        "{found:?}"
+    );
     let mut dark = crate::testing::case();
     dark.frames = dark.frames.map(|frames| frames.map(|_, _| 0.0));
     assert!(of(&dark).broken.iter().any(|why| why.contains("hold no picture")));
@@ -388,7 +443,9 @@ fn frames_that_no_light_makes_are_broken() {
 #[test]
 fn bursts_in_step_with_the_frames_are_coupling() {
     let extent_pixels = 480;
-    let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
+    let exposures = (0..15)
+        .map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000))
+        .collect();
     let frames = photocurrent_scene::case::CaseFrames::new(
         photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
         (0..15 * extent_pixels).map(|k| 100.0 + (k % 7) as f32).collect(),
@@ -404,13 +461,18 @@ fn bursts_in_step_with_the_frames_are_coupling() {
         }
     });
     let found = of(&coupled);
-    let coupling = found.findings.iter().find(|finding| finding.id == "frame_coupling").unwrap_or_else(|| panic!("{found:?}"));
+    let coupling = found
+        .findings
+        .iter()
+        .find(|finding| finding.id == "frame_coupling")
+        .unwrap_or_else(|| panic!("{found:?}"));
     assert_eq!(coupling.polarity, "on");
 }
 
 #[test]
 fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
-    // Log light 0.4 sin(2 pi 100 t) with thresholds 0.2 and 0.21: ON while it rises, OFF while it falls, at phases of each pixel's own.
+    // Log light 0.4 sin(2 pi 100 t) with thresholds 0.2 and 0.21: ON while it rises, OFF while it falls, at
+    // phases of each pixel's own.
     let mut random = Random::new(11, &[]);
     let case = with(bursts(1000), |_, events| {
         events.clear();
@@ -419,7 +481,11 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
                 for _ in 0..3 {
                     let t = period * 10_000_000 + centre + ((random.uniform() - 0.5) * 4e6) as i64;
                     if t >= 0 {
-                        events.push(Recorded { t_in_ns: t / 1000 * 1000, t_off_ns: t / 1000 * 1000, polarity });
+                        events.push(Recorded {
+                            t_in_ns: t / 1000 * 1000,
+                            t_off_ns: t / 1000 * 1000,
+                            polarity,
+                        });
                     }
                 }
             }
@@ -434,9 +500,23 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
 #[test]
 fn clocks_that_share_no_time_are_broken_data_with_both_times_in_the_message() {
     let mut case = crate::testing::case();
-    let moved = |event: &Recorded| Recorded { t_in_ns: event.t_in_ns + 5_000_000_000, t_off_ns: event.t_off_ns + 5_000_000_000, ..*event };
-    case.events = PixelEvents::new((0..case.events.pixels()).map(|pixel| case.events.of(pixel).iter().map(moved).collect()));
+    let moved = |event: &Recorded| Recorded {
+        t_in_ns: event.t_in_ns + 5_000_000_000,
+        t_off_ns: event.t_off_ns + 5_000_000_000,
+        ..*event
+    };
+    case.events = PixelEvents::new(
+        (0..case.events.pixels()).map(|pixel| case.events.of(pixel).iter().map(moved).collect()),
+    );
     case.span = (0, 5_100_000_000);
     let why = data::broken(&case);
-    assert!(why.len() == 1 && why[0].contains("share no time") && why[0].contains("frames are exposed 0.000000 to"), "{why:?}");
+    assert!(
+        why.len() == 1
+            && why[0].contains("share no time")
+            && why[0].contains(
+                "frames are exposed \
+                                                            0.000000 to"
+            ),
+        "{why:?}"
+    );
 }

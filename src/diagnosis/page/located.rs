@@ -21,12 +21,21 @@ pub fn located(html: &mut String, case: &Case, name: &str, found: &Located) {
     html.push_str(&map(case, found));
     let curves = [
         (&found.over_rows, "row", Scale::Linear, &found.rows.range.map(f64::from)),
-        (&found.over_time, "time since the start, s", Scale::Linear, &found.time_ns.range.map(|t| (t - case.span.0) as f64 * 1e-9)),
+        (
+            &found.over_time,
+            "time since the start, s",
+            Scale::Linear,
+            &found.time_ns.range.map(|t| (t - case.span.0) as f64 * 1e-9),
+        ),
         (&found.over_light, "light: log photocurrent", Scale::Linear, &found.log_light.range),
     ];
     html.push_str("<div>");
-    curves.iter().for_each(|(curve, label, scale, range)| html.push_str(&small(curve, label, *scale, Some(**range))));
-    if let Some(covariate) = found.curve_of.filter(|covariate| !["row", "time", "photocurrent"].contains(&covariate.name())) {
+    curves
+        .iter()
+        .for_each(|(curve, label, scale, range)| html.push_str(&small(curve, label, *scale, Some(**range))));
+    if let Some(covariate) =
+        found.curve_of.filter(|covariate| !["row", "time", "photocurrent"].contains(&covariate.name()))
+    {
         html.push_str(&small(&found.over, covariate.name(), Scale::Linear, None));
     }
     html.push_str("</div>\n");
@@ -37,10 +46,22 @@ fn words(case: &Case, found: &Located) -> String {
     let gain = |mean: &Mean| format!("{} \u{b1} {}", number(mean.gain), number(mean.error));
     let mut text = format!("An event gains {} nats in the mean of {}. ", gain(&found.all), found.all.events);
     let mut parts: Vec<String> = Vec::new();
-    fn part<T: Copy>(parts: &mut Vec<String>, what: &str, of: &Part<T>, gain: &dyn Fn(&Mean) -> String, show: &dyn Fn(T) -> String) {
+    fn part<T: Copy>(
+        parts: &mut Vec<String>,
+        what: &str,
+        of: &Part<T>,
+        gain: &dyn Fn(&Mean) -> String,
+        show: &dyn Fn(T) -> String,
+    ) {
         if let Some(outside) = &of.outside {
             let [from, to] = of.range;
-            parts.push(format!("{what} {} to {} ({}; the rest {})", show(from), show(to), gain(&of.inside), gain(outside)));
+            parts.push(format!(
+                "{what} {} to {} ({}; the rest {})",
+                show(from),
+                show(to),
+                gain(&of.inside),
+                gain(outside)
+            ));
         }
     }
     part(&mut parts, "rows", &found.rows, &gain, &|row: u32| row.to_string());
@@ -48,7 +69,11 @@ fn words(case: &Case, found: &Located) -> String {
     part(&mut parts, "seconds", &found.time_ns, &gain, &|t: i64| number((t - case.span.0) as f64 * 1e-9));
     part(&mut parts, "log photocurrent", &found.log_light, &gain, &|u: f64| number(u));
     if let Some([on, off]) = found.by_polarity {
-        let alone = if found.polarity == "both" { String::new() } else { format!("{} events alone: ", found.polarity.to_uppercase()) };
+        let alone = if found.polarity == "both" {
+            String::new()
+        } else {
+            format!("{} events alone: ", found.polarity.to_uppercase())
+        };
         parts.push(format!("{alone}ON {}, OFF {}", gain(&on), gain(&off)));
     }
     if found.rows.outside.is_none() && found.columns.outside.is_none() && found.time_ns.outside.is_none() {
@@ -63,17 +88,29 @@ fn words(case: &Case, found: &Located) -> String {
     text
 }
 
-/// The frame in the middle of the recording in grey, the gain per event over it, and the part in a frame of its own.
+/// The frame in the middle of the recording in grey, the gain per event over it, and the part in a frame of
+/// its own.
 fn map(case: &Case, found: &Located) -> String {
     const TOP: f64 = 4.0;
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
-    let mut svg = open("The scene with the gain of each place over it", f64::max(wide, 460.0) + 4.0, TOP + high + 28.0);
-    let _ = write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
+    let mut svg =
+        open("The scene with the gain of each place over it", f64::max(wide, 460.0) + 4.0, TOP + high + 28.0);
+    let _ = write!(
+        svg,
+        "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" \
+                         fill=\"#e6e8eb\"/>"
+    );
     grey(&mut svg, case, size, TOP);
     let of = &found.map;
-    let mut known: Vec<f64> = of.gain.iter().zip(&of.events).filter(|(_, events)| **events > 0).map(|(gain, _)| gain.abs()).collect();
+    let mut known: Vec<f64> = of
+        .gain
+        .iter()
+        .zip(&of.events)
+        .filter(|(_, events)| **events > 0)
+        .map(|(gain, _)| gain.abs())
+        .collect();
     known.sort_by(f64::total_cmp);
     let most = f64::max(quantile(&known, 0.95), 1e-9);
     let cell = |k: usize| {
@@ -88,7 +125,8 @@ fn map(case: &Case, found: &Located) -> String {
         }
         let _ = write!(
             svg,
-            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\" fill-opacity=\"{:.2}\"/>",
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\" \
+             fill-opacity=\"{:.2}\"/>",
             size * x as f64,
             TOP + size * y as f64,
             size * across as f64,
@@ -98,10 +136,12 @@ fn map(case: &Case, found: &Located) -> String {
         );
     }
     if found.rows.outside.is_some() || found.columns.outside.is_some() {
-        let ([top, bottom], [left, right]) = (found.rows.range.map(f64::from), found.columns.range.map(f64::from));
+        let ([top, bottom], [left, right]) =
+            (found.rows.range.map(f64::from), found.columns.range.map(f64::from));
         let _ = write!(
             svg,
-            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" stroke=\"#000000\" stroke-width=\"2\" stroke-dasharray=\"6 3\"/>",
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
+             stroke=\"#000000\" stroke-width=\"2\" stroke-dasharray=\"6 3\"/>",
             size * left,
             TOP + size * top,
             size * (right + 1.0 - left),
@@ -113,10 +153,21 @@ fn map(case: &Case, found: &Located) -> String {
         let colour = COLOURS[usize::from(step > 0)];
         let opacity = OPAQUE * f64::from(step.abs()) / 5.0;
         let x = 60 + 10 * (step + 5);
-        let _ = write!(svg, "<rect x=\"{x}\" y=\"{y:.1}\" width=\"10\" height=\"12\" fill=\"{colour}\" fill-opacity=\"{opacity:.2}\"/>");
+        let _ = write!(
+            svg,
+            "<rect x=\"{x}\" y=\"{y:.1}\" width=\"10\" height=\"12\" fill=\"{colour}\" \
+                             fill-opacity=\"{opacity:.2}\"/>"
+        );
     }
     let text = format!("{} nats an event; grey: the frame in the middle", number(most));
-    let _ = writeln!(svg, "<text x=\"0\" y=\"{0:.1}\">-{1}</text><text x=\"176\" y=\"{0:.1}\">{2}</text></svg>", y + 10.0, number(most), escaped(&text));
+    let _ = writeln!(
+        svg,
+        "<text x=\"0\" y=\"{0:.1}\">-{1}</text><text x=\"176\" \
+                           y=\"{0:.1}\">{2}</text></svg>",
+        y + 10.0,
+        number(most),
+        escaped(&text)
+    );
     svg
 }
 
@@ -129,8 +180,12 @@ pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     let mut values: Vec<Vec<f64>> = Vec::new();
     for y in (0..height).step_by(side) {
         let of = |x: usize| {
-            let all = (y..usize::min(y + side, height)).flat_map(|y| (x..usize::min(x + side, width)).map(move |x| (x, y)));
-            let (sum, count) = all.map(|(x, y)| case.dn(frame, y * width + x)).filter(|dn| dn.is_finite()).fold((0.0, 0.0), |(s, n), dn| (s + dn, n + 1.0));
+            let all = (y..usize::min(y + side, height))
+                .flat_map(|y| (x..usize::min(x + side, width)).map(move |x| (x, y)));
+            let (sum, count) = all
+                .map(|(x, y)| case.dn(frame, y * width + x))
+                .filter(|dn| dn.is_finite())
+                .fold((0.0, 0.0), |(s, n), dn| (s + dn, n + 1.0));
             if count > 0.0 { sum / count } else { f64::NAN }
         };
         values.push((0..width).step_by(side).map(of).collect());
@@ -139,14 +194,19 @@ pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     sorted.sort_by(f64::total_cmp);
     let (low, high) = (quantile(&sorted, 0.01), quantile(&sorted, 0.99));
     // Numbers of light look even as their roots.
-    let shade = |dn: f64| (SHADES * libm::sqrt(((dn - low) / f64::max(high - low, 1e-9)).clamp(0.0, 1.0))).round();
+    let shade =
+        |dn: f64| (SHADES * libm::sqrt(((dn - low) / f64::max(high - low, 1e-9)).clamp(0.0, 1.0))).round();
     for (j, row) in values.iter().enumerate() {
         let y = j * side;
         let down = usize::min(side, height - y);
         let mut from = 0;
         while from < row.len() {
             let level = shade(row[from]);
-            let run = row[from..].iter().take_while(|dn| shade(**dn) == level || (dn.is_nan() && level.is_nan())).count().max(1);
+            let run = row[from..]
+                .iter()
+                .take_while(|dn| shade(**dn) == level || (dn.is_nan() && level.is_nan()))
+                .count()
+                .max(1);
             let (left, right) = (from * side, usize::min((from + run) * side, width));
             from += run;
             if level.is_nan() {
@@ -155,7 +215,8 @@ pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
             let tone = (40.0 + 200.0 * level / SHADES) as u8;
             let _ = write!(
                 svg,
-                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"rgb({tone},{tone},{tone})\"/>",
+                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" \
+                 fill=\"rgb({tone},{tone},{tone})\"/>",
                 size * left as f64,
                 top + size * y as f64,
                 // A little over the next one, so that no seam shows.
@@ -168,12 +229,17 @@ pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
 
 /// Gain per event over something, with 95 % bars, a line at nothing, and the part that holds it.
 fn small(curve: &Curve, label: &str, scale: Scale, range: Option<[f64; 2]>) -> String {
-    let points: Vec<(f64, f64, f64)> = curve.at.iter().zip(&curve.gain).map(|(at, mean)| (*at, mean.gain, 1.96 * mean.error)).collect();
+    let points: Vec<(f64, f64, f64)> =
+        curve.at.iter().zip(&curve.gain).map(|(at, mean)| (*at, mean.gain, 1.96 * mean.error)).collect();
     let Some((first, last)) = points.first().zip(points.last()) else { return String::new() };
     let ends = range.unwrap_or([first.0, last.0]);
     let reach = points.iter().flat_map(|point| [(point.0, point.1 - point.2), (point.0, point.1 + point.2)]);
     let mut plot = Plot::with_rows(reach.chain(ends.map(|end| (end, 0.0))), 345.0, 190.0, scale, &[]);
-    plot.line(&[(f64::min(first.0, ends[0]), 0.0), (f64::max(last.0, ends[1]), 0.0)], COLOURS[3], Some("4 3"));
+    plot.line(
+        &[(f64::min(first.0, ends[0]), 0.0), (f64::max(last.0, ends[1]), 0.0)],
+        COLOURS[3],
+        Some("4 3"),
+    );
     if range.is_some() {
         plot.level(ends[0], ends[1], 0.0, COLOURS[2]);
     }

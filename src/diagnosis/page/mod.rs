@@ -1,8 +1,10 @@
-//! The report as one page of HTML that needs nothing else, in the style of all pages (`photocurrent-page`): text first, then pictures as inline SVG.
+//! The report as one page of HTML that needs nothing else, in the style of all pages (`photocurrent-page`):
+//! text first, then pictures as inline SVG.
 //!
-//! The page says what `diagnosis.json` says, and shows what that cannot hold: what was looked at, the evidence of every test, and where and when held-out frames differ from
-//! what the nominal and the fitted description predict. The same diagnosis gives the same bytes. Files have names that no stage knows; who writes the page adds them
-//! ([`with_names`]).
+//! The page says what `diagnosis.json` says, and shows what that cannot hold: what was looked at, the
+//! evidence of every test, and where and when held-out frames differ from what the nominal and the fitted
+//! description predict. The same diagnosis gives the same bytes. Files have names that no stage knows; who
+//! writes the page adds them ([`with_names`]).
 
 mod curve;
 mod located;
@@ -78,16 +80,28 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
         part("next", "What to record next", &|html| next(html, report)),
         part("provenance", "Provenance", &|html| provenance(html, report)),
     ];
-    Page { generator: "photocurrent diagnose".into(), title: TITLE.into(), lead, sections, data: serde_json::json!({ "copies": [] }), scripts: Vec::new() }
-        .html()
+    Page {
+        generator: "photocurrent diagnose".into(),
+        title: TITLE.into(),
+        lead,
+        sections,
+        data: serde_json::json!({ "copies": [] }),
+        scripts: Vec::new(),
+    }
+    .html()
 }
 
-/// The page with the names of the files that it is about: recording, and description where it is a file of its own.
+/// The page with the names of the files that it is about: recording, and description where it is a file of
+/// its own.
 pub fn with_names(page: &str, recording: Option<&str>, description: Option<&str>) -> String {
     let Some(recording) = recording else { return page.to_owned() };
     let title = escaped(&format!("{TITLE}: {recording}"));
     let description = description.map_or_else(|| "in the recording".to_owned(), escaped);
-    let names = format!("<dl><dt>recording</dt><dd>{}</dd><dt>sensor description</dt><dd>{description}</dd></dl>", escaped(recording));
+    let names = format!(
+        "<dl><dt>recording</dt><dd>{}</dd><dt>sensor \
+                         description</dt><dd>{description}</dd></dl>",
+        escaped(recording)
+    );
     page.replacen(&format!("<title>{TITLE}</title>"), &format!("<title>{title}</title>"), 1)
         .replacen(&format!("<h1>{TITLE}</h1>"), &format!("<h1>{title}</h1>"), 1)
         .replacen(SLOT, &names, 1)
@@ -104,12 +118,18 @@ pub fn section(report: &Report) -> String {
 }
 
 fn head(html: &mut String, report: &Report) {
-    let _ = writeln!(html, "{SLOT}\n<p><span class=\"badge\">{}</span></p>", escaped(&report.verdict.name().replace('_', " ")));
+    let _ = writeln!(
+        html,
+        "{SLOT}\n<p><span class=\"badge\">{}</span></p>",
+        escaped(&report.verdict.name().replace('_', " "))
+    );
     let class = if report.verdict == Verdict::BrokenData { " class=\"failed\"" } else { "" };
     let _ = writeln!(html, "<p{class}>{}</p>", escaped(&report.summary));
     for property in &report.scene {
-        let text =
-            format!("A property of the scene, not of the sensor: {} at {:.0} Hz, depth {:.2}.", property.property, property.frequency_hz, property.depth);
+        let text = format!(
+            "A property of the scene, not of the sensor: {} at {:.0} Hz, depth {:.2}.",
+            property.property, property.frequency_hz, property.depth
+        );
         let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
     }
 }
@@ -117,7 +137,8 @@ fn head(html: &mut String, report: &Report) {
 /// The curve of what is reported without a name.
 fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Dependence> {
     let is_reported = report.effects.iter().any(|effect| effect.id == "unnamed");
-    let decided = || found.proposed.decided().and_then(|decided| decided.unexplained.as_ref()?.dependence.as_ref());
+    let decided =
+        || found.proposed.decided().and_then(|decided| decided.unexplained.as_ref()?.dependence.as_ref());
     found.integrity.dependences.first().or_else(decided).filter(|_| is_reported)
 }
 
@@ -126,16 +147,39 @@ fn effects(html: &mut String, report: &Report) {
         return;
     }
     for effect in &report.effects {
-        let _ = writeln!(html, "<div class=\"missing\"><h3>{}</h3>\n<p>{}</p>", escaped(&effect.id), escaped(&effect.plain));
-        let _ = writeln!(html, "<p><code>{}</code> <span class=\"note\">(enters at: {})</span></p>", escaped(&effect.equation), escaped(&effect.insertion));
+        let _ = writeln!(
+            html,
+            "<div class=\"missing\"><h3>{}</h3>\n<p>{}</p>",
+            escaped(&effect.id),
+            escaped(&effect.plain)
+        );
+        let _ = writeln!(
+            html,
+            "<p><code>{}</code> <span class=\"note\">(enters at: {})</span></p>",
+            escaped(&effect.equation),
+            escaped(&effect.insertion)
+        );
         if !effect.parameters.is_empty() {
-            let _ = write!(html, "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Parameters of {}\">", escaped(&effect.id));
-            html.push_str("<table><thead><tr><th scope=\"col\">parameter</th><th scope=\"col\" class=\"number\">estimate</th><th scope=\"col\" class=\"number\">95 % interval</th><th scope=\"col\" class=\"number\">nominal</th></tr></thead>\n");
+            let _ = write!(
+                html,
+                "<div class=\"wide\" tabindex=\"0\" role=\"region\" \
+                                  aria-label=\"Parameters of {}\">",
+                escaped(&effect.id)
+            );
+            html.push_str(
+                "<table><thead><tr><th scope=\"col\">parameter</th><th scope=\"col\" \
+                           class=\"number\">estimate</th><th scope=\"col\" class=\"number\">95 % \
+                           interval</th><th scope=\"col\" class=\"number\">nominal</th></tr></thead>\n",
+            );
             effect.parameters.iter().for_each(|(key, parameter)| parameter_row(html, key, parameter));
             html.push_str("</table></div>\n");
         }
         if !effect.also_possible.is_empty() {
-            let _ = writeln!(html, "<p>This recording does not distinguish it from: {}.</p>", escaped(&effect.also_possible.join(", ")));
+            let _ = writeln!(
+                html,
+                "<p>This recording does not distinguish it from: {}.</p>",
+                escaped(&effect.also_possible.join(", "))
+            );
         }
         location(html, effect);
         html.push_str("</div>\n");
@@ -147,17 +191,29 @@ fn places(html: &mut String, case: &Case, found: &Diagnosis) {
     if found.located.is_empty() {
         return;
     }
-    html.push_str("<p class=\"note\">What an event gains in log-likelihood by the effect, both without and with it under the noise that is left with it: an ");
-    html.push_str("event that the effect changes nothing of gains nothing. Orange: gain, blue: loss; bars: 95 %, by blocks of pixels; green: the part that holds the gain; dashed ");
+    html.push_str(
+        "<p class=\"note\">What an event gains in log-likelihood by the effect, both without and \
+                   with it under the noise that is left with it: an ",
+    );
+    html.push_str(
+        "event that the effect changes nothing of gains nothing. Orange: gain, blue: loss; bars: \
+                   95 %, by blocks of pixels; green: the part that holds the gain; dashed ",
+    );
     html.push_str("frame: rows and columns of it.</p>\n");
     found.located.iter().for_each(|(id, of)| located::located(html, case, id, of));
 }
 
 fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
     let shown = |value: f64| readable(value, &parameter.unit);
-    let interval = parameter.ci95.map_or_else(|| "not estimated".to_owned(), |[low, high]| format!("{} to {}", shown(low), shown(high)));
+    let interval = parameter.ci95.map_or_else(
+        || "not estimated".to_owned(),
+        |[low, high]| format!("{} to {}", shown(low), shown(high)),
+    );
     let nominal = parameter.nominal.map_or_else(|| "-".to_owned(), shown);
-    let cells: String = [shown(parameter.estimate), interval, nominal].iter().map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell))).collect();
+    let cells: String = [shown(parameter.estimate), interval, nominal]
+        .iter()
+        .map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell)))
+        .collect();
     let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(units::name_of(key)));
 }
 
@@ -165,20 +221,42 @@ fn location(html: &mut String, effect: &EffectReport) {
     let (place, evidence) = (&effect.location, &effect.evidence);
     let mut text = format!(
         "{}, {} polarity, rows {}-{}, columns {}-{}, {} pixels; depends on {}. ",
-        place.stream, place.polarity, place.rows[0], place.rows[1], place.columns[0], place.columns[1], place.pixels, place.covariate
+        place.stream,
+        place.polarity,
+        place.rows[0],
+        place.rows[1],
+        place.columns[0],
+        place.columns[1],
+        place.pixels,
+        place.covariate
     );
     if let Some(shape) = &place.shape {
         text.truncate(text.len() - 2);
         let _ = write!(text, " ({shape}). ");
     }
-    let _ = write!(text, "Found by: {}; {:.1} times its detection threshold.", evidence.found_by.join(", "), evidence.statistic);
+    let _ = write!(
+        text,
+        "Found by: {}; {:.1} times its detection threshold.",
+        evidence.found_by.join(", "),
+        evidence.statistic
+    );
     match (evidence.heldout_nats_per_event, evidence.heldout_nats) {
         (Some(nats), _) => {
-            let _ = write!(text, " On held-out events the predictive log-likelihood gains {} nats an event.", number(nats));
+            let _ = write!(
+                text,
+                " On held-out events the predictive log-likelihood gains {} nats an event.",
+                number(nats)
+            );
         }
         (None, Some(nats)) => {
-            let interval = evidence.heldout_nats_ci95.map_or_else(String::new, |[low, high]| format!(" (95 % interval {low:.0} to {high:.0})"));
-            let _ = write!(text, " On all held-out events together the predictive log-likelihood gains {nats:.0} nats{interval}.");
+            let interval = evidence
+                .heldout_nats_ci95
+                .map_or_else(String::new, |[low, high]| format!(" (95 % interval {low:.0} to {high:.0})"));
+            let _ = write!(
+                text,
+                " On all held-out events together the predictive log-likelihood gains \
+                                  {nats:.0} nats{interval}."
+            );
         }
         (None, None) => {}
     }
@@ -187,17 +265,31 @@ fn location(html: &mut String, effect: &EffectReport) {
 
 /// How far over or under its detection threshold each candidate is.
 fn scores(html: &mut String, found: &Diagnosis) {
-    html.push_str("<p class=\"note\">Statistic over its detection threshold (dashed line), on a logarithmic axis; dark bars are reported.</p>\n");
+    html.push_str(
+        "<p class=\"note\">Statistic over its detection threshold (dashed line), on a logarithmic \
+                   axis; dark bars are reported.</p>\n",
+    );
     let direct: Vec<Bar> = found
         .integrity
         .findings
         .iter()
-        .map(|finding| Bar { label: finding.id.to_owned(), value: finding.statistic / finding.threshold, is_marked: true })
+        .map(|finding| Bar {
+            label: finding.id.to_owned(),
+            value: finding.statistic / finding.threshold,
+            is_marked: true,
+        })
         .collect();
     let mut groups = vec![("direct tests".to_owned(), direct)];
     if let Some(decided) = found.proposed.decided() {
         let bars = |all: &[Proposal]| {
-            all.iter().take(10).map(|one| Bar { label: CANDIDATES[one.candidate].label(), value: one.score * one.probability, is_marked: one.passed }).collect()
+            all.iter()
+                .take(10)
+                .map(|one| Bar {
+                    label: CANDIDATES[one.candidate].label(),
+                    value: one.score * one.probability,
+                    is_marked: one.passed,
+                })
+                .collect()
         };
         groups.push((decided.name.clone(), bars(&decided.proposals)));
         if !decided.second.is_empty() {
@@ -220,18 +312,29 @@ fn scores(html: &mut String, found: &Diagnosis) {
 /// Held-out frames: before and after, where, when.
 fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let Some(before) = &found.predictions.0 else { return };
-    html.push_str("<p>Every third frame is held out and predicted from the events and the other frames, as <code>solve/map</code> would.</p>\n");
-    html.push_str("<table><thead><tr><th scope=\"col\">measure</th><th scope=\"col\" class=\"number\">nominal</th><th scope=\"col\" class=\"number\">fitted</th></tr></thead>\n");
+    html.push_str(
+        "<p>Every third frame is held out and predicted from the events and the other frames, as \
+                   <code>solve/map</code> would.</p>\n",
+    );
+    html.push_str(
+        "<table><thead><tr><th scope=\"col\">measure</th><th scope=\"col\" \
+                   class=\"number\">nominal</th><th scope=\"col\" \
+                   class=\"number\">fitted</th></tr></thead>\n",
+    );
     let after = found.predictions.1.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
     let _ = writeln!(
         html,
-        "<tr><th scope=\"row\">PSNR of held-out frames</th><td class=\"number\">{:.2} dB</td><td class=\"number\">{fitted}</td></tr>",
+        "<tr><th scope=\"row\">PSNR of held-out frames</th><td class=\"number\">{:.2} dB</td><td \
+         class=\"number\">{fitted}</td></tr>",
         before.psnr_db()
     );
     html.push_str("</table>\n");
     if after.is_none() && !report.effects.is_empty() {
-        html.push_str("<p class=\"note\">What was found has no number that a description could state, so there is no fitted one.</p>\n");
+        html.push_str(
+            "<p class=\"note\">What was found has no number that a description could state, so \
+                       there is no fitted one.</p>\n",
+        );
     }
     if let Some(sample) = &found.sample {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
@@ -241,14 +344,25 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
             map
         };
         html.push_str("<h3>Where: error of a held-out frame as a share of the pixel's mean</h3>\n");
-        let all: Vec<Map> = std::iter::once(("nominal", map(before))).chain(after.map(|after| ("fitted", map(after)))).collect();
+        let all: Vec<Map> = std::iter::once(("nominal", map(before)))
+            .chain(after.map(|after| ("fitted", map(after))))
+            .collect();
         html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not looked at"));
     }
     html.push_str("<h3>When: error by frame</h3>\n");
-    let all: Vec<(&Prediction, &str, &str)> =
-        std::iter::once((before, "nominal", COLOURS[0])).chain(after.map(|after| (after, "fitted", COLOURS[1]))).collect();
-    let curve = |of: &Prediction| -> Vec<(f64, f64)> { of.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect() };
-    let mut plot = Plot::with_rows(all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]), 700.0, 200.0, Scale::Whole, &[]);
+    let all: Vec<(&Prediction, &str, &str)> = std::iter::once((before, "nominal", COLOURS[0]))
+        .chain(after.map(|after| (after, "fitted", COLOURS[1])))
+        .collect();
+    let curve = |of: &Prediction| -> Vec<(f64, f64)> {
+        of.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect()
+    };
+    let mut plot = Plot::with_rows(
+        all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]),
+        700.0,
+        200.0,
+        Scale::Whole,
+        &[],
+    );
     for (of, name, colour) in all {
         plot.line(&curve(of), colour, None);
         plot.name(colour, name);
@@ -260,19 +374,40 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
 fn fits(html: &mut String, report: &Report) {
     let fit = &report.fit;
     let rows = [
-        ("events: predictive log-likelihood on held-out events", "nats an event, more is better", fit.heldout_nats_per_event),
+        (
+            "events: predictive log-likelihood on held-out events",
+            "nats an event, more is better",
+            fit.heldout_nats_per_event,
+        ),
         ("frames: PSNR of held-out frames", "dB, more is better", fit.heldout_frame_psnr_db),
-        ("calibration: distance of residuals from uniform (Kolmogorov-Smirnov)", "0 to 1, less is better", fit.calibration_ks),
+        (
+            "calibration: distance of residuals from uniform (Kolmogorov-Smirnov)",
+            "0 to 1, less is better",
+            fit.calibration_ks,
+        ),
     ];
     if rows.iter().all(|(.., both)| both.is_none()) {
         return;
     }
-    html.push_str("<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Before and after\"><table><thead><tr><th scope=\"col\">measure</th>");
-    html.push_str("<th scope=\"col\" class=\"number\">nominal</th><th scope=\"col\" class=\"number\">fitted</th><th scope=\"col\">unit</th></tr></thead>\n");
+    html.push_str(
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Before and \
+                   after\"><table><thead><tr><th scope=\"col\">measure</th>",
+    );
+    html.push_str(
+        "<th scope=\"col\" class=\"number\">nominal</th><th scope=\"col\" \
+                   class=\"number\">fitted</th><th scope=\"col\">unit</th></tr></thead>\n",
+    );
     for (name, unit, both) in rows {
         let cells = both.map_or_else(
             || "<td class=\"number\" colspan=\"2\">not measured</td>".to_owned(),
-            |BeforeAfter { before, after }| format!("<td class=\"number\">{}</td><td class=\"number\">{}</td>", number(before), number(after)),
+            |BeforeAfter { before, after }| {
+                format!(
+                    "<td class=\"number\">{}</td><td \
+                                                     class=\"number\">{}</td>",
+                    number(before),
+                    number(after)
+                )
+            },
         );
         let _ = writeln!(html, "<tr><th scope=\"row\">{name}</th>{cells}<td>{unit}</td></tr>");
     }
@@ -284,16 +419,27 @@ fn detectable(html: &mut String, report: &Report) {
     if report.detectability.is_empty() {
         return;
     }
-    html.push_str("<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Detection limits\"><table><thead><tr><th scope=\"col\">effect</th><th scope=\"col\">parameter</th>");
+    html.push_str(
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Detection \
+                   limits\"><table><thead><tr><th scope=\"col\">effect</th><th scope=\"col\">parameter</th>",
+    );
     for name in ["estimate", "standard error", "minimum detectable effect"] {
         let _ = write!(html, "<th scope=\"col\" class=\"number\">{name}</th>");
     }
     html.push_str("</tr></thead>\n");
     for one in &report.detectability {
-        let cell = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| readable(value, &one.unit));
-        let cells = [cell(one.estimate), cell(one.standard_error), readable(one.minimal_detectable, &one.unit)];
-        let cells: String = cells.iter().map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell))).collect();
-        let _ = writeln!(html, "<tr><th scope=\"row\">{}</th><td>{}</td>{cells}</tr>", escaped(&one.id), escaped(units::name_of(&one.parameter)));
+        let cell =
+            |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| readable(value, &one.unit));
+        let cells =
+            [cell(one.estimate), cell(one.standard_error), readable(one.minimal_detectable, &one.unit)];
+        let cells: String =
+            cells.iter().map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell))).collect();
+        let _ = writeln!(
+            html,
+            "<tr><th scope=\"row\">{}</th><td>{}</td>{cells}</tr>",
+            escaped(&one.id),
+            escaped(units::name_of(&one.parameter))
+        );
     }
     html.push_str("</table></div>\n");
 }

@@ -1,4 +1,5 @@
-//! One picture of the scene with what was looked at: pixels of held-out frames, pixels that tests name, rows and columns of effects.
+//! One picture of the scene with what was looked at: pixels of held-out frames, pixels that tests name, rows
+//! and columns of effects.
 
 use super::located::grey;
 use super::svg::open;
@@ -18,14 +19,19 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
     let mut svg = open("The scene with what was looked at and what tests name", wide + 4.0, TOP + high + 4.0);
-    let _ = write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
+    let _ = write!(
+        svg,
+        "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" \
+                         fill=\"#e6e8eb\"/>"
+    );
     grey(&mut svg, case, size, TOP);
     let mut said: Vec<String> = vec![if case.frames.is_some() {
         "The frame in the middle of the recording".into()
     } else {
         "The recording has no frames, so there is no picture of the scene".into()
     }];
-    let place = |pixel: u32| (size * (pixel as usize % width) as f64, TOP + size * (pixel as usize / width) as f64);
+    let place =
+        |pixel: u32| (size * (pixel as usize % width) as f64, TOP + size * (pixel as usize / width) as f64);
     if let Some(sample) = found.and_then(|found| found.sample.as_ref()) {
         // All pixels of a block are one rectangle.
         let mut blocks: Vec<[usize; 4]> = vec![[usize::MAX, usize::MAX, 0, 0]; sample.block_count];
@@ -36,7 +42,8 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         for [left, top, right, bottom] in blocks.into_iter().filter(|block| block[2] > 0) {
             let _ = write!(
                 svg,
-                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" stroke=\"#ffd84d\" stroke-width=\"1.5\"/>",
+                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
+                 stroke=\"#ffd84d\" stroke-width=\"1.5\"/>",
                 size * left as f64,
                 TOP + size * top as f64,
                 size * (right - left) as f64,
@@ -53,26 +60,50 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         for &pixel in finding.pixels.iter().take(MOST_MARKS) {
             let ((x, y), reach) = (place(pixel), f64::max(size, 5.0));
             let (x, y) = (x + 0.5 * size, y + 0.5 * size);
-            let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" stroke=\"#000\" stroke-width=\"3\"/>");
-            let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" stroke=\"#ff9a3c\" stroke-width=\"1.5\"/>");
+            let _ = write!(
+                svg,
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" \
+                                 stroke=\"#000\" stroke-width=\"3\"/>"
+            );
+            let _ = write!(
+                svg,
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" \
+                                 stroke=\"#ff9a3c\" stroke-width=\"1.5\"/>"
+            );
         }
-        let cut = if finding.pixels.len() > MOST_MARKS { format!(" ({MOST_MARKS} of them are marked)") } else { String::new() };
+        let cut = if finding.pixels.len() > MOST_MARKS {
+            format!(" ({MOST_MARKS} of them are marked)")
+        } else {
+            String::new()
+        };
         said.push(format!("orange circles: {} pixels of {}{cut}", finding.pixels.len(), finding.id));
     }
     for effect in &report.effects {
-        let ([top, bottom], [left, right]) = (effect.location.rows.map(|row| row as usize), effect.location.columns.map(|column| column as usize));
+        let ([top, bottom], [left, right]) = (
+            effect.location.rows.map(|row| row as usize),
+            effect.location.columns.map(|column| column as usize),
+        );
         if (top, left, bottom + 1, right + 1) == (0, 0, height, width) || bottom >= height || right >= width {
             continue;
         }
-        let at = (size * left as f64, TOP + size * top as f64, size * (right + 1 - left) as f64, size * (bottom + 1 - top) as f64);
+        let at = (
+            size * left as f64,
+            TOP + size * top as f64,
+            size * (right + 1 - left) as f64,
+            size * (bottom + 1 - top) as f64,
+        );
         for (colour, dashes) in [("#000", "none"), ("#fff", "6 4")] {
             let _ = write!(
                 svg,
-                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" stroke-dasharray=\"{dashes}\"/>",
+                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
+                 stroke=\"{colour}\" stroke-width=\"2\" stroke-dasharray=\"{dashes}\"/>",
                 at.0, at.1, at.2, at.3
             );
         }
-        said.push(format!("dashed frame: rows {top} to {bottom}, columns {left} to {right}, where {} shows", effect.id));
+        said.push(format!(
+            "dashed frame: rows {top} to {bottom}, columns {left} to {right}, where {} shows",
+            effect.id
+        ));
     }
     if said.len() == unmarked {
         said.push("no test names single pixels, rows or columns".into());
@@ -84,6 +115,14 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     let events = case.events.len();
     let frames = case.frames.as_ref().map_or(0, |frames| frames.times.len());
     let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
-    let _ = writeln!(html, "<figure>{svg}</svg>\n<figcaption>{}.</figcaption></figure>", escaped(&said.join("; ")));
-    let _ = writeln!(html, "<p>{width} x {height} pixels, {events} events and {frames} frames in {}.</p>", escaped(&super::readable(seconds, "s")));
+    let _ = writeln!(
+        html,
+        "<figure>{svg}</svg>\n<figcaption>{}.</figcaption></figure>",
+        escaped(&said.join("; "))
+    );
+    let _ = writeln!(
+        html,
+        "<p>{width} x {height} pixels, {events} events and {frames} frames in {}.</p>",
+        escaped(&super::readable(seconds, "s"))
+    );
 }

@@ -17,7 +17,10 @@ fn is_sound(html: &str) {
         assert!(!html.contains(part), "{part}");
     }
     for tag in ["svg", "table", "div", "h2", "h3", "p"] {
-        let (open, close) = (html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count(), html.matches(&format!("</{tag}>")).count());
+        let (open, close) = (
+            html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count(),
+            html.matches(&format!("</{tag}>")).count(),
+        );
         assert_eq!(open, close, "{tag}");
     }
 }
@@ -32,7 +35,13 @@ fn a_page_is_whole_and_needs_no_other_file() {
     let found = diagnosed(&case, Proposed::NotAsked);
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
-    for part in ["consistent", "Held-out frames", "Three pixels", "Not identifiable from this recording", "What was looked at"] {
+    for part in [
+        "consistent",
+        "Held-out frames",
+        "Three pixels",
+        "Not identifiable from this recording",
+        "What was looked at",
+    ] {
         assert!(html.contains(part), "{part}");
     }
     assert!(!html.contains(">fitted</text>"), "nothing is fitted");
@@ -42,14 +51,35 @@ fn a_page_is_whole_and_needs_no_other_file() {
 #[test]
 fn what_is_claimed_is_shown_before_and_after() {
     let leak = serde_json::json!({"rate": "25 Hz"});
-    let case = testing::case_with(&[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect());
+    let case = testing::case_with(
+        &[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect(),
+    );
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
-    let proposal = Proposal { candidate, score: 1.1, probability: 0.9, value: 25.0, passed: true, ..Proposal::default() };
-    let found =
-        diagnosed(&case, Proposed::Decided(Box::new(Decided { name: "picture".into(), detected: true, proposals: vec![proposal], ..Decided::default() })));
+    let proposal = Proposal {
+        candidate,
+        score: 1.1,
+        probability: 0.9,
+        value: 25.0,
+        passed: true,
+        ..Proposal::default()
+    };
+    let found = diagnosed(
+        &case,
+        Proposed::Decided(Box::new(Decided {
+            name: "picture".into(),
+            detected: true,
+            proposals: vec![proposal],
+            ..Decided::default()
+        })),
+    );
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
-    for part in ["What the description lacks", "leak_events.rate", "PSNR of held-out frames", "<td class=\"number\">25 Hz</td>"] {
+    for part in [
+        "What the description lacks",
+        "leak_events.rate",
+        "PSNR of held-out frames",
+        "<td class=\"number\">25 Hz</td>",
+    ] {
         assert!(html.contains(part), "{part}");
     }
     // Two maps, a curve and three pixels are of both.
@@ -71,21 +101,34 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         significance: 9.0,
         nats_per_event: 0.1,
     };
-    let unexplained = Unexplained { covariate: dependence.covariate.name().into(), score: 2.0, dependence: Some(dependence), ..Unexplained::default() };
-    let decided = Decided { name: "picture".into(), detected: true, unexplained: Some(unexplained), ..Decided::default() };
+    let unexplained = Unexplained {
+        covariate: dependence.covariate.name().into(),
+        score: 2.0,
+        dependence: Some(dependence),
+        ..Unexplained::default()
+    };
+    let decided = Decided {
+        name: "picture".into(),
+        detected: true,
+        unexplained: Some(unexplained),
+        ..Decided::default()
+    };
     let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
     assert_eq!(found.report.verdict, Verdict::Unnamed);
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     assert!(html.contains("The curve without a name") && html.contains("over row_parity"));
-    let points = html.split("id=\"curve\"").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
+    let points =
+        html.split("id=\"curve\"").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
     assert_eq!(points, 2);
 }
 
 #[test]
 fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
     let leak = serde_json::json!({"rate": "25 Hz"});
-    let case = testing::case_with(&[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect());
+    let case = testing::case_with(
+        &[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect(),
+    );
     let (mut pixel, mut t_ns, mut polarity) = (Vec::new(), Vec::new(), Vec::new());
     for at in 0..case.events.pixels() {
         for event in case.events.of(at) {
@@ -95,23 +138,48 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
         }
     }
     let place = |k: usize| case.place(pixel[k] as usize);
-    let block: Vec<u32> = (0..pixel.len()).map(|k| 2 * (place(k).1 / 2 * 6 + place(k).0 / 2) + (place(k).0 / 2 + place(k).1 / 2) % 2).collect();
+    let block: Vec<u32> = (0..pixel.len())
+        .map(|k| 2 * (place(k).1 / 2 * 6 + place(k).0 / 2) + (place(k).0 / 2 + place(k).1 / 2) % 2)
+        .collect();
     let light: Vec<f64> = t_ns.iter().map(|t| *t as f64 * 1e-9).collect();
-    let gains: Vec<f64> = (0..pixel.len()).map(|k| if place(k).0 < 6 { 1.0 + 0.1 * (k % 7) as f64 } else { 0.01 * (k % 7) as f64 - 0.02 }).collect();
+    let gains: Vec<f64> = (0..pixel.len())
+        .map(|k| if place(k).0 < 6 { 1.0 + 0.1 * (k % 7) as f64 } else { 0.01 * (k % 7) as f64 - 0.02 })
+        .collect();
     let setting = LocatedSetting { least_events: 20, rim_events: 4, ..LocatedSetting::default() };
-    let located = Ground::new(&case, (&pixel, &t_ns, &polarity), &light, &block, &[], &setting).locate(&gains, "time_since_last_event");
+    let located = Ground::new(&case, (&pixel, &t_ns, &polarity), &light, &block, &[], &setting)
+        .locate(&gains, "time_since_last_event");
     assert_eq!(located.columns.range, [0, 5]);
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
-    let proposal = Proposal { candidate, score: 1.1, probability: 0.9, value: 25.0, passed: true, ..Proposal::default() };
-    let decided = Decided { name: "picture".into(), detected: true, proposals: vec![proposal], ..Decided::default() };
-    let with_place = Decided { located: Locations { first: vec![(candidate, located)], ..Locations::default() }, ..decided.clone() };
+    let proposal = Proposal {
+        candidate,
+        score: 1.1,
+        probability: 0.9,
+        value: 25.0,
+        passed: true,
+        ..Proposal::default()
+    };
+    let decided =
+        Decided { name: "picture".into(), detected: true, proposals: vec![proposal], ..Decided::default() };
+    let with_place = Decided {
+        located: Locations { first: vec![(candidate, located)], ..Locations::default() },
+        ..decided.clone()
+    };
     let found = diagnosed(&case, Proposed::Decided(Box::new(with_place)));
     let place = &found.report.effects[0].location;
-    assert_eq!((place.columns, place.rows, &place.stream[..], place.shape.as_deref()), ([0, 5], [0, 9], "events", Some("flat")));
+    assert_eq!(
+        (place.columns, place.rows, &place.stream[..], place.shape.as_deref()),
+        ([0, 5], [0, 9], "events", Some("flat"))
+    );
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     let part = html.split("id=\"where\"").nth(1).unwrap().split("</section>").next().unwrap();
-    for text in ["columns 0 to 5", "stroke-dasharray=\"6 3\"", ">row</text>", "log photocurrent</text>", "nats an event"] {
+    for text in [
+        "columns 0 to 5",
+        "stroke-dasharray=\"6 3\"",
+        ">row</text>",
+        "log photocurrent</text>",
+        "nats an event",
+    ] {
         assert!(part.contains(text), "{text}");
     }
     // Nothing is placed that nobody measured.
@@ -123,7 +191,11 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
 #[test]
 fn files_are_named_in_title_heading_and_lead() {
     let html = with_names(&page(&broken("nothing", 1), None, None), Some("a <b>.h5"), Some("mine.toml"));
-    for part in ["<title>Diagnosis: a &lt;b&gt;.h5</title>", "<h1>Diagnosis: a &lt;b&gt;.h5</h1>", "<dd>mine.toml</dd>"] {
+    for part in [
+        "<title>Diagnosis: a &lt;b&gt;.h5</title>",
+        "<h1>Diagnosis: a &lt;b&gt;.h5</h1>",
+        "<dd>mine.toml</dd>",
+    ] {
         assert!(html.contains(part), "{part}");
     }
 }
@@ -139,12 +211,17 @@ fn what_nearly_reached_its_threshold_is_said_first() {
         page(&found.report, Some(&case), Some(&found))
     };
     let lead = |html: &str| html.split("<section").next().unwrap().to_owned();
-    assert!(lead(&with(0.8)).contains("; near the detection threshold, and not reported: leak_events.rate (80 % of it)"));
+    assert!(lead(&with(0.8)).contains(
+        "; near the detection threshold, and not reported: leak_events.rate \
+                                       (80 % of it)"
+    ));
     assert!(!lead(&with(0.2)).contains("near the detection threshold"));
 }
 
 #[test]
 fn text_of_a_file_cannot_become_markup() {
     let html = page(&broken("<script>alert(1)</script> & more", 1), None, None);
-    assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") && !html.contains("<script>alert"));
+    assert!(
+        html.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") && !html.contains("<script>alert")
+    );
 }

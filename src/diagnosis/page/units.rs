@@ -2,7 +2,8 @@
 
 use crate::report::short;
 
-/// A value of a report with its unit: times in s, ms, us or ns, rates in Hz or kHz, shares in percent; others as they are. Four digits that count.
+/// A value of a report with its unit: times in s, ms, us or ns, rates in Hz or kHz, shares in percent; others
+/// as they are. Four digits that count.
 ///
 /// ```
 /// use photocurrent_diagnosis::page::readable;
@@ -40,8 +41,17 @@ mod tests {
     #[test]
     fn the_unit_is_the_largest_that_leaves_a_digit_before_the_point() {
         let of = |value: f64| readable(value, "s");
-        assert_eq!([of(1.0), of(0.999_999_999_99), of(0.001), of(35.3e-6), of(2e-10)], ["1 s", "1 s", "1 ms", "35.3 us", "0.2 ns"]);
-        assert_eq!([readable(0.0025, "Hz"), readable(-0.35, "fraction"), readable(1.5, ""), readable(3.0, "DN")], ["0.0025 Hz", "-35 %", "1.5", "3 DN"]);
-        assert_eq!([name_of("row_time_s"), name_of("rate_hz"), name_of("fraction")], ["row_time", "rate", "fraction"]);
+        assert_eq!(
+            [of(1.0), of(0.999_999_999_99), of(0.001), of(35.3e-6), of(2e-10)],
+            ["1 s", "1 s", "1 ms", "35.3 us", "0.2 ns"]
+        );
+        assert_eq!(
+            [readable(0.0025, "Hz"), readable(-0.35, "fraction"), readable(1.5, ""), readable(3.0, "DN")],
+            ["0.0025 Hz", "-35 %", "1.5", "3 DN"]
+        );
+        assert_eq!(
+            [name_of("row_time_s"), name_of("rate_hz"), name_of("fraction")],
+            ["row_time", "rate", "fraction"]
+        );
     }
 }

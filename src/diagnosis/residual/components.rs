@@ -1,11 +1,14 @@
-//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain in nats an event, so that it stands with effects that have a column.
+//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain
+//! in nats an event, so that it stands with effects that have a column.
 //!
-//! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel are a size of the threshold's column of each pixel's own, refractory periods that differ
-//! one of the refractory period's; threshold noise and stamp noise widen u; an event without a crossing has any u between -2 and 0; after a lost event the next has a whole
-//! threshold more.
+//! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel are a size of
+//! the threshold's column of each pixel's own, refractory periods that differ one of the refractory period's;
+//! threshold noise and stamp noise widen u; an event without a crossing has any u between -2 and 0; after a
+//! lost event the next has a whole threshold more.
 //!
-//! What a picture gets wrong widens u as well, but alike in all pixels that see the same place of it. So only the share of the squares that other pixels at the same place of
-//! the picture do not share ([`white_share`]) counts as noise of pixels.
+//! What a picture gets wrong widens u as well, but alike in all pixels that see the same place of it. So only
+//! the share of the squares that other pixels at the same place of the picture do not share ([`white_share`])
+//! counts as noise of pixels.
 
 use super::Residuals;
 use super::fit::{EventNoise, NU, Rows, fit};
@@ -49,16 +52,19 @@ pub struct Ground<'a> {
 const LEAST_OF_PIXEL: usize = 2;
 /// And pixels below this for a spread of sizes.
 const LEAST_PIXELS: usize = 20;
-/// Where differences between pixels leave less than this share of the squares, they are what widens residuals, and not noise of single events.
+/// Where differences between pixels leave less than this share of the squares, they are what widens
+/// residuals, and not noise of single events.
 const MOST_LEFT: f64 = 0.5;
 /// Pairs of events below this are too few for a share.
 const LEAST_PAIRS: usize = 200;
 
-/// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0 where too few do. `cells`: what the events' pixels looked at.
+/// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0
+/// where too few do. `cells`: what the events' pixels looked at.
 pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     let most = 4.0 * median(&mut sizes);
-    let mut order: Vec<((Cell, i8), u32, usize)> = (0..residual.len()).map(|k| ((cells[k], events.polarity[k]), events.pixel[k], k)).collect();
+    let mut order: Vec<((Cell, i8), u32, usize)> =
+        (0..residual.len()).map(|k| ((cells[k], events.polarity[k]), events.pixel[k], k)).collect();
     order.sort_unstable();
     let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0);
     for pair in order.windows(2).filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1) {
@@ -93,19 +99,39 @@ pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let rest = if mismatch.0 > spread.0 { without_mismatch.clone() } else { without_spread.clone() };
     push(MISMATCH, mismatch, Some(without_mismatch));
     push(SPREAD, spread, Some(without_spread));
-    let slope_square = median(&mut ground.events.slope_per_s.iter().map(|slope| slope * slope).collect::<Vec<f64>>());
+    let slope_square =
+        median(&mut ground.events.slope_per_s.iter().map(|slope| slope * slope).collect::<Vec<f64>>());
     let left = EventNoise::estimate(&rest, &ground.events.slope_per_s, ground.least);
     let shared = libm::sqrt(1.0 - ground.white);
-    let is_of_pixels = left.a * left.a + left.b * left.b * slope_square < MOST_LEFT * (own.a * own.a + own.b * own.b * slope_square);
-    let before = if is_of_pixels { left } else { EventNoise { a: f64::max(noise.a, shared * left.a), b: f64::max(noise.b, shared * left.b) } };
-    push("threshold_noise", ground.wider(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a), None);
+    let is_of_pixels = left.a * left.a + left.b * left.b * slope_square
+        < MOST_LEFT * (own.a * own.a + own.b * own.b * slope_square);
+    let before = if is_of_pixels {
+        left
+    } else {
+        EventNoise { a: f64::max(noise.a, shared * left.a), b: f64::max(noise.b, shared * left.b) }
+    };
+    push(
+        "threshold_noise",
+        ground.wider(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a),
+        None,
+    );
     let of_stamps = ground.wider(&rest, &before, &EventNoise { a: before.a, b: left.b }, left.b);
     match ground.late(noise).filter(|(of_comparators, _)| of_comparators.0 > of_stamps.0) {
         Some((of_comparators, left)) => push("timestamp_jitter", of_comparators, Some(left)),
         None => push("timestamp_jitter", of_stamps, None),
     }
-    push("background_activity", ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }), None);
-    let lost = |u: f64, sigma: f64| [0.5, 0.25, 0.125, 0.0625].iter().enumerate().map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma).sum();
+    push(
+        "background_activity",
+        ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }),
+        None,
+    );
+    let lost = |u: f64, sigma: f64| {
+        [0.5, 0.25, 0.125, 0.0625]
+            .iter()
+            .enumerate()
+            .map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma)
+            .sum()
+    };
     push("event_loss", ground.mixture(&own, &lost), None);
     found
 }
@@ -132,8 +158,9 @@ impl Ground<'_> {
         (gain / residual.len().max(1) as f64, size)
     }
 
-    /// Comparators that answer late, each time by another delay: residuals grow with the slope, and so does their spread. Gain, the standard deviation of
-    /// the delay, seconds, and residuals without their mean delay; none where delays do not differ.
+    /// Comparators that answer late, each time by another delay: residuals grow with the slope, and so does
+    /// their spread. Gain, the standard deviation of the delay, seconds, and residuals without their mean
+    /// delay; none where delays do not differ.
     fn late(&self, noise: &EventNoise) -> Option<((f64, f64), Vec<f64>)> {
         let slope = &self.events.slope_per_s;
         let column: Vec<f32> = slope.iter().map(|slope| -*slope as f32).collect();
@@ -143,21 +170,26 @@ impl Ground<'_> {
         if size[0] <= 0.0 {
             return None;
         }
-        let rest: Vec<f64> = self.residual.iter().zip(slope).map(|(residual, slope)| residual - size[0] * slope).collect();
+        let rest: Vec<f64> =
+            self.residual.iter().zip(slope).map(|(residual, slope)| residual - size[0] * slope).collect();
         let plain = EventNoise::estimate(self.residual, slope, self.least);
         let jitter = f64::min(left.b, size[0]);
         // Only what the spread adds is for this effect: a delay alone is another's.
         let alone = EventNoise { a: f64::max(left.a, noise.a), b: noise.b };
         let with = EventNoise { a: f64::max(left.a, noise.a), b: f64::max(left.b, noise.b) };
-        if with.log_density(&rest, slope) - alone.log_density(&rest, slope) < self.least_spread * rest.len() as f64 {
+        if with.log_density(&rest, slope) - alone.log_density(&rest, slope)
+            < self.least_spread * rest.len() as f64
+        {
             return None;
         }
-        let gain = (with.log_density(&rest, slope) - plain.log_density(self.residual, slope)) / rest.len().max(1) as f64;
+        let gain = (with.log_density(&rest, slope) - plain.log_density(self.residual, slope))
+            / rest.len().max(1) as f64;
         Some(((gain, jitter), rest))
     }
 
-    /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event from the others of its pixel, the standard deviation over pixels in effect sizes, and the
-    /// residuals with each pixel's size applied.
+    /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event
+    /// from the others of its pixel, the standard deviation over pixels in effect sizes, and the residuals
+    /// with each pixel's size applied.
     fn of_pixels(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> ((f64, f64), Vec<f64>) {
         let n = self.residual.len();
         let mut order: Vec<usize> = (0..n).collect();
@@ -167,19 +199,23 @@ impl Ground<'_> {
             let (size, weight) = self.size(noise, column, events.iter().copied());
             (events.len() >= LEAST_OF_PIXEL && weight > 0.0).then(|| (events.to_vec(), size, weight))
         };
-        let pixels: Vec<(Vec<usize>, f64, f64)> = order.chunk_by(|&a, &b| key(a) == key(b)).filter_map(sized).collect();
+        let pixels: Vec<(Vec<usize>, f64, f64)> =
+            order.chunk_by(|&a, &b| key(a) == key(b)).filter_map(sized).collect();
         let nothing = ((0.0, 0.0), self.residual.to_vec());
         if pixels.len() < LEAST_PIXELS {
             return nothing;
         }
         let mut sizes: Vec<f64> = pixels.iter().map(|pixel| pixel.1).collect();
         let middle = median(&mut sizes);
-        // Robust variance of the sizes beyond their own error, which is that of half of the events against the other half.
+        // Robust variance of the sizes beyond their own error, which is that of half of the events against
+        // the other half.
         let mut far: Vec<f64> = pixels.iter().map(|pixel| (pixel.1 - middle).abs()).collect();
         let mut errors: Vec<f64> = pixels
             .iter()
             .map(|(events, ..)| {
-                let half = |parity: usize| self.size(noise, column, events.iter().copied().skip(parity).step_by(2)).0;
+                let half = |parity: usize| {
+                    self.size(noise, column, events.iter().copied().skip(parity).step_by(2)).0
+                };
                 0.5 * (half(0) - half(1)).abs()
             })
             .collect();
@@ -238,21 +274,36 @@ impl Ground<'_> {
         let n = densities.len().max(1) as f64;
         let mut share: f64 = 0.02;
         for _ in 0..60 {
-            share = densities.iter().map(|(plain, other)| share * other / (share * other + (1.0 - share) * plain)).sum::<f64>() / n;
+            share = densities
+                .iter()
+                .map(|(plain, other)| share * other / (share * other + (1.0 - share) * plain))
+                .sum::<f64>()
+                / n;
         }
-        let gain: f64 = densities.iter().map(|(plain, other)| libm::log1p(share * (other / plain - 1.0))).sum();
+        let gain: f64 =
+            densities.iter().map(|(plain, other)| libm::log1p(share * (other / plain - 1.0))).sum();
         (gain / n, share)
     }
 }
 
-/// The parameter of a part's size beyond the control's, in the unit of its declaration. `effect_sizes`: what one effect size of the threshold's scale and of the refractory
-/// period are, as shares of the threshold and in seconds.
-pub fn value(part: &Part, control: f64, threshold: f64, effect_sizes: (f64, f64), nominal: &Nominal, events_per_pixel_s: f64) -> f64 {
+/// The parameter of a part's size beyond the control's, in the unit of its declaration. `effect_sizes`: what
+/// one effect size of the threshold's scale and of the refractory period are, as shares of the threshold and
+/// in seconds.
+pub fn value(
+    part: &Part,
+    control: f64,
+    threshold: f64,
+    effect_sizes: (f64, f64),
+    nominal: &Nominal,
+    events_per_pixel_s: f64,
+) -> f64 {
     let beyond = libm::sqrt(f64::max(part.size * part.size - control * control, 0.0));
     match CANDIDATES[part.candidate].id {
         MISMATCH => beyond * effect_sizes.0 * threshold,
         // In log of the period.
-        SPREAD => beyond * effect_sizes.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S),
+        SPREAD => {
+            beyond * effect_sizes.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S)
+        }
         "background_activity" => f64::max(part.size - control, 0.0) * events_per_pixel_s,
         "event_loss" => f64::max(part.size - control, 0.0),
         _ => beyond,

@@ -1,4 +1,5 @@
-//! What the method finds where nothing is: the nominal sensor on the fitted scene, its frames with the noise that was found.
+//! What the method finds where nothing is: the nominal sensor on the fitted scene, its frames with the noise
+//! that was found.
 
 use crate::curves::Curves;
 use crate::record::{Conditions, Described, record};
@@ -28,14 +29,22 @@ impl Behind {
         Behind { frames: light.frames(case, nominal), light }
     }
 
-    /// The scene that gives a fitted one when its frames are fitted, to first order: it has what the fit removes, and what frames leave open is drawn at random.
+    /// The scene that gives a fitted one when its frames are fitted, to first order: it has what the fit
+    /// removes, and what frames leave open is drawn at random.
     ///
-    /// A fit of frames of the scene s gives f(s) = s + b(s). With r rough around s' = f(s), s' + a (r - f(r)) is fitted as s' where b changes little between the two; a, 0 to 1, is how much of
-    /// the pattern that frames of r lose is in the residuals of frames. `light`: of s'.
+    /// A fit of frames of the scene s gives f(s) = s + b(s). With r rough around s' = f(s), s' + a (r - f(r))
+    /// is fitted as s' where b changes little between the two; a, 0 to 1, is how much of the pattern that
+    /// frames of r lose is in the residuals of frames. `light`: of s'.
     ///
     /// # Errors
     /// When frames cannot be fitted.
-    pub fn looking_like(case: &Case, nominal: &Nominal, source: &dyn Scene, light: &Light, seed: u64) -> Result<Behind, String> {
+    pub fn looking_like(
+        case: &Case,
+        nominal: &Nominal,
+        source: &dyn Scene,
+        light: &Light,
+        seed: u64,
+    ) -> Result<Behind, String> {
         let Some(sample) = source.posterior_sample(case, nominal, seed)? else {
             return Ok(Behind { light: light.clone(), frames: source.frames(case) });
         };
@@ -48,25 +57,29 @@ impl Behind {
         let events = PixelEvents::new(std::iter::repeat_n(Vec::new(), case.extent.pixels()));
         let again = Case { frames, events, sensor: case.sensor.clone(), ..*case };
         let fitted = source.refit(&again, nominal)?;
-        let lost = rough.frames.iter().zip(fitted.frames(&again)).map(|(rough, fitted)| f64::from(rough - fitted));
+        let lost =
+            rough.frames.iter().zip(fitted.frames(&again)).map(|(rough, fitted)| f64::from(rough - fitted));
         let share = share_of(lost, source.residual().iter().map(|left| f64::from(*left)));
         let fitted = fitted.light(case, light.step_ns);
-        let log = rough.light.log.par_iter().zip(&light.log).zip(&fitted.log).map(|((rough, plain), fitted)| {
-            if rough.len() != plain.len() || rough.len() != fitted.len() {
-                return rough.clone();
-            }
-            let of = |((rough, plain), fitted): ((&f32, &f32), &f32)| {
-                let [rough, plain, fitted] = [rough, plain, fitted].map(|log| elementary::exp(f64::from(*log)));
-                elementary::ln(f64::max(plain + share * (rough - fitted), LEAST_LEFT * plain)) as f32
-            };
-            rough.iter().zip(plain).zip(fitted).map(of).collect()
-        });
+        let log =
+            rough.light.log.par_iter().zip(&light.log).zip(&fitted.log).map(|((rough, plain), fitted)| {
+                if rough.len() != plain.len() || rough.len() != fitted.len() {
+                    return rough.clone();
+                }
+                let of = |((rough, plain), fitted): ((&f32, &f32), &f32)| {
+                    let [rough, plain, fitted] =
+                        [rough, plain, fitted].map(|log| elementary::exp(f64::from(*log)));
+                    elementary::ln(f64::max(plain + share * (rough - fitted), LEAST_LEFT * plain)) as f32
+                };
+                rough.iter().zip(plain).zip(fitted).map(of).collect()
+            });
         let log = log.collect();
         Ok(Behind::of(case, nominal, Light { log, ..rough.light }))
     }
 }
 
-/// How much of a pattern is in values (least squares), 0 to 1; pairs that are not finite do not count. Noise in the pattern makes it less.
+/// How much of a pattern is in values (least squares), 0 to 1; pairs that are not finite do not count. Noise
+/// in the pattern makes it less.
 fn share_of(pattern: impl Iterator<Item = f64>, values: impl Iterator<Item = f64>) -> f64 {
     let pairs = pattern.zip(values).filter(|(a, b)| a.is_finite() && b.is_finite());
     let (of_both, of_pattern) = pairs.fold((0.0, 0.0), |sum, (a, b)| (sum.0 + a * b, sum.1 + a * a));
@@ -74,7 +87,13 @@ fn share_of(pattern: impl Iterator<Item = f64>, values: impl Iterator<Item = f64
 }
 
 /// Frames of a scene with the noise that was found.
-fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Scene, frames: &[f32], seed: u64) -> Option<CaseFrames> {
+fn with_noise(
+    case: &Case,
+    nominal: &Nominal,
+    source: &dyn Scene,
+    frames: &[f32],
+    seed: u64,
+) -> Option<CaseFrames> {
     let mut random = Random::new(seed, &[0xc0]);
     let noisy = |dn: &f32| {
         let sigma = source.sigma(nominal, f64::from(*dn) - nominal.number.black_level);
@@ -84,17 +103,27 @@ fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Scene, frames: &[f32]
     case.frames.as_ref().map(|frames| CaseFrames::new(frames.times.clone(), dn))
 }
 
-/// The nominal sensor's recording of a scene: events of `pixels` (rising), and all frames with the noise that was found.
+/// The nominal sensor's recording of a scene: events of `pixels` (rising), and all frames with the noise that
+/// was found.
 ///
 /// # Errors
 /// When the description's effects cannot be combined.
-pub fn control(case: &Case, nominal: &Nominal, source: &dyn Scene, behind: &Behind, pixels: &[u32], block: usize, seed: u64) -> Result<Case, String> {
+pub fn control(
+    case: &Case,
+    nominal: &Nominal,
+    source: &dyn Scene,
+    behind: &Behind,
+    pixels: &[u32],
+    block: usize,
+    seed: u64,
+) -> Result<Case, String> {
     let sample = Sample::of_pixels(case, pixels.to_vec(), block as u32);
     let light = &behind.light;
     let scene = Curves::from_pixels(sample.pixels.iter().map(|&pixel| {
         let log = &light.log[pixel as usize];
         let known = !log.is_empty();
-        let t: Vec<i64> = if known { (0..log.len()).map(|k| light.instant(k)).collect() } else { vec![case.span.0] };
+        let t: Vec<i64> =
+            if known { (0..log.len()).map(|k| light.instant(k)).collect() } else { vec![case.span.0] };
         (t, if known { log.iter().map(|u| f64::from(*u)).collect() } else { vec![0.0] }, known)
     }));
     let conditions = Conditions { seed, frame_share: 0.0, frame_dn: 0.0, is_mixed: false };
@@ -131,12 +160,23 @@ mod tests {
         let case = fan.recording().unwrap();
         let nominal = case.nominal().unwrap();
         let ratio = |sharpest: f64| {
-            let source = scene(&case, &nominal, &PictureSetting { sharpest, ..PictureSetting::default() }, &MosaicSetting::default()).unwrap();
+            let source = scene(
+                &case,
+                &nominal,
+                &PictureSetting { sharpest, ..PictureSetting::default() },
+                &MosaicSetting::default(),
+            )
+            .unwrap();
             let found = evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default()).unwrap();
             found.control_median / found.median
         };
-        // How sharp edges are follows from the frames to a factor of two or three; the picture as it is does not constrain it.
+        // How sharp edges are follows from the frames to a factor of two or three; the picture as it is does
+        // not constrain it.
         let (sharp, soft) = (ratio(PictureSetting::default().sharpest), ratio(0.0));
-        assert!((0.3..3.0).contains(&sharp) && soft < 0.5 * sharp, "the control misses by {sharp} of what the recording does, on the picture by {soft}");
+        assert!(
+            (0.3..3.0).contains(&sharp) && soft < 0.5 * sharp,
+            "the control misses by {sharp} of what \
+                                                            the recording does, on the picture by {soft}"
+        );
     }
 }

@@ -1,11 +1,14 @@
 //! Which effects explain the events, on a scene that frames alone (or the user) state.
 //!
 //! 1. Events count where the scene predicts the frames around them ([`photocurrent_scene::gate`]).
-//! 2. Every effect of the catalogue that has a size gets a column: what a small effect size of it changes of every residual. It is fitted with its own noise and judged on
-//!    the half of the blocks that it was not fitted to ([`super::table`]).
+//! 2. Every effect of the catalogue that has a size gets a column: what a small effect size of it changes of
+//!    every residual. It is fitted with its own noise and judged on the half of the blocks that it was not
+//!    fitted to ([`super::table`]).
 //! 3. The best are evaluated exactly, at their size, until it moves no more.
-//! 4. A control goes the same way ([`super::control`]): what it gains is what a regularised picture costs, and every gain and size is counted from there.
-//! 5. Random effects are parts of the residuals' distribution ([`super::components`]); what no effect has is free per bin of every covariate ([`super::open`]).
+//! 4. A control goes the same way ([`super::control`]): what it gains is what a regularised picture costs,
+//!    and every gain and size is counted from there.
+//! 5. Random effects are parts of the residuals' distribution ([`super::components`]); what no effect has is
+//!    free per bin of every covariate ([`super::open`]).
 //! 6. With the best one applied, all others are fitted again, its own size with them.
 
 use super::components::{Ground, Part, parts, value as part_value};
@@ -37,7 +40,8 @@ pub struct EvidenceSetting {
     pub least_events: usize,
     /// Nor is a smaller share of all events.
     pub least_share: f64,
-    /// A place is predicted when frames miss by less than this, DN, or by [`EvidenceSetting::spread`] median absolute deviations.
+    /// A place is predicted when frames miss by less than this, DN, or by [`EvidenceSetting::spread`] median
+    /// absolute deviations.
     pub least_dn: f64,
     /// See there.
     pub spread: f64,
@@ -59,9 +63,11 @@ pub struct EvidenceSetting {
     pub still: f64,
     /// Largest effect size of a search.
     pub largest_effect_size: f64,
-    /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share of the threshold.
+    /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share
+    /// of the threshold.
     pub least_event_noise: f64,
-    /// On known light, noise of thresholds below this share of them is none that a description without `threshold_noise` contradicts.
+    /// On known light, noise of thresholds below this share of them is none that a description without
+    /// `threshold_noise` contradicts.
     pub least_unstated_noise: f64,
     /// Least gain of a spread of delays in the comparator, nats an event.
     pub least_spread: f64,
@@ -130,7 +136,8 @@ pub struct Ranked {
     pub gain: f64,
     /// Its standard error.
     pub gain_error: f64,
-    /// Fisher information of an event about the effect size: half of it times the effect size's square is what a small one gains.
+    /// Fisher information of an event about the effect size: half of it times the effect size's square is
+    /// what a small one gains.
     #[serde(default)]
     pub information: f64,
     /// What an effect size of 1 adds to the parameter's nominal value, in the unit of its declaration.
@@ -146,13 +153,15 @@ pub struct Ranked {
     pub of_first: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
-    /// Distance of what it leaves from the control's noise ([`EventNoise::distance`]); 0 where it was not evaluated exactly.
+    /// Distance of what it leaves from the control's noise ([`EventNoise::distance`]); 0 where it was not
+    /// evaluated exactly.
     #[serde(default)]
     pub ks: f64,
     /// Is its size worth a word ([`is_material`])?
     #[serde(default)]
     pub is_material: bool,
-    /// How far the free parameters of a known target then stand from where frames alone had them, shares of their ranges.
+    /// How far the free parameters of a known target then stand from where frames alone had them, shares of
+    /// their ranges.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub by: Vec<f64>,
     /// Where it is; of effects that were evaluated at their size.
@@ -166,13 +175,19 @@ impl Ranked {
         self.gain - self.control_gain
     }
 
-    /// What it stands for among others where wider noise of events alone gains `noise` ([`Evidence::noise`]), nats per event.
+    /// What it stands for among others where wider noise of events alone gains `noise` ([`Evidence::noise`]),
+    /// nats per event.
     ///
-    /// Wider noise is held against the control's noise, and every other effect against the noise that its own residuals have, which is wider already: what that alone gains is theirs as well.
-    /// Noise by itself lets the others gain almost nothing.
+    /// Wider noise is held against the control's noise, and every other effect against the noise that its own
+    /// residuals have, which is wider already: what that alone gains is theirs as well. Noise by itself lets
+    /// the others gain almost nothing.
     pub fn standing(&self, noise: f64) -> f64 {
         let is_noise = NOISE.contains(&CANDIDATES[self.candidate].id);
-        if is_noise || self.beyond() <= 0.0 { self.beyond() } else { self.beyond() + f64::max(noise - OVER_NOISE, 0.0) }
+        if is_noise || self.beyond() <= 0.0 {
+            self.beyond()
+        } else {
+            self.beyond() + f64::max(noise - OVER_NOISE, 0.0)
+        }
     }
 }
 
@@ -181,7 +196,8 @@ const NOISE: [&str; 2] = ["threshold_noise", "timestamp_jitter"];
 /// An effect that gains less than this on noisy events is their noise, nats per event.
 const OVER_NOISE: f64 = 0.03;
 
-/// What wider noise of events alone gains, on a scene that is known: on a fitted one, what the scene gets wrong widens residuals, and its noise is the control's.
+/// What wider noise of events alone gains, on a scene that is known: on a fitted one, what the scene gets
+/// wrong widens residuals, and its noise is the control's.
 fn of_noise(random: &[Ranked], is_known: bool) -> f64 {
     let gain = |one: &Ranked| if NOISE.contains(&CANDIDATES[one.candidate].id) { one.beyond() } else { 0.0 };
     if is_known { random.iter().map(gain).fold(0.0, f64::max) } else { 0.0 }
@@ -221,7 +237,8 @@ pub struct Evidence {
     pub misfit: f64,
     /// Median absolute residual over the threshold with the first effect applied, and with both.
     pub left: [f64; 2],
-    /// What wider noise of events alone gains over the control's, with nothing applied and with [`Evidence::first`], nats an event; 0 on a scene that was fitted to frames.
+    /// What wider noise of events alone gains over the control's, with nothing applied and with
+    /// [`Evidence::first`], nats an event; 0 on a scene that was fitted to frames.
     #[serde(default)]
     pub noise: [f64; 2],
     /// Of effects with a size, best first.
@@ -244,13 +261,19 @@ pub struct Evidence {
 ///
 /// # Errors
 /// When the scene predicts too few of the events' frames, or stated effects cannot be combined.
-pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &EvidenceSetting) -> Result<Evidence, String> {
+pub fn evidence(
+    case: &Case,
+    nominal: &Nominal,
+    source: &dyn Scene,
+    setting: &EvidenceSetting,
+) -> Result<Evidence, String> {
     let scales = Scales::of(case, nominal);
     let least = setting.least_noise * scales.threshold;
     let gate = source.gate(case, setting.least_dn, setting.spread);
     let all = case.events.len();
-    let counted: Vec<usize> =
-        (0..case.extent.pixels()).map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count()).collect();
+    let counted: Vec<usize> = (0..case.extent.pixels())
+        .map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count())
+        .collect();
     let kept: usize = counted.iter().sum();
     let share = kept as f64 / all.max(1) as f64;
     if kept < setting.least_events || share < setting.least_share {
@@ -262,11 +285,25 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &Ev
     }
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let step_ns = if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
+    let step_ns =
+        if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
     let light = source.light(case, step_ns);
     let by = vec![0.0; source.target().map_or(0, |target| target.free().len())];
-    let mut seen =
-        Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), source, by, near: Vec::new(), own: Vec::new() };
+    let mut seen = Seen {
+        case,
+        light,
+        gate,
+        pixels,
+        more,
+        setting,
+        scales: &scales,
+        least,
+        is_known: source.is_known(),
+        source,
+        by,
+        near: Vec::new(),
+        own: Vec::new(),
+    };
     seen.near = seen.steps(&seen.by);
     let stated = Trial::stated(nominal);
 
@@ -302,19 +339,30 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &Ev
     let seen_events = table.residual().len();
     if seen_events < setting.least_events / 5 {
         return Err(format!(
-            "only {seen_events} of the events looked at follow another one that the scene explains as well; {} are needed",
+            "only {seen_events} of the events looked at follow another one that the scene explains as well; \
+             {} are needed",
             setting.least_events / 5
         ));
     }
     let control_events = control_table.residual().len();
     if control_events < setting.least_events / 5 {
-        return Err(format!("only {control_events} events of the control count, the stated sensor on this scene; {} are needed", setting.least_events / 5));
+        return Err(format!(
+            "only {control_events} events of the control count, the stated sensor on this \
+                            scene; {} are needed",
+            setting.least_events / 5
+        ));
     }
 
-    let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
-    let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
+    let swing = table
+        .residual()
+        .iter()
+        .enumerate()
+        .map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
+    let frame_ns =
+        case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     let period_ns = strongest_period_ns(swing, case.span, frame_ns);
-    let control_dependences = control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+    let control_dependences =
+        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
     let dependences = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
         let mut found = seen.dependences(table, laid);
         open::beyond(&mut found, &control_dependences);
@@ -328,7 +376,15 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &Ev
     slopes.sort_by(f64::total_cmp);
     let slope_per_s = slopes.get(slopes.len() / 2).copied().unwrap_or(0.0);
     let control_white = control_seen.white(&stated, control_source.as_ref())?;
-    let control_ground = Chance::new(case, nominal, &control_table, (control_white, source.is_known()), slope_per_s, setting, &scales);
+    let control_ground = Chance::new(
+        case,
+        nominal,
+        &control_table,
+        (control_white, source.is_known()),
+        slope_per_s,
+        setting,
+        &scales,
+    );
 
     let laid = seen.lay(&table, nominal, period_ns);
     let places = seen.places(&table, &laid);
@@ -337,24 +393,34 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &Ev
     let (random, of_chance) = control_ground.beyond(&table, white);
     let open = dependences(&seen, &table, &laid[0], &places);
     // What a known scene leaves open is no misfit.
-    let left_of = |table: &Table| median_share(if source.is_known() { table.sharp() } else { table.residual() }, scales.threshold);
+    let left_of = |table: &Table| {
+        median_share(if source.is_known() { table.sharp() } else { table.residual() }, scales.threshold)
+    };
     let base_median = left_of(&table);
     let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
     let mut noise = [of_noise(&random, source.is_known()), 0.0];
-    let best = |a: &&Ranked, b: &&Ranked| b.standing(noise[0]).total_cmp(&a.standing(noise[0])).then(by_gain(a, b));
+    let best =
+        |a: &&Ranked, b: &&Ranked| b.standing(noise[0]).total_cmp(&a.standing(noise[0])).then(by_gain(a, b));
     let first = ranked.iter().filter(found).chain(random.iter().filter(found)).min_by(best).cloned();
     let mut left = [base_median; 2];
     let (mut second, mut random_second, mut open_second) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(first) = &first {
         let is_random = CANDIDATES[first.candidate].is_random;
         let effect_size = first.effect_size + first.control_effect_size;
-        let with = if is_random { stated.clone() } else { on_top(&stated, first.candidate, effect_size, &scales) };
-        let shifted = of_chance.iter().find(|part| is_random && part.candidate == first.candidate).and_then(|part| part.left.as_ref());
+        let with =
+            if is_random { stated.clone() } else { on_top(&stated, first.candidate, effect_size, &scales) };
+        let shifted = of_chance
+            .iter()
+            .find(|part| is_random && part.candidate == first.candidate)
+            .and_then(|part| part.left.as_ref());
         if let Some(left) = shifted {
             // Each pixel with its own size, each event with its mean delay from here on.
             seen.own = table.sharp().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
         }
-        if !is_random && let Some(light) = source.target().and_then(|target| target.moved(case, step_ns, None, &first.by)) {
+        if !is_random
+            && let Some(light) =
+                source.target().and_then(|target| target.moved(case, step_ns, None, &first.by))
+        {
             (seen.by, seen.light) = (first.by.clone(), light);
             seen.near = seen.steps(&seen.by);
         }
@@ -363,7 +429,15 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &Ev
         let first_effect = (!is_random).then_some((first.candidate, effect_size));
         let laid = seen.lay(&table, nominal, period_ns);
         let places = seen.places(&table, &laid);
-        second = seen.rank(&stated, &table, &control_table, first_effect, setting.refined_second, nominal, &places)?;
+        second = seen.rank(
+            &stated,
+            &table,
+            &control_table,
+            first_effect,
+            setting.refined_second,
+            nominal,
+            &places,
+        )?;
         let white = seen.white(&with, source)?;
         random_second = control_ground.beyond(&table, white).0;
         random_second.retain(|other| other.candidate != first.candidate);
@@ -374,7 +448,9 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &Ev
         }
     }
     let mark = |mut list: Vec<Ranked>| {
-        list.iter_mut().for_each(|one| one.is_material = is_material(case, nominal, &CANDIDATES[one.candidate], one.value));
+        list.iter_mut().for_each(|one| {
+            one.is_material = is_material(case, nominal, &CANDIDATES[one.candidate], one.value)
+        });
         list
     };
     let [ranked, second, random, random_second] = [ranked, second, random, random_second].map(mark);
@@ -431,19 +507,36 @@ impl<'a> Chance<'a> {
         let least = setting.least_noise * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
-            Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal))
+            Candidate::find(id, parameter).map_or(0.0, |candidate| {
+                candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal)
+            })
         });
         let rate = case.events.len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
         let of_control = of_table(control, white, setting, scales.threshold, &noise);
-        Chance { setting, scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, effect_sizes }
+        Chance {
+            setting,
+            scales,
+            nominal,
+            is_known,
+            noise,
+            control: of_control,
+            slope_per_s,
+            rate,
+            effect_sizes,
+        }
     }
 
     /// Best first, and the parts themselves.
     fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
         let threshold = self.scales.threshold;
         let parts = of_table(table, white, self.setting, threshold, &self.noise);
-        // What a description does not state may be there; only on known light it is seen so sharply that it must be allowed for.
-        let unstated = if self.is_known && self.nominal.threshold_noise == 0.0 { self.setting.least_unstated_noise } else { 0.0 };
+        // What a description does not state may be there; only on known light it is seen so sharply that it
+        // must be allowed for.
+        let unstated = if self.is_known && self.nominal.threshold_noise == 0.0 {
+            self.setting.least_unstated_noise
+        } else {
+            0.0
+        };
         let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
             "threshold_noise" => one.value > f64::max(self.setting.least_event_noise, unstated) * threshold,
             "timestamp_jitter" => one.value * self.slope_per_s > self.setting.least_event_noise * threshold,
@@ -455,7 +548,14 @@ impl<'a> Chance<'a> {
             .map(|(part, control)| Ranked {
                 candidate: part.candidate,
                 effect_size: part.size,
-                value: part_value(part, control.size, threshold, (self.effect_sizes[0], self.effect_sizes[1]), self.nominal, self.rate),
+                value: part_value(
+                    part,
+                    control.size,
+                    threshold,
+                    (self.effect_sizes[0], self.effect_sizes[1]),
+                    self.nominal,
+                    self.rate,
+                ),
                 gain: part.gain,
                 control_gain: control.gain.max(0.0),
                 control_effect_size: control.size,
@@ -469,22 +569,44 @@ impl<'a> Chance<'a> {
     }
 }
 
-fn of_table(table: &Table, white: f64, setting: &EvidenceSetting, threshold: f64, noise: &EventNoise) -> Vec<Part> {
+fn of_table(
+    table: &Table,
+    white: f64,
+    setting: &EvidenceSetting,
+    threshold: f64,
+    noise: &EventNoise,
+) -> Vec<Part> {
     let least = setting.least_noise * threshold;
     let least_spread = setting.least_spread;
     let [scale, refractory] = table.of_pixels();
-    parts(&Ground { events: &table.events, residual: table.sharp(), columns: [&scale, &refractory], white, threshold, least, least_spread }, noise)
+    parts(
+        &Ground {
+            events: &table.events,
+            residual: table.sharp(),
+            columns: [&scale, &refractory],
+            white,
+            threshold,
+            least,
+            least_spread,
+        },
+        noise,
+    )
 }
 
-/// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at most.
+/// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at
+/// most.
 fn spread(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u32> {
     let width = case.extent.width as usize;
     let all: usize = counted.iter().sum();
     let lit = counted.iter().filter(|count| **count > 0).count();
     let step = usize::max(all / events.max(1), lit / pixels.max(1)).max(1);
     // Another column from row to row, so that all columns are seen.
-    let turn = (1..=step).find(|turn| step == 1 || (turn * turn > step && gcd(*turn, step) == 1)).unwrap_or(1);
-    (0..counted.len()).filter(|&pixel| (pixel % width + turn * (pixel / width)).is_multiple_of(step) && counted[pixel] > 0).map(|pixel| pixel as u32).collect()
+    let turn =
+        (1..=step).find(|turn| step == 1 || (turn * turn > step && gcd(*turn, step) == 1)).unwrap_or(1);
+    (0..counted.len())
+        .filter(|&pixel| (pixel % width + turn * (pixel / width)).is_multiple_of(step) && counted[pixel] > 0)
+        .map(|pixel| pixel as u32)
+        .collect()
 }
 
 fn gcd(a: usize, b: usize) -> usize {

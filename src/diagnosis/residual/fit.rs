@@ -1,11 +1,13 @@
-//! Size and gain of an effect, by the residuals of events: Student-t noise with a threshold part and a part that grows with the slope.
+//! Size and gain of an effect, by the residuals of events: Student-t noise with a threshold part and a part
+//! that grows with the slope.
 
 use std::ops::Range;
 
 /// Degrees of freedom of the residuals' Student-t distribution.
 pub const NU: f64 = 3.0;
 
-/// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope (stamps).
+/// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope
+/// (stamps).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EventNoise {
     /// Threshold part, natural-log units.
@@ -21,9 +23,14 @@ impl EventNoise {
         libm::sqrt(self.a * self.a + self.b * self.b * slope_per_s * slope_per_s)
     }
 
-    /// Largest distance of the residuals' probabilities under this noise from evenly spread ones (Kolmogorov and Smirnov).
+    /// Largest distance of the residuals' probabilities under this noise from evenly spread ones (Kolmogorov
+    /// and Smirnov).
     pub fn distance(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
-        let mut probability: Vec<f64> = residual.iter().zip(slope_per_s).map(|(r, slope)| probability_t(r / self.sigma(*slope))).collect();
+        let mut probability: Vec<f64> = residual
+            .iter()
+            .zip(slope_per_s)
+            .map(|(r, slope)| probability_t(r / self.sigma(*slope)))
+            .collect();
         probability.sort_by(f64::total_cmp);
         let n = probability.len().max(1) as f64;
         let off = |(k, p): (usize, &f64)| f64::max(p - k as f64 / n, (k + 1) as f64 / n - p);
@@ -70,7 +77,11 @@ impl EventNoise {
 
     /// Log density of residuals.
     pub fn log_density(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
-        residual.iter().zip(slope_per_s).map(|(r, slope)| log_t(r / self.sigma(*slope)) - libm::log(self.sigma(*slope))).sum()
+        residual
+            .iter()
+            .zip(slope_per_s)
+            .map(|(r, slope)| log_t(r / self.sigma(*slope)) - libm::log(self.sigma(*slope)))
+            .sum()
     }
 }
 
@@ -94,7 +105,8 @@ fn probability_t(z: f64) -> f64 {
     0.5 + (s / (1.0 + s * s) + libm::atan(s)) / std::f64::consts::PI
 }
 
-/// What stands with residuals: events first, then frame values (of a scene that does not hang on them), each kind with a noise of its own.
+/// What stands with residuals: events first, then frame values (of a scene that does not hang on them), each
+/// kind with a noise of its own.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
     /// How fast the voltage moves at events, ln/s; how bright frame values are, DN.
@@ -107,7 +119,8 @@ pub struct Rows<'a> {
     pub least: f64,
     /// What a picture that is too soft leaves, and how much of it may be subtracted: fitted with everything.
     pub soft: Option<Soft<'a>>,
-    /// What the free parameters of the scene change of each row, each per standard deviation that it has before the recording: fitted with everything.
+    /// What the free parameters of the scene change of each row, each per standard deviation that it has
+    /// before the recording: fitted with everything.
     pub free: &'a [Column],
 }
 
@@ -169,7 +182,11 @@ impl Rows<'_> {
     fn noise(&self, chosen: &Chosen, residual: &[f64]) -> Noise {
         let at = chosen.events.len();
         let events = EventNoise::in_order(&residual[..at], &chosen.slopes[..at], &chosen.events, self.least);
-        let frames = if chosen.frames.is_empty() { events } else { EventNoise::in_order(&residual[at..], &chosen.slopes[at..], &chosen.frames, LEAST_DN) };
+        let frames = if chosen.frames.is_empty() {
+            events
+        } else {
+            EventNoise::in_order(&residual[at..], &chosen.slopes[at..], &chosen.frames, LEAST_DN)
+        };
         Noise { events, frames }
     }
 
@@ -201,7 +218,8 @@ pub struct Fitted {
     pub gain_error: f64,
     /// Sizes of what is free of the scene ([`Rows::free`]) with them.
     pub free: Vec<f64>,
-    /// Of one column, Fisher information of an event about its size: a small size gains half of this times its square, nats an event.
+    /// Of one column, Fisher information of an event about its size: a small size gains half of this times
+    /// its square, nats an event.
     pub information: f64,
 }
 
@@ -217,14 +235,20 @@ struct Solved {
 }
 
 /// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
-pub fn fit(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> (Vec<f64>, Noise) {
+pub fn fit(
+    residual: &[f64],
+    rows: &Rows<'_>,
+    columns: &[&[f32]],
+    use_row: impl Fn(usize) -> bool,
+) -> (Vec<f64>, Noise) {
     let found = solve(residual, rows, columns, use_row);
     (found.sizes, found.noise)
 }
 
 fn solve(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> Solved {
     let chosen = rows.choose(residual, use_row);
-    let mut with: Vec<&[f32]> = columns.iter().copied().chain(rows.free.iter().map(|column| &column.of[..])).collect();
+    let mut with: Vec<&[f32]> =
+        columns.iter().copied().chain(rows.free.iter().map(|column| &column.of[..])).collect();
     let held = columns.len()..with.len();
     let split = |mut sizes: Vec<f64>, soft: f64, noise: Noise| {
         let free = sizes.split_off(held.start);
@@ -253,7 +277,8 @@ impl Soft<'_> {
     }
 }
 
-/// Residuals without what a picture that is too soft leaves, and without what free parameters of the scene explain.
+/// Residuals without what a picture that is too soft leaves, and without what free parameters of the scene
+/// explain.
 pub fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
     if rows.soft.is_none() && rows.free.is_empty() {
         return residual.to_vec();
@@ -267,10 +292,23 @@ pub fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
 }
 
 /// `held`: columns whose sizes have a standard deviation of 1 beforehand.
-fn least_squares(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], held: &Range<usize>, chosen: &Chosen) -> (Vec<f64>, Noise) {
+fn least_squares(
+    residual: &[f64],
+    rows: &Rows<'_>,
+    columns: &[&[f32]],
+    held: &Range<usize>,
+    chosen: &Chosen,
+) -> (Vec<f64>, Noise) {
     let mut sizes = vec![0.0; columns.len()];
     let left = |sizes: &[f64]| -> Vec<f64> {
-        chosen.rows.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
+        chosen
+            .rows
+            .iter()
+            .map(|&k| {
+                residual[k]
+                    + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()
+            })
+            .collect()
     };
     let mut noise = rows.noise(chosen, &left(&sizes));
     if columns.is_empty() {
@@ -314,7 +352,8 @@ fn least_squares(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], held: &R
     (sizes, noise)
 }
 
-/// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its residual times the slope. Frame values have none.
+/// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its
+/// residual times the slope. Frame values have none.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a> {
     /// Residuals.
@@ -325,9 +364,12 @@ pub struct Seen<'a> {
 
 impl Seen<'_> {
     fn log(&self, rows: &Rows<'_>, found: &Solved, k: usize) -> f64 {
-        let soft = rows.soft.map_or((0.0, 0.0), |soft| (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log))));
+        let soft = rows.soft.map_or((0.0, 0.0), |soft| {
+            (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log)))
+        });
         let log_slope = self.log_slope.get(k).map_or(0.0, |log| f64::from(*log));
-        let (mut residual, mut steeper) = (self.residual[k] + found.soft * soft.0, log_slope + found.soft * soft.1);
+        let (mut residual, mut steeper) =
+            (self.residual[k] + found.soft * soft.0, log_slope + found.soft * soft.1);
         for (column, size) in rows.free.iter().zip(&found.free) {
             residual += size * f64::from(column.of[k]);
             steeper += size * column.log_slope.get(k).map_or(0.0, |log| f64::from(*log));
@@ -336,14 +378,19 @@ impl Seen<'_> {
     }
 }
 
-/// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks. Each with its rows, which differ by what
-/// is free of the scene alone.
-pub fn gain_of((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<'_>, &Rows<'_>)) -> (f64, f64) {
+/// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is
+/// fitted to the other half of the blocks. Each with its rows, which differ by what is free of the scene
+/// alone.
+pub fn gain_of(
+    (before, plain_rows): (Seen<'_>, &Rows<'_>),
+    (left, rows): (Seen<'_>, &Rows<'_>),
+) -> (f64, f64) {
     let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
-        let (with, plain) = (solve(left.residual, rows, &[], train), solve(before.residual, plain_rows, &[], train));
+        let (with, plain) =
+            (solve(left.residual, rows, &[], train), solve(before.residual, plain_rows, &[], train));
         for k in (0..before.residual.len()).filter(|&k| !train(k)) {
             gains[rows.block[k] as usize] += left.log(rows, &with, k) - before.log(plain_rows, &plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
@@ -352,11 +399,16 @@ pub fn gain_of((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<
     mean_of_blocks(&gains, &counts)
 }
 
-/// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture that is too soft leaves) that is found with what is `left`: a row that is not
-/// changed gains nothing. Each with what is free of the scene where it fits best.
+/// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture
+/// that is too soft leaves) that is found with what is `left`: a row that is not changed gains nothing. Each
+/// with what is free of the scene where it fits best.
 pub fn gains((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<'_>, &Rows<'_>)) -> Vec<f64> {
     let with = solve(left.residual, rows, &[], |_| true);
-    let free = if rows.free.is_empty() { Vec::new() } else { solve(before.residual, plain_rows, &[], |_| true).free };
+    let free = if rows.free.is_empty() {
+        Vec::new()
+    } else {
+        solve(before.residual, plain_rows, &[], |_| true).free
+    };
     let plain = Solved { sizes: Vec::new(), free, ..with.clone() };
     (0..before.residual.len()).map(|k| left.log(rows, &with, k) - before.log(plain_rows, &plain, k)).collect()
 }
@@ -389,16 +441,20 @@ impl Plain<'_> {
     pub fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
         let seen = Seen { residual: self.residual, log_slope };
         let events = self.rows.events.min(self.residual.len());
-        let sum: f64 = (0..events).map(|k| seen.log(&self.rows, &self.halves[1 - (self.rows.block[k] % 2) as usize], k)).sum();
+        let sum: f64 = (0..events)
+            .map(|k| seen.log(&self.rows, &self.halves[1 - (self.rows.block[k] % 2) as usize], k))
+            .sum();
         sum / events.max(1) as f64
     }
 
-    /// Fisher information of an event about the size of a column, under Student's t: that which free parameters of the scene cannot have.
+    /// Fisher information of an event about the size of a column, under Student's t: that which free
+    /// parameters of the scene cannot have.
     pub fn information(&self, column: &Column) -> f64 {
         let events = self.rows.events.min(self.residual.len());
         let n = self.rows.free.len();
         let noise = &self.halves[0].noise;
-        let (mut normal, mut right, mut own) = (nalgebra::DMatrix::<f64>::identity(n, n), nalgebra::DVector::<f64>::zeros(n), 0.0);
+        let (mut normal, mut right, mut own) =
+            (nalgebra::DMatrix::<f64>::identity(n, n), nalgebra::DVector::<f64>::zeros(n), 0.0);
         // Frame values say what the parameters are; what they say of the column itself is not an event's.
         for k in 0..if n > 0 { self.residual.len() } else { events } {
             let weight = (NU + 1.0) / (NU + 3.0) / (self.rows.sigma(noise, k) * self.rows.sigma(noise, k));
@@ -415,7 +471,8 @@ impl Plain<'_> {
     }
 }
 
-/// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an event; size from all rows.
+/// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an
+/// event; size from all rows.
 pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
     let whole = plain;
     let Plain { residual, rows, halves: plain } = plain;
@@ -429,10 +486,14 @@ pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
         let train = |k: usize| rows.block[k] % 2 == half;
         let with = solve(residual, rows, &of, train);
         let plain = &plain[half as usize];
-        let sum = |of: &dyn Fn(&Column) -> f64| columns.iter().zip(&with.sizes).map(|(column, size)| of(column) * size).sum::<f64>();
+        let sum = |of: &dyn Fn(&Column) -> f64| {
+            columns.iter().zip(&with.sizes).map(|(column, size)| of(column) * size).sum::<f64>()
+        };
         let mut left = residual.to_vec();
         left.iter_mut().enumerate().for_each(|(k, left)| *left += sum(&|column| f64::from(column.of[k])));
-        let steeper: Vec<f32> = (0..rows.events).map(|k| sum(&|column| column.log_slope.get(k).map_or(0.0, |log| f64::from(*log))) as f32).collect();
+        let steeper: Vec<f32> = (0..rows.events)
+            .map(|k| sum(&|column| column.log_slope.get(k).map_or(0.0, |log| f64::from(*log))) as f32)
+            .collect();
         let seen = Seen { residual: &left, log_slope: &steeper };
         for k in (0..residual.len()).filter(|&k| !train(k)) {
             gains[rows.block[k] as usize] += seen.log(rows, &with, k) - plain_seen.log(rows, plain, k);
@@ -473,7 +534,8 @@ mod tests {
     fn what_a_soft_picture_leaves_is_no_gain_of_what_looks_like_it() {
         let (slope, block, noise, [soft, alike]) = problem();
         let flat = vec![0.0; EVENTS];
-        let residual: Vec<f64> = noise.iter().zip(&soft).map(|(noise, soft)| noise + 0.05 * f64::from(*soft)).collect();
+        let residual: Vec<f64> =
+            noise.iter().zip(&soft).map(|(noise, soft)| noise + 0.05 * f64::from(*soft)).collect();
         let column = Column { of: alike, log_slope: Vec::new() };
         let gain = |most: f64| {
             let soft = Soft { column: &soft, log_slope: &flat, most };
@@ -482,24 +544,41 @@ mod tests {
         let (without, with, half) = (gain(0.0), gain(-0.2), gain(-0.02));
         assert!(without.gain > 0.3, "{without:?}");
         assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003, "{with:?}");
-        assert!((0.05..without.gain).contains(&half.gain), "only as much is subtracted as is allowed: {half:?}");
-        let left = without_softness(&residual, &rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 })));
+        assert!(
+            (0.05..without.gain).contains(&half.gain),
+            "only as much is subtracted as is allowed: \
+                                                            {half:?}"
+        );
+        let left = without_softness(
+            &residual,
+            &rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 })),
+        );
         left.iter().zip(&noise).for_each(|(left, noise)| assert!((left - noise).abs() < 0.01));
     }
 
     #[test]
     fn what_is_free_of_the_scene_is_no_gain_of_what_looks_like_it() {
         let (slope, block, noise, [free, alike]) = problem();
-        let residual: Vec<f64> = noise.iter().zip(&free).map(|(noise, free)| noise + 0.05 * f64::from(*free)).collect();
+        let residual: Vec<f64> =
+            noise.iter().zip(&free).map(|(noise, free)| noise + 0.05 * f64::from(*free)).collect();
         let columns = [Column { of: free, log_slope: Vec::new() }];
         let column = Column { of: alike, log_slope: Vec::new() };
         let without = heldout(&Plain::new(&residual, rows(&slope, &block, None)), &[&column]);
-        let with = heldout(&Plain::new(&residual, Rows { free: &columns, ..rows(&slope, &block, None) }), &[&column]);
+        let with = heldout(
+            &Plain::new(&residual, Rows { free: &columns, ..rows(&slope, &block, None) }),
+            &[&column],
+        );
         assert!(without.gain > 0.3, "{without:?}");
-        assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003 && (with.free[0] + 0.05).abs() < 0.003, "{with:?}");
+        assert!(
+            with.gain.abs() < 0.01 && with.size[0].abs() < 0.003 && (with.free[0] + 0.05).abs() < 0.003,
+            "{with:?}"
+        );
         // Of the column only what is not like the parameter's says what its size is: 0.36 of its square.
         let plain = heldout(&Plain::new(&noise, rows(&slope, &block, None)), &[&column]);
-        let share = heldout(&Plain::new(&noise, Rows { free: &columns, ..rows(&slope, &block, None) }), &[&column]).information / plain.information;
+        let share =
+            heldout(&Plain::new(&noise, Rows { free: &columns, ..rows(&slope, &block, None) }), &[&column])
+                .information
+                / plain.information;
         assert!((share - 0.36).abs() < 0.03, "{share}");
     }
 
@@ -507,14 +586,16 @@ mod tests {
     fn too_much_blur_is_never_taken_for_softness() {
         let (slope, block, noise, [soft, _]) = problem();
         let flat = vec![0.0; EVENTS];
-        let residual: Vec<f64> = noise.iter().zip(&soft).map(|(noise, soft)| noise - 0.05 * f64::from(*soft)).collect();
+        let residual: Vec<f64> =
+            noise.iter().zip(&soft).map(|(noise, soft)| noise - 0.05 * f64::from(*soft)).collect();
         let rows = rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 }));
         assert_eq!(without_softness(&residual, &rows), residual);
     }
 
     #[test]
     fn a_voltage_that_moves_faster_makes_the_same_residuals_more_probable() {
-        // The density of an event's time is that of its residual times the slope: half of the contrast, and half of the residuals, gain nothing.
+        // The density of an event's time is that of its residual times the slope: half of the contrast, and
+        // half of the residuals, gain nothing.
         let (slope, block, noise, _) = problem();
         let rows = rows(&slope, &block, None);
         let log = |by: f64| -> Vec<f32> { slope.iter().map(|slope| libm::log(by * slope) as f32).collect() };
@@ -526,7 +607,10 @@ mod tests {
         let (gain, _) = gain_of((before, &rows), (Seen { residual: &noise, log_slope: &half_log }, &rows));
         assert!((gain + libm::log(2.0)).abs() < 1e-4, "{gain}");
         // To first order the same: a column that takes half of the residuals, and half of the slopes with it.
-        let column = Column { of: noise.iter().map(|noise| -0.5 * *noise as f32).collect(), log_slope: vec![-0.5; EVENTS] };
+        let column = Column {
+            of: noise.iter().map(|noise| -0.5 * *noise as f32).collect(),
+            log_slope: vec![-0.5; EVENTS],
+        };
         let found = heldout(&Plain::new(&noise, rows), &[&column]);
         assert!((found.size[0] - 2.0).abs() < 0.1, "{found:?}");
     }

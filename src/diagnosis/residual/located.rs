@@ -1,11 +1,15 @@
 //! Where the gain of an effect is: rows, columns, time, light, polarity, and over which covariate it varies.
 //!
-//! Each event gains the log density of its residual with the effect less that without it, both under the noise that is left with the effect ([`super::fit::gains`]): an event that
-//! the effect changes nothing of gains nothing. The mean gain per event is then compared between parts of the array, of the time, of the light and of the polarities, with errors from
-//! blocks of pixels. A part is reported only where the rest gains almost nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
-//! ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks and judged on the other; otherwise the whole range is.
+//! Each event gains the log density of its residual with the effect less that without it, both under the
+//! noise that is left with the effect ([`super::fit::gains`]): an event that the effect changes nothing of
+//! gains nothing. The mean gain per event is then compared between parts of the array, of the time, of the
+//! light and of the polarities, with errors from blocks of pixels. A part is reported only where the rest
+//! gains almost nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard
+//! errors ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks
+//! and judged on the other; otherwise the whole range is.
 //!
-//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out carry no information; random effects are not located.
+//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate
+//! leaves out carry no information; random effects are not located.
 
 use super::open::Laid;
 use crate::candidates::CANDIDATES;
@@ -33,13 +37,15 @@ pub struct LocatedSetting {
     pub steps: usize,
     /// Bins of curves and covariates.
     pub bins: usize,
-    /// Gains vary over a covariate where it explains their squares, on blocks that its curve was not fitted to, by so many standard errors.
+    /// Gains vary over a covariate where it explains their squares, on blocks that its curve was not fitted
+    /// to, by so many standard errors.
     pub significant: f64,
     /// And at least this share of the squares.
     pub least_explained: f64,
     /// Another covariate takes the place of the catalogue's own where it explains so many times as much.
     pub displaces: f64,
-    /// And at least this share of the squares: that much an effect that is everywhere varies by chance of the scene.
+    /// And at least this share of the squares: that much an effect that is everywhere varies by chance of the
+    /// scene.
     pub least_displacing: f64,
     /// And where its lowest bin gains less than this share of what its highest gains.
     pub uneven: f64,
@@ -105,7 +111,8 @@ struct Found {
 
 impl<T> Part<T> {
     fn of(found: Option<Found>, all: Mean, range: impl Fn(Option<&Found>) -> [T; 2]) -> Part<T> {
-        let (inside, outside) = found.as_ref().map_or((all, None), |found| (found.inside, Some(found.outside)));
+        let (inside, outside) =
+            found.as_ref().map_or((all, None), |found| (found.inside, Some(found.outside)));
         Part { range: range(found.as_ref()), inside, outside }
     }
 }
@@ -173,7 +180,8 @@ impl Located {
     /// A location with what was measured; stream and pixel list stay.
     pub fn put(&self, location: &mut Location) {
         location.polarity.clone_from(&self.polarity);
-        (location.rows, location.columns, location.time_ns) = (self.rows.range, self.columns.range, self.time_ns.range);
+        (location.rows, location.columns, location.time_ns) =
+            (self.rows.range, self.columns.range, self.time_ns.range);
         location.covariate.clone_from(&self.covariate);
         location.shape = Some(self.shape.clone());
         location.pixels = self.pixels;
@@ -182,7 +190,11 @@ impl Located {
     /// The same of a curve that has no name: the covariate and how it runs are the curve's own.
     #[must_use]
     pub fn of_dependence(self, dependence: &Dependence, setting: &LocatedSetting) -> Located {
-        let shape = if dependence.covariate.is_class() { "differs" } else { shape(&dependence.value, setting.straight) };
+        let shape = if dependence.covariate.is_class() {
+            "differs"
+        } else {
+            shape(&dependence.value, setting.straight)
+        };
         Located { covariate: dependence.covariate.name().to_owned(), shape: shape.to_owned(), ..self }
     }
 }
@@ -211,7 +223,11 @@ pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a L
     let candidate = claim.values.first().filter(|_| claim.finding.is_none())?.0;
     let decided = decided?;
     // The best of the first list is the first effect; another one was measured with it applied.
-    let best = decided.proposals.iter().filter(|one| one.passed).max_by(|a, b| a.probability.total_cmp(&b.probability));
+    let best = decided
+        .proposals
+        .iter()
+        .filter(|one| one.passed)
+        .max_by(|a, b| a.probability.total_cmp(&b.probability));
     let is_first = best.is_some_and(|best| CANDIDATES[best.candidate].id == claim.id);
     decided.located.of(candidate, !is_first).or_else(|| decided.located.of(candidate, is_first))
 }
@@ -224,8 +240,14 @@ pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Opti
 
 /// Where the effects of an answer are, by id.
 pub fn answered(decided: Option<&Decided>, answer: &Answer) -> Vec<(String, Located)> {
-    let claimed = answer.claims.iter().filter_map(|claim| Some((claim.id.to_owned(), of_claim(decided, claim)?.clone())));
-    let nameless = answer.unexplained.iter().filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(decided, found)?.clone())));
+    let claimed = answer
+        .claims
+        .iter()
+        .filter_map(|claim| Some((claim.id.to_owned(), of_claim(decided, claim)?.clone())));
+    let nameless = answer
+        .unexplained
+        .iter()
+        .filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(decided, found)?.clone())));
     claimed.chain(nameless).collect()
 }
 
@@ -270,7 +292,10 @@ impl Bins {
         };
         edges.dedup();
         edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
-        let of: Vec<Option<u32>> = values.iter().map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32)).collect();
+        let of: Vec<Option<u32>> = values
+            .iter()
+            .map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32))
+            .collect();
         let mut sums = vec![(0.0, 0.0); edges.len() + 1];
         for (bin, value) in of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
             let sum = &mut sums[bin as usize];
@@ -290,11 +315,15 @@ impl<'a> Ground<'a> {
         laid: &[Laid],
         setting: &'a LocatedSetting,
     ) -> Ground<'a> {
-        let bins = laid.iter().map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, laid.covariate.is_class()))).collect();
+        let bins = laid
+            .iter()
+            .map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, laid.covariate.is_class())))
+            .collect();
         Ground { case, pixel, t_ns, polarity, log_light, block, bins, setting }
     }
 
-    /// Where gains are, nats, one for each event; `own`: the covariate that the catalogue states for the effect.
+    /// Where gains are, nats, one for each event; `own`: the covariate that the catalogue states for the
+    /// effect.
     pub fn locate(&self, gains: &[f64], own: &str) -> Located {
         let gains: Vec<f64> = gains.iter().map(|gain| if gain.is_finite() { *gain } else { 0.0 }).collect();
         let (case, setting) = (self.case, self.setting);
@@ -305,14 +334,20 @@ impl<'a> Ground<'a> {
         let wide = |values: &[usize]| -> Vec<f64> { values.iter().map(|value| *value as f64).collect() };
         let (start_ns, end_ns) = case.span;
         let step_ns = ((end_ns - start_ns) / setting.steps.max(1) as i64).max(1);
-        let step: Vec<usize> = self.t_ns.iter().map(|t| ((t - start_ns) / step_ns).clamp(0, setting.steps as i64 - 1) as usize).collect();
+        let step: Vec<usize> = self
+            .t_ns
+            .iter()
+            .map(|t| ((t - start_ns) / step_ns).clamp(0, setting.steps as i64 - 1) as usize)
+            .collect();
         let seconds: Vec<f64> = self.t_ns.iter().map(|t| (t - start_ns) as f64 * 1e-9).collect();
         let light = Bins::new(self.log_light, setting.steps, false);
         let lit: Vec<usize> = light.of.iter().map(|bin| bin.unwrap_or(0) as usize).collect();
 
         let (all, _) = self.means(&gains, &|_| true);
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
-        let is_within = |at: &[usize], found: &Option<Found>, k: usize| found.as_ref().is_none_or(|found| (found.first..=found.last).contains(&at[k]));
+        let is_within = |at: &[usize], found: &Option<Found>, k: usize| {
+            found.as_ref().is_none_or(|found| (found.first..=found.last).contains(&at[k]))
+        };
         // Each axis on the part of those before it, so that a corner of the array stands out in both.
         let mut rows = self.part(&gains, &row, height, &|_| true);
         let columns = self.part(&gains, &column, width, &|k| is_within(&row, &rows, k));
@@ -324,9 +359,15 @@ impl<'a> Ground<'a> {
         let time = self.part(&gains, &step, setting.steps, &is_placed);
         let is_then = |k: usize| is_placed(k) && is_within(&step, &time, k);
         let lit_part = self.part(&gains, &lit, light.at.len(), &is_then);
-        let ends = events.filter(|&k| is_within(&lit, &lit_part, k)).map(|k| self.log_light[k]).filter(|u| u.is_finite());
-        let ends = ends.fold(None, |ends: Option<[f64; 2]>, u| Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)])));
-        let by_polarity = (!self.polarity.is_empty()).then(|| [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.polarity[k] == sign).0));
+        let ends = events
+            .filter(|&k| is_within(&lit, &lit_part, k))
+            .map(|k| self.log_light[k])
+            .filter(|u| u.is_finite());
+        let ends = ends.fold(None, |ends: Option<[f64; 2]>, u| {
+            Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)]))
+        });
+        let by_polarity = (!self.polarity.is_empty())
+            .then(|| [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.polarity[k] == sign).0));
         let polarity = by_polarity.map_or("both", |[on, off]| {
             if self.stands_out(&on, &off) {
                 "on"
@@ -336,15 +377,28 @@ impl<'a> Ground<'a> {
                 "both"
             }
         });
-        let rows = Part::of(rows, all, |found| found.map_or([0, height.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32]));
-        let columns = Part::of(columns, all, |found| found.map_or([0, width.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32]));
-        let to_ns = |last: usize| if last + 1 == setting.steps { end_ns } else { start_ns + (last as i64 + 1) * step_ns };
-        let time_ns = Part::of(time, all, |found| found.map_or([start_ns, end_ns], |found| [start_ns + found.first as i64 * step_ns, to_ns(found.last)]));
+        let rows = Part::of(rows, all, |found| {
+            found
+                .map_or([0, height.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32])
+        });
+        let columns = Part::of(columns, all, |found| {
+            found.map_or([0, width.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32])
+        });
+        let to_ns = |last: usize| {
+            if last + 1 == setting.steps { end_ns } else { start_ns + (last as i64 + 1) * step_ns }
+        };
+        let time_ns = Part::of(time, all, |found| {
+            found.map_or([start_ns, end_ns], |found| {
+                [start_ns + found.first as i64 * step_ns, to_ns(found.last)]
+            })
+        });
         let log_light = Part::of(lit_part, all, |_| ends.unwrap_or([0.0; 2]));
         let (covariate, found) = self.covariate(&gains, own);
         let over = found.map_or_else(Curve::default, |n| self.curve(&gains, &self.bins[n].1));
         let means: Vec<f64> = over.gain.iter().map(|mean| mean.gain).collect();
-        let shape = found.map_or("flat", |n| if self.bins[n].1.is_class { "differs" } else { shape(&means, setting.straight) });
+        let shape = found.map_or("flat", |n| {
+            if self.bins[n].1.is_class { "differs" } else { shape(&means, setting.straight) }
+        });
         let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, false));
         let map = self.map(&gains);
         let pixels = self.pixels(&map, rows.range, columns.range, setting.rest * placed.gain);
@@ -384,16 +438,29 @@ impl<'a> Ground<'a> {
     fn stands_out(&self, part: &Mean, rest: &Mean) -> bool {
         let least = self.setting.least_events;
         let differ = part.gain - rest.gain > self.setting.certain * libm::hypot(part.error, rest.error);
-        part.events >= least && rest.events >= least && part.gain > 0.0 && rest.gain < self.setting.rest * part.gain && differ
+        part.events >= least
+            && rest.events >= least
+            && part.gain > 0.0
+            && rest.gain < self.setting.rest * part.gain
+            && differ
     }
 
-    /// The contiguous part of an axis that holds the gain of the events that are asked; none where it does not stand out, or where parts chosen on either half of the blocks do not on the
-    /// other half: the best of many parts differs from its rest by chance alone. `at`: the step of each event.
-    fn part(&self, gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> bool) -> Option<Found> {
+    /// The contiguous part of an axis that holds the gain of the events that are asked; none where it does
+    /// not stand out, or where parts chosen on either half of the blocks do not on the other half: the best
+    /// of many parts differs from its rest by chance alone. `at`: the step of each event.
+    fn part(
+        &self,
+        gains: &[f64],
+        at: &[usize],
+        steps: usize,
+        is_asked: &dyn Fn(usize) -> bool,
+    ) -> Option<Found> {
         let setting = self.setting;
         let (first, last) = best(gains, at, steps, is_asked, setting.least_events, setting.rim_events)?;
         let sides = |(first, last): (usize, usize), is_asked: &dyn Fn(usize) -> bool| {
-            [true, false].map(|wanted| self.means(gains, &|k| is_asked(k) && (first..=last).contains(&at[k]) == wanted).0)
+            [true, false].map(|wanted| {
+                self.means(gains, &|k| is_asked(k) && (first..=last).contains(&at[k]) == wanted).0
+            })
         };
         let [inside, outside] = sides((first, last), is_asked);
         let (mut differ, mut error) = (0.0, 0.0);
@@ -401,9 +468,17 @@ impl<'a> Ground<'a> {
             let is_in = |k: usize| is_asked(k) && self.block[k] % 2 == half;
             let chosen = best(gains, at, steps, &is_in, setting.least_events / 2, setting.rim_events / 2)?;
             let [inside, outside] = sides(chosen, &|k| is_asked(k) && self.block[k] % 2 != half);
-            (differ, error) = (differ + inside.gain - outside.gain, libm::hypot(error, libm::hypot(inside.error, outside.error)));
+            (differ, error) = (
+                differ + inside.gain - outside.gain,
+                libm::hypot(error, libm::hypot(inside.error, outside.error)),
+            );
         }
-        (differ > setting.certain_apart * error && self.stands_out(&inside, &outside)).then_some(Found { first, last, inside, outside })
+        (differ > setting.certain_apart * error && self.stands_out(&inside, &outside)).then_some(Found {
+            first,
+            last,
+            inside,
+            outside,
+        })
     }
 
     fn curve(&self, gains: &[f64], bins: &Bins) -> Curve {
@@ -411,19 +486,26 @@ impl<'a> Ground<'a> {
         Curve { at: bins.at.clone(), gain: (0..bins.at.len()).map(of).collect() }
     }
 
-    /// What the gain varies over by name, and the number of its curve; the catalogue's own where nothing explains much more.
+    /// What the gain varies over by name, and the number of its curve; the catalogue's own where nothing
+    /// explains much more.
     fn covariate(&self, gains: &[f64], own: &str) -> (String, Option<usize>) {
         let explained: Vec<f64> = self.bins.iter().map(|(_, bins)| self.explained(gains, bins)).collect();
         let best_of = |is_asked: &dyn Fn(Covariate) -> bool| {
             let asked = (0..self.bins.len()).filter(|n| is_asked(self.bins[*n].0) && explained[*n] > 0.0);
             asked.max_by(|a, b| explained[*a].total_cmp(&explained[*b]).then(b.cmp(a)))
         };
-        let is_own = |covariate: Covariate| own.split('*').any(|factor| factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent));
+        let is_own = |covariate: Covariate| {
+            own.split('*').any(|factor| {
+                factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent)
+            })
+        };
         let own_curve = best_of(&is_own);
         let by_own = own_curve.map_or(0.0, |n| explained[n]);
         // Where every event gains about as much, what little it varies by does not constrain the effect.
         let displaces = |n: &usize| {
-            explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own && self.is_uneven(gains, &self.bins[*n].1)
+            explained[*n] >= self.setting.least_displacing
+                && explained[*n] > self.setting.displaces * by_own
+                && self.is_uneven(gains, &self.bins[*n].1)
         };
         match best_of(&|_| true).filter(displaces) {
             Some(other) => (self.bins[other].0.name().to_owned(), Some(other)),
@@ -431,7 +513,8 @@ impl<'a> Ground<'a> {
         }
     }
 
-    /// Does some bin gain less than a share ([`LocatedSetting::uneven`]) of what the best one gains, per event?
+    /// Does some bin gain less than a share ([`LocatedSetting::uneven`]) of what the best one gains, per
+    /// event?
     fn is_uneven(&self, gains: &[f64], bins: &Bins) -> bool {
         let mut sums = vec![(0.0, 0.0); bins.at.len()];
         for (gain, bin) in gains.iter().zip(&bins.of) {
@@ -441,11 +524,14 @@ impl<'a> Ground<'a> {
             }
         }
         let means = sums.iter().filter(|sum| sum.1 > 0.0).map(|sum| sum.0 / sum.1);
-        let (least, most) = means.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), mean| (f64::min(least, mean), f64::max(most, mean)));
+        let (least, most) = means.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), mean| {
+            (f64::min(least, mean), f64::max(most, mean))
+        });
         least < self.setting.uneven * most
     }
 
-    /// Share of the squares of gains that a mean for each bin explains, on the half of the blocks that the means are not from; 0 where it is not significant.
+    /// Share of the squares of gains that a mean for each bin explains, on the half of the blocks that the
+    /// means are not from; 0 where it is not significant.
     fn explained(&self, gains: &[f64], bins: &Bins) -> f64 {
         let blocks = self.block.iter().copied().max().map_or(0, |last| last as usize + 1);
         if bins.at.len() < 2 {
@@ -474,22 +560,35 @@ impl<'a> Ground<'a> {
         let sums: Vec<(f64, f64)> = taken.into_iter().zip(counts).collect();
         let found = mean(&sums);
         let share = found.gain * found.events as f64 / f64::max(squares, 1e-300);
-        if share >= self.setting.least_explained && found.gain > self.setting.significant * found.error { share } else { 0.0 }
+        if share >= self.setting.least_explained && found.gain > self.setting.significant * found.error {
+            share
+        } else {
+            0.0
+        }
     }
 
     fn map(&self, gains: &[f64]) -> GainMap {
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
         let share = gains.len().max(1) as f64 / (width * height).max(1) as f64;
-        let side = usize::max(self.setting.cell, libm::ceil(libm::sqrt(self.setting.cell_events as f64 / share)) as usize).max(1);
+        let side = usize::max(
+            self.setting.cell,
+            libm::ceil(libm::sqrt(self.setting.cell_events as f64 / share)) as usize,
+        )
+        .max(1);
         let (across, down) = (width.div_ceil(side), height.div_ceil(side));
-        let mut map = GainMap { side, across, gain: vec![0.0; across * down], events: vec![0; across * down] };
+        let mut map =
+            GainMap { side, across, gain: vec![0.0; across * down], events: vec![0; across * down] };
         for (k, gain) in gains.iter().enumerate() {
             let (x, y) = self.case.place(self.pixel[k] as usize);
             let cell = y as usize / side * across + x as usize / side;
             map.gain[cell] += gain;
             map.events[cell] += 1;
         }
-        map.gain.iter_mut().zip(&map.events).filter(|(_, events)| **events > 0).for_each(|(gain, events)| *gain /= f64::from(*events));
+        map.gain
+            .iter_mut()
+            .zip(&map.events)
+            .filter(|(_, events)| **events > 0)
+            .for_each(|(gain, events)| *gain /= f64::from(*events));
         map
     }
 
@@ -498,14 +597,21 @@ impl<'a> Ground<'a> {
         let side = map.side;
         let cells = |range: [u32; 2]| range[0] as usize / side..=range[1] as usize / side;
         let within = |range: [u32; 2], cell: usize| {
-            let (from, to) = (usize::max(range[0] as usize, cell * side), usize::min(range[1] as usize, (cell + 1) * side - 1));
+            let (from, to) = (
+                usize::max(range[0] as usize, cell * side),
+                usize::min(range[1] as usize, (cell + 1) * side - 1),
+            );
             (to + 1).saturating_sub(from) as u64
         };
         let mut pixels = 0;
         for row in cells(rows) {
             for column in cells(columns) {
-                let near = |at: usize, range: [u32; 2]| usize::max(at.saturating_sub(1), *cells(range).start())..=usize::min(at + 1, *cells(range).end());
-                let around = near(row, rows).flat_map(|y| near(column, columns).map(move |x| y * map.across + x));
+                let near = |at: usize, range: [u32; 2]| {
+                    usize::max(at.saturating_sub(1), *cells(range).start())
+                        ..=usize::min(at + 1, *cells(range).end())
+                };
+                let around =
+                    near(row, rows).flat_map(|y| near(column, columns).map(move |x| y * map.across + x));
                 let (gain, events) = around.fold((0.0, 0.0), |(gain, events), cell| {
                     let count = f64::from(map.events[cell]);
                     (gain + count * map.gain[cell], events + count)
@@ -519,8 +625,16 @@ impl<'a> Ground<'a> {
     }
 }
 
-/// The part of an axis whose mean gain differs most from the rest's, by the squares between the two; `least`: events on either side, `rim`: ends with fewer belong to it.
-fn best(gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> bool, least: usize, rim: usize) -> Option<(usize, usize)> {
+/// The part of an axis whose mean gain differs most from the rest's, by the squares between the two; `least`:
+/// events on either side, `rim`: ends with fewer belong to it.
+fn best(
+    gains: &[f64],
+    at: &[usize],
+    steps: usize,
+    is_asked: &dyn Fn(usize) -> bool,
+    least: usize,
+    rim: usize,
+) -> Option<(usize, usize)> {
     let mut sums = vec![(0.0, 0_usize); steps + 1];
     for k in (0..gains.len()).filter(|&k| is_asked(k)) {
         sums[at[k] + 1].0 += gains[k];
@@ -546,7 +660,10 @@ fn best(gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> b
         }
     }
     let (first, last) = best.1?;
-    Some((if sums[first].1 < rim { 0 } else { first }, if count - sums[last + 1].1 < rim { steps - 1 } else { last }))
+    Some((
+        if sums[first].1 < rim { 0 } else { first },
+        if count - sums[last + 1].1 < rim { steps - 1 } else { last },
+    ))
 }
 
 /// Mean of sums by block (sum, how many) and its standard error.
@@ -572,7 +689,9 @@ fn shape(gains: &[f64], straight: f64) -> &'static str {
     if xy * xy >= straight * xx * yy {
         return if xy > 0.0 { "rises" } else { "falls" };
     }
-    let (least, most) = gains.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), gain| (f64::min(least, *gain), f64::max(most, *gain)));
+    let (least, most) = gains.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), gain| {
+        (f64::min(least, *gain), f64::max(most, *gain))
+    });
     let ends = [gains[0], gains[gains.len() - 1]].map(|gain| gain - 0.5 * (least + most));
     match ends.map(|end| end < 0.0) {
         [true, true] => "peak",

@@ -1,4 +1,5 @@
-//! Effects that were applied to a part of a recording are found there, and one that is everywhere is found everywhere.
+//! Effects that were applied to a part of a recording are found there, and one that is everywhere is found
+//! everywhere.
 
 use super::*;
 use crate::candidates::{Candidate, Scales, Trial};
@@ -22,16 +23,31 @@ fn texture() -> (MadeUp, Case, Nominal) {
 }
 
 /// The same scene recorded with an effect at an effect size.
-fn with_effect(scene: &MadeUp, plain: &Case, nominal: &Nominal, id: &str, parameter: &str, effect_size: f64) -> Case {
+fn with_effect(
+    scene: &MadeUp,
+    plain: &Case,
+    nominal: &Nominal,
+    id: &str,
+    parameter: &str,
+    effect_size: f64,
+) -> Case {
     let candidate = Candidate::find(id, parameter).unwrap();
-    scene.recording_through(Some(&Trial::with(nominal, candidate, effect_size, &Scales::of(plain, nominal)))).unwrap()
+    scene
+        .recording_through(Some(&Trial::with(nominal, candidate, effect_size, &Scales::of(plain, nominal))))
+        .unwrap()
 }
 
 /// Events of one recording where `is_other` says so (pixel, time in ns), and of another elsewhere.
 fn mixed(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> Case {
     let of = |pixel: usize| -> Vec<Recorded> {
-        let from =
-            |case: &Case, wanted: bool| case.events.of(pixel).iter().filter(|event| is_other(pixel, event.t_in_ns) == wanted).copied().collect::<Vec<_>>();
+        let from = |case: &Case, wanted: bool| {
+            case.events
+                .of(pixel)
+                .iter()
+                .filter(|event| is_other(pixel, event.t_in_ns) == wanted)
+                .copied()
+                .collect::<Vec<_>>()
+        };
         [from(plain, false), from(other, true)].concat()
     };
     Case { events: PixelEvents::new((0..plain.events.pixels()).map(of)), ..plain.clone() }
@@ -45,10 +61,15 @@ fn found(scene: &MadeUp, case: &Case, nominal: &Nominal) -> Evidence {
 
 fn of<'a>(ranked: &'a [Ranked], id: &str) -> &'a Located {
     let one = ranked.iter().find(|one| CANDIDATES[one.candidate].id == id && one.located.is_some());
-    one.unwrap_or_else(|| panic!("{id} was not located: {:?}", ranked.iter().map(|one| CANDIDATES[one.candidate].id).collect::<Vec<_>>()))
-        .located
-        .as_ref()
-        .unwrap()
+    one.unwrap_or_else(|| {
+        panic!(
+            "{id} was not located: {:?}",
+            ranked.iter().map(|one| CANDIDATES[one.candidate].id).collect::<Vec<_>>()
+        )
+    })
+    .located
+    .as_ref()
+    .unwrap()
 }
 
 fn is_near(found: u32, truth: u32) -> bool {
@@ -64,7 +85,13 @@ fn an_effect_of_some_rows_is_found_in_them() {
     let located = of(&found.ranked, "time_constant");
     assert!(is_near(located.rows.range[0], 16) && located.rows.range[1] == 39, "{:?}", located.rows);
     assert!(located.rows.outside.unwrap().gain < 0.1 * located.rows.inside.gain);
-    assert_eq!((located.columns.range, located.time_ns.range), ([0, 47], [case.span.0, case.span.1]), "{:?} {:?}", located.columns, located.time_ns);
+    assert_eq!(
+        (located.columns.range, located.time_ns.range),
+        ([0, 47], [case.span.0, case.span.1]),
+        "{:?} {:?}",
+        located.columns,
+        located.time_ns
+    );
     assert_eq!((&located.covariate[..], &located.shape[..]), ("row", "rises"));
     assert!(located.pixels.abs_diff(48 * 24) < 48 * 5, "{}", located.pixels);
 }
@@ -77,7 +104,12 @@ fn an_effect_of_a_part_of_the_time_is_found_then() {
     let found = found(&scene, &case, &nominal);
     let located = of(&found.ranked, "time_constant");
     let step_ns = (case.span.1 - case.span.0) / LocatedSetting::default().steps as i64;
-    assert!((located.time_ns.range[0] - 60_000_000).abs() <= 2 * step_ns && located.time_ns.range[1] == case.span.1, "{:?}", located.time_ns);
+    assert!(
+        (located.time_ns.range[0] - 60_000_000).abs() <= 2 * step_ns
+            && located.time_ns.range[1] == case.span.1,
+        "{:?}",
+        located.time_ns
+    );
     assert_eq!((located.rows.range, located.columns.range), ([0, 39], [0, 47]));
     assert_eq!(located.covariate, "time");
 }
@@ -85,7 +117,9 @@ fn an_effect_of_a_part_of_the_time_is_found_then() {
 #[test]
 fn an_effect_that_is_everywhere_is_found_everywhere() {
     let (scene, plain, nominal) = texture();
-    for (id, parameter) in [("time_constant", "alpha"), ("clock_offset", "offset"), ("black_level", "black_level_dn")] {
+    for (id, parameter) in
+        [("time_constant", "alpha"), ("clock_offset", "offset"), ("black_level", "black_level_dn")]
+    {
         let case = with_effect(&scene, &plain, &nominal, id, parameter, 1.0);
         let found = found(&scene, &case, &nominal);
         let located = of(&found.ranked, id);
@@ -156,7 +190,9 @@ fn a_moving_picture_locates_too_and_no_number_depends_on_threads() {
         let source = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
         evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap()
     };
-    let on = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(of_picture);
+    let on = |threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(of_picture)
+    };
     let found = on(1);
     let located = of(&found.ranked, "time_constant");
     assert!(is_near(located.rows.range[0], 16) && located.rows.range[1] == 39, "{:?}", located.rows);
@@ -164,7 +200,8 @@ fn a_moving_picture_locates_too_and_no_number_depends_on_threads() {
     assert_eq!(serde_json::to_string(&found).unwrap(), serde_json::to_string(&on(3)).unwrap());
 }
 
-/// Events over an array of 12 x 10 pixels with gains of a mean where `is_part` says so (column, row), and about nothing elsewhere.
+/// Events over an array of 12 x 10 pixels with gains of a mean where `is_part` says so (column, row), and
+/// about nothing elsewhere.
 struct Drawn {
     case: Case,
     pixel: Vec<u32>,
@@ -178,7 +215,15 @@ struct Drawn {
 fn drawn(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> Drawn {
     let case = testing::case();
     let mut random = Random::new(seed, &[]);
-    let mut drawn = Drawn { case, pixel: Vec::new(), t_ns: Vec::new(), polarity: Vec::new(), light: Vec::new(), block: Vec::new(), gains: Vec::new() };
+    let mut drawn = Drawn {
+        case,
+        pixel: Vec::new(),
+        t_ns: Vec::new(),
+        polarity: Vec::new(),
+        light: Vec::new(),
+        block: Vec::new(),
+        gains: Vec::new(),
+    };
     for _ in 0..3_000 {
         let pixel = ((random.uniform() * 120.0) as u32).min(119);
         let (x, y) = drawn.case.place(pixel as usize);
@@ -194,7 +239,14 @@ fn drawn(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> Drawn {
 
 fn located(drawn: &Drawn) -> Located {
     let setting = LocatedSetting::default();
-    let ground = Ground::new(&drawn.case, (&drawn.pixel, &drawn.t_ns, &drawn.polarity), &drawn.light, &drawn.block, &[], &setting);
+    let ground = Ground::new(
+        &drawn.case,
+        (&drawn.pixel, &drawn.t_ns, &drawn.polarity),
+        &drawn.light,
+        &drawn.block,
+        &[],
+        &setting,
+    );
     ground.locate(&drawn.gains, "slope")
 }
 
@@ -202,13 +254,24 @@ fn located(drawn: &Drawn) -> Located {
 fn a_block_of_the_array_is_found_and_chance_makes_no_parts() {
     let found = located(&drawn(1, 1.0, |x, y| (3..9).contains(&x) && (2..6).contains(&y)));
     assert_eq!((found.columns.range, found.rows.range), ([3, 8], [2, 5]));
-    assert!(found.columns.outside.is_some() && found.time_ns.outside.is_none() && found.log_light.outside.is_none() && found.polarity == "both");
+    assert!(
+        found.columns.outside.is_some()
+            && found.time_ns.outside.is_none()
+            && found.log_light.outside.is_none()
+            && found.polarity == "both"
+    );
     // As strong everywhere, weak everywhere, and none at all.
     for (seed, mean) in (0..60).map(|seed| (seed, [1.0, 0.1, 0.0][seed as usize % 3])) {
         let found = located(&drawn(seed, mean, |_, _| true));
-        let is_whole = [&found.rows.outside, &found.columns.outside, &found.time_ns.outside, &found.log_light.outside].iter().all(|rest| rest.is_none());
+        let is_whole =
+            [&found.rows.outside, &found.columns.outside, &found.time_ns.outside, &found.log_light.outside]
+                .iter()
+                .all(|rest| rest.is_none());
         assert!(is_whole && found.polarity == "both", "{seed}: {found:?}");
-        assert_eq!((found.rows.range, found.columns.range, found.time_ns.range), ([0, 9], [0, 11], [0, 60_000_000]));
+        assert_eq!(
+            (found.rows.range, found.columns.range, found.time_ns.range),
+            ([0, 9], [0, 11], [0, 60_000_000])
+        );
         assert_eq!((&found.covariate[..], &found.shape[..]), ("slope", "flat"));
     }
 }
@@ -248,6 +311,9 @@ fn a_location_takes_what_was_measured() {
         pixel_list: Vec::new(),
     };
     found.put(&mut location);
-    assert_eq!((location.columns, location.rows, &location.stream[..], location.shape.as_deref()), ([0, 5], [0, 9], "frames", Some("flat")));
+    assert_eq!(
+        (location.columns, location.rows, &location.stream[..], location.shape.as_deref()),
+        ([0, 5], [0, 9], "frames", Some("flat"))
+    );
     assert!(location.pixels.abs_diff(60) <= 12, "{}", location.pixels);
 }

@@ -1,8 +1,11 @@
-//! By how much every event missed its threshold when the scene is given, and what each effect would change of that.
+//! By how much every event missed its threshold when the scene is given, and what each effect would change of
+//! that.
 //!
-//! For an event of polarity p: e = V(t) - V_ref - p theta, with V the front end's answer to the pixel's light and V_ref what the reset rule gives from the event before. Events stand
-//! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
-//! frames imply: [`through_frames`] takes it off.
+//! For an event of polarity p: e = V(t) - V_ref - p theta, with V the front end's answer to the pixel's light
+//! and V_ref what the reset rule gives from the event before. Events stand where they were recorded, so
+//! nothing needs to be matched; every effect is evaluated by its own hooks
+//! ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that frames imply:
+//! [`through_frames`] takes it off.
 //!
 //! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
 //! - [`fit`]: size and gain of each effect.
@@ -76,7 +79,8 @@ pub struct View<'a> {
     pub light: &'a Light,
     /// Pixels, rising.
     pub pixels: Vec<u32>,
-    /// Does the scene stand without the frames? Otherwise it is what they imply, and effects of frames change it.
+    /// Does the scene stand without the frames? Otherwise it is what they imply, and effects of frames change
+    /// it.
     pub is_known: bool,
 }
 
@@ -109,13 +113,33 @@ impl View<'_> {
     ///
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
-    pub fn residuals(&self, trials: &[Trial], keeps: impl Fn(usize, i64) -> bool + Sync) -> Result<(Residuals, Vec<OfTrial>), String> {
-        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
-        let parts: Vec<(Residuals, Vec<OfTrial>)> = self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &Chosen::By(&keeps))).collect();
+    pub fn residuals(
+        &self,
+        trials: &[Trial],
+        keeps: impl Fn(usize, i64) -> bool + Sync,
+    ) -> Result<(Residuals, Vec<OfTrial>), String> {
+        let prepared =
+            trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let parts: Vec<(Residuals, Vec<OfTrial>)> = self
+            .pixels
+            .par_chunks(CHUNK)
+            .map(|pixels| self.part(pixels, &prepared, &Chosen::By(&keeps)))
+            .collect();
         let mut all = Residuals::default();
         let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
         for (part, values) in parts {
-            let Residuals { pixel, number, t_ns, polarity, previous, since_ns, excess, slope_per_s, slope_before_per_s, log_light } = part;
+            let Residuals {
+                pixel,
+                number,
+                t_ns,
+                polarity,
+                previous,
+                since_ns,
+                excess,
+                slope_per_s,
+                slope_before_per_s,
+                log_light,
+            } = part;
             all.pixel.extend(pixel);
             all.number.extend(number);
             all.t_ns.extend(t_ns);
@@ -139,9 +163,11 @@ impl View<'_> {
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
     pub fn of_events(&self, trials: &[Trial], events: &Residuals) -> Result<Vec<OfTrial>, String> {
-        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let prepared =
+            trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
         let chosen: Chosen<'_, fn(usize, i64) -> bool> = Chosen::Before(events);
-        let parts: Vec<Vec<OfTrial>> = self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &chosen).1).collect();
+        let parts: Vec<Vec<OfTrial>> =
+            self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &chosen).1).collect();
         let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
         for part in parts {
             for (all, values) in of_trials.iter_mut().zip(part) {
@@ -152,12 +178,14 @@ impl View<'_> {
         Ok(of_trials)
     }
 
-    /// The frame values of the pixels, and for each trial what it leaves of them, DN: recorded less predicted. Saturated and unknown values are left out.
+    /// The frame values of the pixels, and for each trial what it leaves of them, DN: recorded less
+    /// predicted. Saturated and unknown values are left out.
     ///
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
     pub fn frames(&self, trials: &[Trial]) -> Result<(FrameValues, Vec<Vec<f32>>), String> {
-        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let prepared =
+            trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
         let of_pixel = |&pixel: &u32| {
             let (mut values, mut left) = (FrameValues::default(), vec![Vec::new(); prepared.len()]);
@@ -167,11 +195,19 @@ impl View<'_> {
             }
             let track = Track::new(&instants, &log, self.light.step_ns);
             let frames = frames_of(self.case, &prepared[0].nominal, pixel as usize);
-            let look = Look { site: self.case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &frames };
+            let look = Look {
+                site: self.case.site(pixel as usize, 0),
+                track: &track,
+                seen: None,
+                events: &[],
+                frames: &frames,
+            };
             let counts: Vec<usize> = (0..frames.len()).filter(|&l| !frames[l].saturated).collect();
             values.pixel = vec![pixel; counts.len()];
-            values.t_ns = counts.iter().map(|&l| i64::midpoint(frames[l].start_ns, frames[l].end_ns)).collect();
-            values.signal_dn = counts.iter().map(|&l| frames[l].dn - prepared[0].nominal.number.black_level).collect();
+            values.t_ns =
+                counts.iter().map(|&l| i64::midpoint(frames[l].start_ns, frames[l].end_ns)).collect();
+            values.signal_dn =
+                counts.iter().map(|&l| frames[l].dn - prepared[0].nominal.number.black_level).collect();
             values.log_signal = values.signal_dn.iter().map(|signal| ln(signal.max(1.0))).collect();
             let mut out = Conditional::default();
             for (left, prepared) in left.iter_mut().zip(&prepared) {
@@ -192,7 +228,12 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
-    fn part(&self, pixels: &[u32], prepared: &[Prepared], chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>) -> (Residuals, Vec<OfTrial>) {
+    fn part(
+        &self,
+        pixels: &[u32],
+        prepared: &[Prepared],
+        chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>,
+    ) -> (Residuals, Vec<OfTrial>) {
         let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
         let mut out = Conditional::default();
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
@@ -216,8 +257,14 @@ impl View<'_> {
             let mut plain: Option<Track> = None;
             let mut around = Around::default();
             for (n, prepared) in prepared.iter().enumerate() {
-                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants, &mut around));
-                let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, &instants, &log) };
+                let seen = prepared
+                    .kernel()
+                    .map(|kernel| self.mixed(kernel, prepared, pixel, &instants, &mut around));
+                let changed = if self.is_known {
+                    None
+                } else {
+                    through_frames(self.case, prepared, &site, &instants, &log)
+                };
                 let track = match changed {
                     Some((t, log)) => &Track::new(&t, &log, self.light.step_ns),
                     None => &*plain.get_or_insert_with(|| Track::new(&instants, &log, self.light.step_ns)),
@@ -227,7 +274,12 @@ impl View<'_> {
                 conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
                 if let (0, Chosen::By(keeps)) = (n, chosen) {
                     kept = (1..events.len())
-                        .filter(|&k| out.is_armed[k] && out.is_armed[k - 1] && keeps(pixel, events[k].t_in_ns) && keeps(pixel, events[k - 1].t_in_ns))
+                        .filter(|&k| {
+                            out.is_armed[k]
+                                && out.is_armed[k - 1]
+                                && keeps(pixel, events[k].t_in_ns)
+                                && keeps(pixel, events[k - 1].t_in_ns)
+                        })
                         .collect();
                     for &k in &kept {
                         self.push(&mut all, pixel, k, &events, &out, &log);
@@ -240,7 +292,15 @@ impl View<'_> {
         (all, of_trials)
     }
 
-    fn push(&self, all: &mut Residuals, pixel: usize, k: usize, events: &[MapEvent], out: &Conditional, log: &[f64]) {
+    fn push(
+        &self,
+        all: &mut Residuals,
+        pixel: usize,
+        k: usize,
+        events: &[MapEvent],
+        out: &Conditional,
+        log: &[f64],
+    ) {
         let (event, before) = (&events[k], &events[k - 1]);
         all.pixel.push(pixel as u32);
         all.number.push(k as u32);
@@ -251,12 +311,20 @@ impl View<'_> {
         all.excess.push(out.excess[k]);
         all.slope_per_s.push(out.slope_per_s[k]);
         all.slope_before_per_s.push(out.slope_per_s[k - 1]);
-        let at = ((event.t_in_ns - self.light.start_ns) / self.light.step_ns).clamp(0, log.len() as i64 - 1) as usize;
+        let at = ((event.t_in_ns - self.light.start_ns) / self.light.step_ns).clamp(0, log.len() as i64 - 1)
+            as usize;
         all.log_light.push(log[at]);
     }
 
     /// Log light that the event path sees where neighbours mix in, each as its frames imply it.
-    fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64], around: &mut Around) -> Vec<f64> {
+    fn mixed(
+        &self,
+        kernel: &Kernel,
+        prepared: &Prepared,
+        pixel: usize,
+        instants: &[i64],
+        around: &mut Around,
+    ) -> Vec<f64> {
         let (x, y) = self.case.place(pixel);
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
         let is_linear = kernel.domain == Domain::Linear;
@@ -264,12 +332,17 @@ impl View<'_> {
             .taps
             .iter()
             .map(|tap| {
-                let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
+                let neighbour =
+                    stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
                 let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
                 let at = around.find(neighbour, &self.light.log[neighbour]);
                 let site = self.case.site(neighbour, 0);
                 let log = &around.seen[at].log;
-                let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, log) };
+                let changed = if self.is_known {
+                    None
+                } else {
+                    through_frames(self.case, prepared, &site, instants, log)
+                };
                 (at, changed.map(|(_, log)| log))
             })
             .collect();
@@ -298,7 +371,12 @@ impl View<'_> {
 
 /// The events of a pixel, with stamps as recorded.
 fn events_of(case: &Case, pixel: usize) -> Vec<MapEvent> {
-    let event = |event: &Recorded| MapEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns.max(event.t_in_ns), polarity: event.polarity, is_lone: false };
+    let event = |event: &Recorded| MapEvent {
+        t_in_ns: event.t_in_ns,
+        t_off_ns: event.t_off_ns.max(event.t_in_ns),
+        polarity: event.polarity,
+        is_lone: false,
+    };
     case.events.of(pixel).iter().map(event).collect()
 }
 
@@ -308,7 +386,13 @@ fn frames_of(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<MapFrame> {
     let frame = |l: usize| -> Option<MapFrame> {
         let (dn, exposure) = (case.dn(l, pixel), case.frames.as_ref()?.times.exposure(l, y));
         let (start_ns, end_ns) = (exposure.start.0, exposure.end.0);
-        dn.is_finite().then_some(MapFrame { start_ns, end_ns, dn, sigma_dn: 1.0, saturated: dn >= nominal.saturation_dn })
+        dn.is_finite().then_some(MapFrame {
+            start_ns,
+            end_ns,
+            dn,
+            sigma_dn: 1.0,
+            saturated: dn >= nominal.saturation_dn,
+        })
     };
     (0..case.frame_count()).filter_map(frame).collect()
 }
@@ -330,7 +414,11 @@ struct Neighbour {
 impl Around {
     fn find(&mut self, pixel: usize, log: &[f32]) -> usize {
         self.seen.iter().position(|one| one.pixel == pixel).unwrap_or_else(|| {
-            self.seen.push(Neighbour { pixel, log: log.iter().map(|u| f64::from(*u)).collect(), light: Vec::new() });
+            self.seen.push(Neighbour {
+                pixel,
+                log: log.iter().map(|u| f64::from(*u)).collect(),
+                light: Vec::new(),
+            });
             self.seen.len() - 1
         })
     }
@@ -348,29 +436,47 @@ impl Neighbour {
     }
 }
 
-/// The light that frames imply when they were taken through effects: instants and log light; none where no effect touches frames.
+/// The light that frames imply when they were taken through effects: instants and log light; none where no
+/// effect touches frames.
 ///
-/// The scene was fitted as if frames were exposed and read out as the description states. Through effects the same digital number, at the same stated exposure, stands for light
-/// of another instant and another size. Exposures overlap as the mean of a moving scene, so both are taken at the middle of an exposure.
-fn through_frames(case: &Case, prepared: &Prepared, site: &Site, instants: &[i64], log: &[f64]) -> Option<(Vec<i64>, Vec<f64>)> {
+/// The scene was fitted as if frames were exposed and read out as the description states. Through effects the
+/// same digital number, at the same stated exposure, stands for light of another instant and another size.
+/// Exposures overlap as the mean of a moving scene, so both are taken at the middle of an exposure.
+fn through_frames(
+    case: &Case,
+    prepared: &Prepared,
+    site: &Site,
+    instants: &[i64],
+    log: &[f64],
+) -> Option<(Vec<i64>, Vec<f64>)> {
     let frames = case.frames.as_ref()?;
     let nominal = &prepared.nominal;
     let effects: &[Box<dyn Effect>] = &prepared.effects;
     let exposure_ns = frames.times.nominal_exposure_ns()?.max(1);
     let period_ns = frames.times.mean_period_ns().map_or(exposure_ns, |period| period as i64);
     let row = RowSite { y: site.y, height: site.height, frame: 1, row_time_ns: nominal.row_time_ns };
-    let stated = Exposure { start: Timestamp(-exposure_ns / 2), end: Timestamp(exposure_ns - exposure_ns / 2) };
+    let stated =
+        Exposure { start: Timestamp(-exposure_ns / 2), end: Timestamp(exposure_ns - exposure_ns / 2) };
     let exposed = effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
-    let shift_ns = i64::midpoint(exposed.start.0, exposed.end.0) - i64::midpoint(stated.start.0, stated.end.0);
-    let (seconds, real_s) = (exposure_ns as f64 * 1e-9, f64::max((exposed.end.0 - exposed.start.0) as f64 * 1e-9, 1e-9));
+    let shift_ns =
+        i64::midpoint(exposed.start.0, exposed.end.0) - i64::midpoint(stated.start.0, stated.end.0);
+    let (seconds, real_s) =
+        (exposure_ns as f64 * 1e-9, f64::max((exposed.end.0 - exposed.start.0) as f64 * 1e-9, 1e-9));
     let number = nominal.number;
     let through = |charge: f64, previous_charge: f64| {
-        let reading = Reading { frame: 1, previous_charge, gain: number.gain, black_level: number.black_level, saturation: nominal.saturation_dn };
+        let reading = Reading {
+            frame: 1,
+            previous_charge,
+            gain: number.gain,
+            black_level: number.black_level,
+            saturation: nominal.saturation_dn,
+        };
         let read = effects.iter().fold(charge, |charge, effect| effect.charge(site, &reading, charge));
         effects.iter().fold(number.of(read), |dn, effect| effect.dn(site, &reading, dn))
     };
     let some = exp(log[log.len() / 2]) * seconds;
-    let probes = [(some, some), (2.0 * some, some), (some, 3.0 * some)].map(|(charge, before)| through(charge, before) - number.of(charge));
+    let probes = [(some, some), (2.0 * some, some), (some, 3.0 * some)]
+        .map(|(charge, before)| through(charge, before) - number.of(charge));
     let touches = probes.iter().any(|change| change.abs() > 1e-9 * number.of(some).abs());
     if !touches && exposed == stated {
         return None;
@@ -405,10 +511,13 @@ fn through_frames(case: &Case, prepared: &Prepared, site: &Site, instants: &[i64
     Some((instants.iter().map(|t| t + shift_ns).collect(), found))
 }
 
-/// A smooth function of many values by linear interpolation between few: steps of a fiftieth, errors of a twenty-thousandth of its curvature.
+/// A smooth function of many values by linear interpolation between few: steps of a fiftieth, errors of a
+/// twenty-thousandth of its curvature.
 fn tabulated(values: &[f64], of: impl Fn(f64) -> f64) -> Vec<f64> {
     const STEP: f64 = 0.02;
-    let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), u| (f64::min(low, *u), f64::max(high, *u)));
+    let (low, high) = values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), u| (f64::min(low, *u), f64::max(high, *u)));
     let count = ((high - low) / STEP) as usize + 2;
     if count >= values.len() {
         return values.iter().map(|u| of(*u)).collect();

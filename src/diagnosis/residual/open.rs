@@ -1,7 +1,9 @@
-//! What no effect of the catalogue has: the threshold, the delay of stamps, or a rate without light, free in every bin of a covariate.
+//! What no effect of the catalogue has: the threshold, the delay of stamps, or a rate without light, free in
+//! every bin of a covariate.
 //!
-//! With residuals that are small, looking for the unknown is a regression. Each bin gets a size of its own, judged on the blocks that it was not fitted to, and what one size for all
-//! bins would gain is subtracted: that is an effect of the catalogue.
+//! With residuals that are small, looking for the unknown is a regression. Each bin gets a size of its own,
+//! judged on the blocks that it was not fitted to, and what one size for all bins would gain is subtracted:
+//! that is an effect of the catalogue.
 
 use super::Residuals;
 use super::fit::{self, Column, Fitted, Plain, Rows, Seen, heldout};
@@ -53,7 +55,10 @@ impl Open {
 /// Takes what the control finds off, and sorts again, best first.
 pub fn beyond(found: &mut [Open], control: &[Open]) {
     for one in found.iter_mut() {
-        let same = |other: &&Open| (other.dependence.covariate, other.dependence.moved) == (one.dependence.covariate, one.dependence.moved);
+        let same = |other: &&Open| {
+            (other.dependence.covariate, other.dependence.moved)
+                == (one.dependence.covariate, one.dependence.moved)
+        };
         one.control_gain = control.iter().find(same).map_or(0.0, |other| other.gain);
     }
     found.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
@@ -70,7 +75,8 @@ pub struct Laid {
     before: Vec<f64>,
 }
 
-/// What is never asked: the polarity, which has effects of the catalogue, and the lag, which is slope and light.
+/// What is never asked: the polarity, which has effects of the catalogue, and the lag, which is slope and
+/// light.
 const LEFT_OUT: [Covariate; 2] = [Covariate::Polarity, Covariate::Lag];
 
 /// Lays every covariate over the events.
@@ -79,9 +85,13 @@ pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Optio
         .into_iter()
         .filter(|covariate| *covariate != Covariate::AcPhase || period_ns.is_some())
         .map(|covariate| {
-            let value = |k: usize, t_ns: i64, polarity: i8| surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN);
+            let value = |k: usize, t_ns: i64, polarity: i8| {
+                surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN)
+            };
             let at = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect();
-            let before = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k] - events.since_ns[k], events.previous[k])).collect();
+            let before = (0..events.t_ns.len())
+                .map(|k| value(k, events.t_ns[k] - events.since_ns[k], events.previous[k]))
+                .collect();
             Laid { covariate, period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase), at, before }
         })
         .collect()
@@ -89,13 +99,26 @@ pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Optio
 
 /// Every covariate with everything that may be moved, best first.
 ///
-/// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units; `least`: least noise.
-pub fn dependences(events: &Residuals, residual: &[f64], block: &[u32], laid: &[Laid], threshold: f64, least: f64, setting: &OpenSetting) -> Vec<Open> {
+/// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units;
+/// `least`: least noise.
+pub fn dependences(
+    events: &Residuals,
+    residual: &[f64],
+    block: &[u32],
+    laid: &[Laid],
+    threshold: f64,
+    least: f64,
+    setting: &OpenSetting,
+) -> Vec<Open> {
     let mut found: Vec<Open> = laid
         .iter()
         .filter(|laid| !LEFT_OUT.contains(&laid.covariate))
-        .flat_map(|laid| [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved)))
-        .filter_map(|(laid, moved)| dependence(events, residual, block, laid, moved, threshold, least, setting))
+        .flat_map(|laid| {
+            [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved))
+        })
+        .filter_map(|(laid, moved)| {
+            dependence(events, residual, block, laid, moved, threshold, least, setting)
+        })
         .collect();
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     found
@@ -111,18 +134,29 @@ struct Free {
 }
 
 impl Free {
-    fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64, setting: &OpenSetting) -> Option<Free> {
+    fn new(
+        events: &Residuals,
+        laid: &Laid,
+        moved: Moved,
+        threshold: f64,
+        setting: &OpenSetting,
+    ) -> Option<Free> {
         // Events without a value keep what they have.
         let bins = Bins::new(laid, setting)?;
-        let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) =
-            (laid.at.iter().map(|value| bins.of(*value)).collect(), laid.before.iter().map(|value| bins.of(*value)).collect());
+        let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) = (
+            laid.at.iter().map(|value| bins.of(*value)).collect(),
+            laid.before.iter().map(|value| bins.of(*value)).collect(),
+        );
         let column = |bin: Option<usize>| -> Column {
             let is_in = |at: Option<usize>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
             let of = (0..of.len())
                 .map(|k| {
-                    let (here, before) = (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
+                    let (here, before) =
+                        (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
                     let change = match moved {
-                        Moved::Threshold | Moved::EventRate => here * f64::from(events.polarity[k]) * threshold,
+                        Moved::Threshold | Moved::EventRate => {
+                            here * f64::from(events.polarity[k]) * threshold
+                        }
                         Moved::Stamps => here * events.slope_per_s[k] - before * events.slope_before_per_s[k],
                         Moved::Rate => here * threshold * events.since_ns[k] as f64 * 1e-9,
                     };
@@ -150,11 +184,17 @@ pub fn gains(
 ) -> Option<Vec<f64>> {
     let laid = laid.iter().find(|laid| laid.covariate == dependence.covariate)?;
     let free = Free::new(events, laid, dependence.moved, threshold, setting)?;
-    let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
+    let rows =
+        Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
     let left = |columns: &[&Column]| -> Vec<f64> {
         let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
         let sizes = fit::fit(residual, &rows, &of, |_| true).0;
-        (0..residual.len()).map(|k| residual[k] + of.iter().zip(&sizes).map(|(column, size)| size * f64::from(column[k])).sum::<f64>()).collect()
+        (0..residual.len())
+            .map(|k| {
+                residual[k]
+                    + of.iter().zip(&sizes).map(|(column, size)| size * f64::from(column[k])).sum::<f64>()
+            })
+            .collect()
     };
     let (one, all) = (left(&[&free.whole]), left(&free.columns.iter().collect::<Vec<_>>()));
     let seen = |residual| Seen { residual, log_slope: &[] };
@@ -173,13 +213,17 @@ fn dependence(
 ) -> Option<Open> {
     let Free { bins, of, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
     let count = bins.count();
-    let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] });
+    let plain = Plain::new(
+        residual,
+        Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] },
+    );
     let all: Fitted = heldout(&plain, &columns.iter().collect::<Vec<_>>());
     let one: Fitted = heldout(&plain, &[&whole]);
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
     let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;
-    let mean = (0..count).map(|bin| weight(bin) * value[bin]).sum::<f64>() / f64::max((0..count).map(weight).sum(), 1.0);
+    let mean = (0..count).map(|bin| weight(bin) * value[bin]).sum::<f64>()
+        / f64::max((0..count).map(weight).sum(), 1.0);
     let taken = 1.0 - libm::exp(-2.0 * gain.max(0.0));
     let dependence = Dependence {
         moved,
@@ -206,7 +250,11 @@ impl Bins {
         values.sort_by(f64::total_cmp);
         let is_phase = matches!(laid.covariate, Covariate::AcPhase | Covariate::FramePhase);
         let most = if is_phase { setting.bins_of_phase } else { setting.bins };
-        let count = if laid.covariate.is_class() { values.len() } else { most.min(values.len() / setting.least_in_bin.max(1)) };
+        let count = if laid.covariate.is_class() {
+            values.len()
+        } else {
+            most.min(values.len() / setting.least_in_bin.max(1))
+        };
         let mut edges: Vec<f64> = if laid.covariate.is_class() {
             let mut classes = values.clone();
             classes.dedup();
@@ -278,8 +326,15 @@ mod tests {
         }
         let laid = [laid(parity, Covariate::RowParity), laid(row, Covariate::Row)];
         let found = dependences(&events, &residual, &block, &laid, 0.2, 1e-4, &OpenSetting::default());
-        assert_eq!((found[0].dependence.covariate, found[0].dependence.moved), (Covariate::RowParity, Moved::Stamps));
-        assert!((found[0].dependence.value[1] - found[0].dependence.value[0] - 2e-4).abs() < 5e-6, "{:?}", found[0].dependence.value);
+        assert_eq!(
+            (found[0].dependence.covariate, found[0].dependence.moved),
+            (Covariate::RowParity, Moved::Stamps)
+        );
+        assert!(
+            (found[0].dependence.value[1] - found[0].dependence.value[0] - 2e-4).abs() < 5e-6,
+            "{:?}",
+            found[0].dependence.value
+        );
         assert!(found[1].gain < 0.2 * found[0].gain, "{:?}", found[1]);
     }
 
@@ -287,8 +342,19 @@ mod tests {
     fn one_size_for_all_bins_is_no_dependence() {
         let (events, block, mut residual) = events(8_000);
         let row: Vec<f64> = events.pixel.iter().map(|pixel| f64::from(pixel / 64)).collect();
-        residual.iter_mut().zip(&events.polarity).for_each(|(residual, polarity)| *residual += 0.02 * f64::from(*polarity));
-        let found = dependences(&events, &residual, &block, &[laid(row, Covariate::Row)], 0.2, 1e-4, &OpenSetting::default());
+        residual
+            .iter_mut()
+            .zip(&events.polarity)
+            .for_each(|(residual, polarity)| *residual += 0.02 * f64::from(*polarity));
+        let found = dependences(
+            &events,
+            &residual,
+            &block,
+            &[laid(row, Covariate::Row)],
+            0.2,
+            1e-4,
+            &OpenSetting::default(),
+        );
         assert!(found.iter().all(|one| one.gain < 0.01), "{:?}", found[0]);
     }
 }

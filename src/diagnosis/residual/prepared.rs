@@ -1,4 +1,5 @@
-//! A trial ready to be evaluated: its effects built and given the load of the recording, and the mixture of neighbours that they make.
+//! A trial ready to be evaluated: its effects built and given the load of the recording, and the mixture of
+//! neighbours that they make.
 
 use crate::candidates::Trial;
 use crate::record::effects_of;

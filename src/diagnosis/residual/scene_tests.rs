@@ -18,7 +18,9 @@ use photocurrent_sensor::conditional::at;
 fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
     let nominal = scene.recording().unwrap().nominal().unwrap();
     let scales = Scales::of(&scene.recording().unwrap(), &nominal);
-    let candidate = effect.map(|(id, parameter, effect_size)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size));
+    let candidate = effect.map(|(id, parameter, effect_size)| {
+        (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size)
+    });
     let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
     let case = scene.recording_through(trial.as_ref()).unwrap();
     let source = KnownLight::new(&case, &nominal, scene.light().into(), &PictureSetting::default());
@@ -35,10 +37,19 @@ fn on_known_light_effects_of_events_and_of_frames_come_first_with_their_size() {
             let (found, truth) = seen(&scene, Some(effect));
             let (best, truth) = (&found.ranked[0], truth.unwrap());
             assert_eq!(CANDIDATES[best.candidate].id, effect.0, "scene {index}: {:?}", &found.ranked[..3]);
-            assert!((best.value / truth - 1.0).abs() < 0.005, "scene {index}, {}: {} is {truth}", effect.0, best.value);
+            assert!(
+                (best.value / truth - 1.0).abs() < 0.005,
+                "scene {index}, {}: {} is {truth}",
+                effect.0,
+                best.value
+            );
         }
         let (found, _) = seen(&scene, None);
-        assert!(found.ranked[0].beyond() < 0.02 && found.left[0] < 0.02, "scene {index}: {:?}", found.ranked[0]);
+        assert!(
+            found.ranked[0].beyond() < 0.02 && found.left[0] < 0.02,
+            "scene {index}: {:?}",
+            found.ranked[0]
+        );
     }
 }
 
@@ -55,12 +66,16 @@ fn error(source: &dyn Scene, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64
     let (from, to) = (middle_ns(case, 0), middle_ns(case, case.frame_count() - 1));
     let mut errors: Vec<f64> = Vec::new();
     for (pixel, (t, photocurrent)) in truth.iter().enumerate() {
-        let (low, high) = photocurrent.iter().fold((f64::INFINITY, 0.0), |(low, high), i| (f64::min(low, *i), f64::max(high, *i)));
+        let (low, high) = photocurrent
+            .iter()
+            .fold((f64::INFINITY, 0.0), |(low, high), i| (f64::min(low, *i), f64::max(high, *i)));
         if high < 1.3 * low || light.log[pixel].is_empty() {
             continue;
         }
         let within = (0..light.count).filter(|k| (from..to).contains(&light.instant(*k)));
-        errors.extend(within.map(|k| (f64::from(light.log[pixel][k]) - libm::log(at(t, photocurrent, light.instant(k)))).abs()));
+        errors.extend(within.map(|k| {
+            (f64::from(light.log[pixel][k]) - libm::log(at(t, photocurrent, light.instant(k)))).abs()
+        }));
     }
     errors.iter().sum::<f64>() / errors.len() as f64
 }
@@ -68,7 +83,10 @@ fn error(source: &dyn Scene, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64
 #[test]
 fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
     let extent = Extent { width: 48, height: 36 };
-    let fan = (0..).map(|index| MadeUp::in_parts(5, index, extent, 0.08)).find(|scene| scene.name() == "fan").unwrap();
+    let fan = (0..)
+        .map(|index| MadeUp::in_parts(5, index, extent, 0.08))
+        .find(|scene| scene.name() == "fan")
+        .unwrap();
     let case = fan.recording().unwrap();
     let nominal = case.nominal().unwrap();
     let found = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default()).unwrap();
@@ -79,7 +97,12 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
 
     let texture = MadeUp::new(21, 0, extent, 0.06);
     let case = texture.recording().unwrap();
-    assert_eq!(scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default()).unwrap().name(), "picture");
+    assert_eq!(
+        scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default())
+            .unwrap()
+            .name(),
+        "picture"
+    );
 }
 
 /// A ball that falls and a fan that turns, both before a still texture, by less than five pixels from frame
@@ -88,24 +111,37 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
 fn what_moves_before_a_still_ground_is_seen_with_its_light() {
     for (name, most) in [("fan", 0.04), ("ball", 0.06)] {
         let extent = Extent { width: 48, height: 36 };
-        let scene =
-            (0..2_000).map(|index| MadeUp::in_parts(21, index, extent, 0.12)).find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0).unwrap();
+        let scene = (0..2_000)
+            .map(|index| MadeUp::in_parts(21, index, extent, 0.12))
+            .find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0)
+            .unwrap();
         let case = scene.recording().unwrap();
         let nominal = case.nominal().unwrap();
         let noise = (1.0, 0.005);
         let still = ground(&case, &nominal, noise, 4.0, 0.35);
         let counts = foreground(&case, &nominal, &still, noise, 4.0);
         let exposure_s = case.frames.as_ref().unwrap().times.nominal_exposure_ns().unwrap() as f64 * 1e-9;
-        let ground: Vec<f32> = still.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32).collect();
+        let ground: Vec<f32> = still
+            .iter()
+            .map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32)
+            .collect();
         let poses = follow(&case, &nominal, &counts, &PatchSetting::default());
-        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground), selected: None });
+        let picture = Picture::fit_from(
+            &case,
+            &nominal,
+            &PictureSetting::default(),
+            &[&poses],
+            Begin { counts: None, ground: Some(&ground), selected: None },
+        );
         // Between frames, at instants that no exposure covers, where something moves.
         let (mut of_picture, mut of_ground) = (Vec::new(), Vec::new());
         for l in 2..case.frame_count() - 2 {
             let frames = case.frames.as_ref().unwrap();
             let t_ns = (frames.times.exposure(l, 18).end.0 + frames.times.exposure(l + 1, 18).start.0) / 2;
             let map = picture.motion.at(t_ns);
-            for pixel in (0..extent.pixels()).filter(|pixel| counts[l * extent.pixels() + pixel] && ground[*pixel].is_finite()) {
+            for pixel in (0..extent.pixels())
+                .filter(|pixel| counts[l * extent.pixels() + pixel] && ground[*pixel].is_finite())
+            {
                 let (x, y) = case.place(pixel);
                 let truth = scene.log_light(f64::from(x), f64::from(y), t_ns as f64 * 1e-9);
                 let found = picture.log_light(x as usize, y as usize, &[map]).unwrap()[0];
@@ -114,7 +150,12 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
             }
         }
         let (found, without) = (median(&mut of_picture), median(&mut of_ground));
-        assert!(found < most && found < 0.3 * without, "{name}: {found}, of the ground alone {without}, in {} places", of_picture.len());
+        assert!(
+            found < most && found < 0.3 * without,
+            "{name}: {found}, of the ground alone {without}, in \
+                                                        {} places",
+            of_picture.len()
+        );
     }
 }
 
@@ -124,8 +165,14 @@ fn photographs_that_shake_zoom_and_turn_are_predicted() {
         let case = MadeUp::photograph(22, index, Extent { width: 40, height: 30 }, 0.1).recording().unwrap();
         let nominal = case.nominal().unwrap();
         let picture = Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
-        let mut sizes: Vec<f64> = picture.residual.iter().filter(|residual| residual.is_finite()).map(|residual| f64::from(residual.abs())).collect();
-        let signal = 0.5 * (0..case.extent.pixels()).map(|pixel| case.dn(1, pixel)).sum::<f64>() / case.extent.pixels() as f64;
+        let mut sizes: Vec<f64> = picture
+            .residual
+            .iter()
+            .filter(|residual| residual.is_finite())
+            .map(|residual| f64::from(residual.abs()))
+            .collect();
+        let signal = 0.5 * (0..case.extent.pixels()).map(|pixel| case.dn(1, pixel)).sum::<f64>()
+            / case.extent.pixels() as f64;
         let missed = median(&mut sizes);
         assert!(missed < 0.005 * signal, "{index}: {missed} DN of {signal}");
     }

@@ -2,7 +2,9 @@
 
 use super::components::{SPREADS, white_share};
 use super::evidence::{EvidenceSetting, Ranked};
-use super::fit::{self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness};
+use super::fit::{
+    self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness,
+};
 use super::located::{Ground, Located};
 use super::open::{self, Laid, Open, lay};
 use super::prepared::Prepared;
@@ -37,11 +39,13 @@ pub(super) struct Seen<'a> {
     pub is_known: bool,
     /// The scene, for what is free of it.
     pub source: &'a dyn Scene,
-    /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is that of the source moved so.
+    /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is
+    /// that of the source moved so.
     pub by: Vec<f64>,
     /// And the light with each of them moved from there by a step ([`Seen::steps`]).
     pub near: Vec<(f64, Light)>,
-    /// What each pixel's own size of a random effect subtracts from each residual; nothing, or of the stated sensor's events.
+    /// What each pixel's own size of a random effect subtracts from each residual; nothing, or of the stated
+    /// sensor's events.
     pub own: Vec<f32>,
 }
 
@@ -76,7 +80,8 @@ pub(super) struct Table {
     pub fitted: Vec<(usize, Fitted)>,
 }
 
-/// What a picture that is too soft leaves looks like what too much blur in the event path would, with the other sign.
+/// What a picture that is too soft leaves looks like what too much blur in the event path would, with the
+/// other sign.
 const SOFTNESS: &str = "blur";
 
 /// Columns of effects at their sizes stand while those move by less than this share.
@@ -95,13 +100,26 @@ struct Evaluated {
 
 impl Table {
     fn rows(&self, is_sharp: bool) -> Rows<'_> {
-        let soft = self.of(SOFTNESS, "").filter(|_| !is_sharp).map(|column| Soft { column: &column.of, log_slope: &column.log_slope, most: self.softest });
-        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least, soft, free: &self.free }
+        let soft = self.of(SOFTNESS, "").filter(|_| !is_sharp).map(|column| Soft {
+            column: &column.of,
+            log_slope: &column.log_slope,
+            most: self.softest,
+        });
+        Rows {
+            slope: &self.slope,
+            block: &self.block,
+            events: self.events.pixel.len(),
+            least: self.least,
+            soft,
+            free: &self.free,
+        }
     }
 
     /// The column of an effect's parameter, or of its first one.
     fn of(&self, id: &str, parameter: &str) -> Option<&Column> {
-        let is_it = |n: usize| CANDIDATES[n].id == id && (parameter.is_empty() || CANDIDATES[n].parameter == parameter);
+        let is_it = |n: usize| {
+            CANDIDATES[n].id == id && (parameter.is_empty() || CANDIDATES[n].parameter == parameter)
+        };
         self.columns.iter().find(|(n, _)| is_it(*n)).map(|(_, column)| column)
     }
 
@@ -120,7 +138,8 @@ impl Table {
         self.sharp = left;
     }
 
-    /// How much too soft the picture is: the size of the blur's column that events have too little of, 0 or below.
+    /// How much too soft the picture is: the size of the blur's column that events have too little of, 0 or
+    /// below.
     pub fn softness(&self) -> f64 {
         let size = |(_, fitted): &(usize, Fitted)| fitted.size[0];
         self.fitted.iter().find(|(n, _)| CANDIDATES[*n].id == SOFTNESS).map_or(0.0, size).min(0.0)
@@ -139,14 +158,23 @@ impl Table {
     /// Columns of the events that each pixel may have a size of its own of.
     pub fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
         let events = self.events.pixel.len();
-        OF_PIXELS.map(|(id, parameter)| self.of(id, parameter).map_or_else(|| Cow::Owned(vec![0.0; events]), |column| Cow::Borrowed(&column.of[..events])))
+        OF_PIXELS.map(|(id, parameter)| {
+            self.of(id, parameter)
+                .map_or_else(|| Cow::Owned(vec![0.0; events]), |column| Cow::Borrowed(&column.of[..events]))
+        })
     }
 }
 
 impl Evaluated {
     /// What a step `by` of one trial from another one changes, for each size.
     fn column(&self, trial: usize, from: usize, by: f64) -> Column {
-        let change = |values: &[Vec<f32>]| values[trial].iter().zip(&values[from]).map(|(with, before)| (with - before) / by as f32).collect();
+        let change = |values: &[Vec<f32>]| {
+            values[trial]
+                .iter()
+                .zip(&values[from])
+                .map(|(with, before)| (with - before) / by as f32)
+                .collect()
+        };
         Column { of: change(&self.left), log_slope: change(&self.log_slope) }
     }
 }
@@ -173,7 +201,8 @@ pub(super) struct Places<'a> {
 }
 
 impl Places<'_> {
-    /// Where the gains of an effect are: of events, or of frame values where the effect is one of frames and they were looked at.
+    /// Where the gains of an effect are: of events, or of frame values where the effect is one of frames and
+    /// they were looked at.
     fn locate(&self, gains: &[f64], candidate: usize) -> Located {
         let decl = CANDIDATES[candidate].decl();
         let (of_events, of_frames) = gains.split_at(self.events.pixel.len());
@@ -198,11 +227,13 @@ const OF_FRAMES: [Covariate; 8] = [
 
 /// Candidates whose columns each pixel may have a size of its own of: what [`SPREADS`] spread.
 pub(super) static OF_PIXELS: LazyLock<[(&str, &str); 2]> = LazyLock::new(|| {
-    let spread_of = |id: &str| CANDIDATES.iter().filter(|one| one.id == id).find_map(|one| one.sought.spread_of);
+    let spread_of =
+        |id: &str| CANDIDATES.iter().filter(|one| one.id == id).find_map(|one| one.sought.spread_of);
     SPREADS.map(|id| spread_of(id).unwrap_or_else(|| unreachable!("{id} spreads sizes")))
 });
 
-/// Standard deviation of a free parameter of the scene within its range, as a share of it, before the recording.
+/// Standard deviation of a free parameter of the scene within its range, as a share of it, before the
+/// recording.
 const OPEN: f64 = 0.3;
 /// A free parameter that moves by less than so many of its steps stands.
 const NEAR: f64 = 2.0;
@@ -221,12 +252,22 @@ impl Seen<'_> {
         target.free().into_iter().enumerate().filter_map(one).collect()
     }
 
-    /// What the free parameters of the scene change of each row seen through a trial, each per its standard deviation before the recording; `near`: [`Seen::steps`].
-    fn free(&self, trial: &Trial, near: &[(f64, Light)], table: Option<&Table>, base: &[f32], log_slope: &[f32]) -> Result<Vec<Column>, String> {
+    /// What the free parameters of the scene change of each row seen through a trial, each per its standard
+    /// deviation before the recording; `near`: [`Seen::steps`].
+    fn free(
+        &self,
+        trial: &Trial,
+        near: &[(f64, Light)],
+        table: Option<&Table>,
+        base: &[f32],
+        log_slope: &[f32],
+    ) -> Result<Vec<Column>, String> {
         let one = |(step, light): &(f64, Light)| -> Result<Column, String> {
             let found = self.evaluate_on(light, std::slice::from_ref(trial), table)?;
             let scale = (OPEN / step) as f32;
-            let change = |then: &[f32], now: &[f32]| -> Vec<f32> { then.iter().zip(now).map(|(then, now)| (then - now) * scale).collect() };
+            let change = |then: &[f32], now: &[f32]| -> Vec<f32> {
+                then.iter().zip(now).map(|(then, now)| (then - now) * scale).collect()
+            };
             Ok(Column { of: change(&found.left[0], base), log_slope: change(&found.log_slope[0], log_slope) })
         };
         near.iter().map(one).collect()
@@ -241,14 +282,17 @@ impl Seen<'_> {
             return None;
         }
         // Within its range.
-        let next = |((by, size), (at, _)): ((&f64, &f64), &(f64, f64))| (by + (OPEN * size).clamp(-FARTHEST, FARTHEST)).clamp(-at, 1.0 - at);
+        let next = |((by, size), (at, _)): ((&f64, &f64), &(f64, f64))| {
+            (by + (OPEN * size).clamp(-FARTHEST, FARTHEST)).clamp(-at, 1.0 - at)
+        };
         let moved: Vec<f64> = by.iter().zip(sizes).zip(&free).map(next).collect();
         if moved == by {
             return None;
         }
         // Neighbours are seen where the event path mixes them.
         let is_mixed = Prepared::new(self.case, trial).map_or(true, |prepared| prepared.kernel().is_some());
-        let light = target.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
+        let light =
+            target.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
         Some((moved, light))
     }
 
@@ -257,19 +301,35 @@ impl Seen<'_> {
         self.evaluate_on(&self.light, trials, table)
     }
 
-    fn evaluate_on(&self, light: &Light, trials: &[Trial], table: Option<&Table>) -> Result<Evaluated, String> {
+    fn evaluate_on(
+        &self,
+        light: &Light,
+        trials: &[Trial],
+        table: Option<&Table>,
+    ) -> Result<Evaluated, String> {
         let view = View { case: self.case, light, pixels: self.pixels.clone(), is_known: self.is_known };
         let (events, of_trials) = match table {
             Some(table) => (Cow::Borrowed(&table.events), view.of_events(trials, &table.events)?),
             None => {
-                let (events, of_trials) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+                let (events, of_trials) =
+                    view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
                 (Cow::Owned(events), of_trials)
             }
         };
         let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
-        // A voltage that hardly moves says little of when an event comes; on the way to one it takes a threshold within the recording.
-        let least = self.setting.least_slope * f64::max(median(&mut slopes), self.scales.threshold / self.scales.duration_s);
-        let log_slope = of_trials.iter().map(|of| of.slope_per_s.iter().map(|slope| ln(f64::max(f64::from(slope.abs()), least)) as f32).collect()).collect();
+        // A voltage that hardly moves says little of when an event comes; on the way to one it takes a
+        // threshold within the recording.
+        let least = self.setting.least_slope
+            * f64::max(median(&mut slopes), self.scales.threshold / self.scales.duration_s);
+        let log_slope = of_trials
+            .iter()
+            .map(|of| {
+                of.slope_per_s
+                    .iter()
+                    .map(|slope| ln(f64::max(f64::from(slope.abs()), least)) as f32)
+                    .collect()
+            })
+            .collect();
         let mut left: Vec<Vec<f32>> = of_trials.into_iter().map(|of| of.excess).collect();
         for of_trial in &mut left {
             of_trial.iter_mut().zip(&self.own).for_each(|(value, own)| *value -= own);
@@ -284,29 +344,51 @@ impl Seen<'_> {
             of_frames.drain(..all.len() - trials.len());
             left.iter_mut().zip(of_frames).for_each(|(left, of_frames)| left.extend(of_frames));
         }
-        Ok(Evaluated { events: if table.is_none() { events.into_owned() } else { Residuals::default() }, frames, left, log_slope })
+        Ok(Evaluated {
+            events: if table.is_none() { events.into_owned() } else { Residuals::default() },
+            frames,
+            left,
+            log_slope,
+        })
     }
 
-    /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
+    /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than
+    /// are fitted.
     pub fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
         if self.is_known {
             return Ok(1.0);
         }
         let view = View { case: self.case, light: &self.light, pixels: self.more.clone(), is_known: false };
-        let (events, _) = view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
-        let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, self.setting.cell);
+        let (events, _) =
+            view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+        let cell =
+            |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, self.setting.cell);
         let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
         Ok(white_share(&events, &events.excess, &cells))
     }
 
-    /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is known.
+    /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is
+    /// known.
     pub fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
         let front_end = nominal.pixel.front_end;
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
-        let surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), (front_end.tau_0_s, front_end.alpha_s)).with_period(period_ns);
+        let surroundings = Surroundings::of(
+            self.case,
+            light,
+            self.case.extent.pixels(),
+            (front_end.tau_0_s, front_end.alpha_s),
+        )
+        .with_period(period_ns);
         let FrameValues { pixel, t_ns, .. } = table.frames.clone();
         let count = pixel.len();
-        let values = Residuals { pixel, t_ns, polarity: vec![1; count], previous: vec![1; count], since_ns: vec![0; count], ..Residuals::default() };
+        let values = Residuals {
+            pixel,
+            t_ns,
+            polarity: vec![1; count],
+            previous: vec![1; count],
+            since_ns: vec![0; count],
+            ..Residuals::default()
+        };
         let mut of_frames = if count > 0 { lay(&values, &surroundings, None) } else { Vec::new() };
         of_frames.retain(|laid| OF_FRAMES.contains(&laid.covariate));
         [lay(&table.events, &surroundings, period_ns), of_frames]
@@ -317,20 +399,54 @@ impl Seen<'_> {
         let (events, frames, setting) = (&table.events, &table.frames, &self.setting.located);
         let (of_events, of_frames) = table.block.split_at(events.pixel.len());
         let on = (&events.pixel[..], &events.t_ns[..], &events.polarity[..]);
-        let on_frames = || Ground::new(self.case, (&frames.pixel, &frames.t_ns, &[]), &frames.log_signal, of_frames, &laid[1], setting);
-        Places { events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting), frames: (!frames.pixel.is_empty()).then(on_frames) }
+        let on_frames = || {
+            Ground::new(
+                self.case,
+                (&frames.pixel, &frames.t_ns, &[]),
+                &frames.log_signal,
+                of_frames,
+                &laid[1],
+                setting,
+            )
+        };
+        Places {
+            events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting),
+            frames: (!frames.pixel.is_empty()).then(on_frames),
+        }
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
     pub fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
-        open::dependences(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], laid, self.scales.threshold, self.least, &self.setting.open)
+        open::dependences(
+            &table.events,
+            table.sharp(),
+            &table.block[..table.events.pixel.len()],
+            laid,
+            self.scales.threshold,
+            self.least,
+            &self.setting.open,
+        )
     }
 
     /// Where the best of them is.
     pub fn locate_dependence(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
-        let gains = open::gains(events, table.sharp(), block, laid, &best.dependence, self.scales.threshold, self.least, &self.setting.open);
-        best.located = gains.map(|gains| places.events.locate(&gains, best.dependence.covariate.name()).of_dependence(&best.dependence, &self.setting.located));
+        let gains = open::gains(
+            events,
+            table.sharp(),
+            block,
+            laid,
+            &best.dependence,
+            self.scales.threshold,
+            self.least,
+            &self.setting.open,
+        );
+        best.located = gains.map(|gains| {
+            places
+                .events
+                .locate(&gains, best.dependence.covariate.name())
+                .of_dependence(&best.dependence, &self.setting.located)
+        });
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -339,17 +455,30 @@ impl Seen<'_> {
         (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
     }
 
-    /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too soft by `softest` at most.
+    /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too
+    /// soft by `softest` at most.
     pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
-        let can_be = |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
-        let chosen: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && Some(n) != without).filter(can_be).collect();
+        let can_be =
+            |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
+        let chosen: Vec<usize> = (0..CANDIDATES.len())
+            .filter(|&n| !CANDIDATES[n].is_random && Some(n) != without)
+            .filter(can_be)
+            .collect();
         let mut trials = vec![trial.clone()];
         trials.extend(chosen.iter().map(|&n| on_top(trial, n, self.probe(n), self.scales)));
         let found = self.evaluate(&trials, None)?;
-        let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
-        let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
-        let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
+        let block: Vec<u32> = found
+            .events
+            .pixel
+            .iter()
+            .chain(&found.frames.pixel)
+            .map(|pixel| self.block_of(*pixel as usize))
+            .collect();
+        let slope: Vec<f64> =
+            found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
+        let columns =
+            chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
         let free = self.free(trial, &self.near, None, &found.left[0], &found.log_slope[0])?;
         let Evaluated { events, frames, left, mut log_slope } = found;
         let mut table = Table {
@@ -384,26 +513,45 @@ impl Seen<'_> {
         }
     }
 
-    /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain is that over the residuals of `table`.
-    pub fn refine(&self, trial: &Trial, table: &Table, which: &[usize], begin: &[f64]) -> Result<Refined, String> {
-        let put =
-            |effect_sizes: &[f64]| which.iter().zip(effect_sizes).fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales));
+    /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain
+    /// is that over the residuals of `table`.
+    pub fn refine(
+        &self,
+        trial: &Trial,
+        table: &Table,
+        which: &[usize],
+        begin: &[f64],
+    ) -> Result<Refined, String> {
+        let put = |effect_sizes: &[f64]| {
+            which
+                .iter()
+                .zip(effect_sizes)
+                .fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales))
+        };
         let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
-        let mut effect_size: Vec<f64> = (0..which.len()).map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 }).collect();
+        let mut effect_size: Vec<f64> = (0..which.len())
+            .map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 })
+            .collect();
         let mut error = vec![0.0; which.len()];
         let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
         let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
         let is_open = !self.by.is_empty();
         let rounds = if free.is_empty() && !is_open { 0 } else { self.setting.rounds * which.len() };
-        let (mut by, mut light, mut near) = (self.by.clone(), Cow::Borrowed(&self.light), Cow::Borrowed(&self.near[..]));
+        let (mut by, mut light, mut near) =
+            (self.by.clone(), Cow::Borrowed(&self.light), Cow::Borrowed(&self.near[..]));
         let mut open: Option<Vec<Column>> = None;
         // Columns, and the sizes that they were taken at.
         let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
-            let is_near = |at: &Vec<f64>| at.iter().zip(&effect_size).all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe));
+            let is_near = |at: &Vec<f64>| {
+                at.iter()
+                    .zip(&effect_size)
+                    .all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe))
+            };
             let is_known = known.as_ref().is_some_and(|(_, at)| is_near(at));
             let mut trials = vec![put(&effect_size)];
-            let further: Vec<f64> = free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
+            let further: Vec<f64> =
+                free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
             for (&i, by) in free.iter().zip(&further).filter(|_| !is_known) {
                 let mut moved = effect_size.clone();
                 moved[i] += by;
@@ -411,7 +559,10 @@ impl Seen<'_> {
             }
             let found = self.evaluate_on(&light, &trials, Some(table))?;
             if !is_known {
-                known = Some((further.iter().enumerate().map(|(n, by)| found.column(1 + n, 0, *by)).collect(), effect_size.clone()));
+                known = Some((
+                    further.iter().enumerate().map(|(n, by)| found.column(1 + n, 0, *by)).collect(),
+                    effect_size.clone(),
+                ));
             }
             let columns: Vec<&Column> = known.iter().flat_map(|(columns, _)| columns).collect();
             let open_now = match open.take() {
@@ -424,7 +575,8 @@ impl Seen<'_> {
             for (n, &i) in free.iter().enumerate() {
                 let most = 1.0 + effect_size[i].abs();
                 let next = self.bounded(which[i], effect_size[i] + step.size[n].clamp(-most, most));
-                is_still &= (next - effect_size[i]).abs() < self.setting.still * f64::max(effect_size[i].abs(), self.setting.probe);
+                is_still &= (next - effect_size[i]).abs()
+                    < self.setting.still * f64::max(effect_size[i].abs(), self.setting.probe);
                 (effect_size[i], error[i]) = (next, step.error[n]);
             }
             if let Some((moved, there)) = self.further(&by, &step.free, &trials[0]) {
@@ -439,7 +591,11 @@ impl Seen<'_> {
             }
         }
         let found = self.evaluate_on(&light, &[put(&effect_size)], Some(table))?;
-        let open = if is_open { self.free(&put(&effect_size), &near, Some(table), &found.left[0], &found.log_slope[0])? } else { Vec::new() };
+        let open = if is_open {
+            self.free(&put(&effect_size), &near, Some(table), &found.left[0], &found.log_slope[0])?
+        } else {
+            Vec::new()
+        };
         let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[0]);
         let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);
@@ -460,8 +616,8 @@ impl Seen<'_> {
         effect_size.clamp(least, most)
     }
 
-    /// All effects on top of a table's sensor, best first; the best few are exact. With `first`, an effect that the table's sensor has and its effect size, both sizes are fitted together
-    /// on top of `bare`.
+    /// All effects on top of a table's sensor, best first; the best few are exact. With `first`, an effect
+    /// that the table's sensor has and its effect size, both sizes are fitted together on top of `bare`.
     pub fn rank(
         &self,
         bare: &Trial,
@@ -472,18 +628,30 @@ impl Seen<'_> {
         nominal: &Nominal,
         places: &Places<'_>,
     ) -> Result<Vec<Ranked>, String> {
-        let mut ranked: Vec<Ranked> = table.fitted.iter().map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal)).collect();
+        let mut ranked: Vec<Ranked> = table
+            .fitted
+            .iter()
+            .map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal))
+            .collect();
         ranked.sort_by(by_gain);
         let best = ranked.first().map_or(0.0, Ranked::beyond);
-        for one in ranked.iter_mut().take(refined).filter(|one| one.beyond() > self.setting.worth_refining * best && one.beyond() > 0.0) {
+        for one in ranked
+            .iter_mut()
+            .take(refined)
+            .filter(|one| one.beyond() > self.setting.worth_refining * best && one.beyond() > 0.0)
+        {
             let begin = one.effect_size + one.control_effect_size;
             let found = match first {
-                Some((other, effect_size)) => self.refine(bare, table, &[one.candidate, other], &[begin, effect_size])?,
+                Some((other, effect_size)) => {
+                    self.refine(bare, table, &[one.candidate, other], &[begin, effect_size])?
+                }
                 None => self.refine(bare, table, &[one.candidate], &[begin])?,
             };
             let is_switch = CANDIDATES[one.candidate].signs == Signs::Switch;
-            one.effect_size = if is_switch { found.effect_size[0] } else { found.effect_size[0] - one.control_effect_size };
-            (one.error, one.gain, one.gain_error, one.is_exact) = (found.error[0], found.gain, found.gain_error, true);
+            one.effect_size =
+                if is_switch { found.effect_size[0] } else { found.effect_size[0] - one.control_effect_size };
+            (one.error, one.gain, one.gain_error, one.is_exact) =
+                (found.error[0], found.gain, found.gain_error, true);
             one.value = CANDIDATES[one.candidate].value(one.effect_size, self.scales, nominal);
             one.of_first = first.map(|_| found.effect_size[1]);
             one.left = median_share(&found.left, self.scales.threshold);
@@ -497,7 +665,8 @@ impl Seen<'_> {
 
     fn first_order(&self, candidate: usize, fitted: &Fitted, control: &Table, nominal: &Nominal) -> Ranked {
         let none = Fitted { size: vec![0.0], error: vec![0.0], ..Fitted::default() };
-        let control = control.fitted.iter().find(|(n, _)| *n == candidate).map_or(&none, |(_, fitted)| fitted);
+        let control =
+            control.fitted.iter().find(|(n, _)| *n == candidate).map_or(&none, |(_, fitted)| fitted);
         let gain = |of: &Fitted| if is_physics(candidate, of.size[0]) { of.gain } else { 0.0 };
         let effect_size = fitted.size[0] - control.size[0];
         Ranked {
@@ -508,7 +677,8 @@ impl Seen<'_> {
             gain: gain(fitted),
             gain_error: fitted.gain_error,
             information: fitted.information,
-            unit: CANDIDATES[candidate].value(1.0, self.scales, nominal) - CANDIDATES[candidate].nominal_value(nominal),
+            unit: CANDIDATES[candidate].value(1.0, self.scales, nominal)
+                - CANDIDATES[candidate].nominal_value(nominal),
             control_gain: gain(control).max(0.0),
             control_effect_size: control.size[0],
             ..Ranked::default()

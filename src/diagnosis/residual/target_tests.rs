@@ -1,4 +1,5 @@
-//! A known target is found where it is, effects of frames that move the fit are reported all the same, and derivatives by its free parameters are those of the residuals.
+//! A known target is found where it is, effects of frames that move the fit are reported all the same, and
+//! derivatives by its free parameters are those of the residuals.
 
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::residual::View;
@@ -24,12 +25,15 @@ fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f6
     let plain = scene.recording().unwrap();
     let nominal = plain.nominal().unwrap();
     let scales = Scales::of(&plain, &nominal);
-    let candidate = effect.map(|(id, parameter, effect_size)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size));
+    let candidate = effect.map(|(id, parameter, effect_size)| {
+        (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size)
+    });
     let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
     let case = scene.recording_through(trial.as_ref()).unwrap();
     let (shows, shares) = Shows::around(&scene, 3, STAR);
     let near: Vec<f64> = shares.iter().map(|share| share + 0.01).collect();
-    let target = Target::near(&case, &nominal, Arc::new(shows), SETTING, &PictureSetting::default(), &near).unwrap();
+    let target =
+        Target::near(&case, &nominal, Arc::new(shows), SETTING, &PictureSetting::default(), &near).unwrap();
     let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
     (case, nominal, target, shares, truth)
 }
@@ -43,13 +47,20 @@ fn seen(effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
 fn it_is_found_within_what_the_frames_leave_open() {
     let (_, _, target, truth, _) = recorded(None);
     for ((share, error), truth) in target.shares().iter().zip(target.errors()).zip(&truth) {
-        assert!((share - truth).abs() < 4.0 * error + 5e-3 && error < 0.05, "{share} with {error} is {truth}");
+        assert!(
+            (share - truth).abs() < 4.0 * error + 5e-3 && error < 0.05,
+            "{share} with {error} is {truth}"
+        );
     }
 }
 
 #[test]
 fn effects_that_move_the_fit_come_first_with_their_size() {
-    for effect in [("black_level", "black_level_dn", 1.0), ("row_time", "row_time", 1.0), ("clock_offset", "offset", 1.0)] {
+    for effect in [
+        ("black_level", "black_level_dn", 1.0),
+        ("row_time", "row_time", 1.0),
+        ("clock_offset", "offset", 1.0),
+    ] {
         let (found, truth) = seen(Some(effect));
         let (best, truth) = (&found.ranked[0], truth.unwrap());
         assert_eq!(CANDIDATES[best.candidate].id, effect.0, "{:?}", &found.ranked[..3]);
@@ -79,6 +90,12 @@ fn derivatives_by_free_parameters_are_those_of_the_residuals() {
         let (one, other) = (slope(steps[k]), slope(-2.0 * steps[k]));
         let product: f64 = one.iter().zip(&other).map(|(a, b)| a * b).sum();
         let size = |of: &[f64]| libm::sqrt(of.iter().map(|a| a * a).sum());
-        assert!(size(&one) > 0.0 && product > 0.95 * size(&one) * size(&other), "parameter {k}: {product} of {} and {}", size(&one), size(&other));
+        assert!(
+            size(&one) > 0.0 && product > 0.95 * size(&one) * size(&other),
+            "parameter {k}: {product} \
+                                                            of {} and {}",
+            size(&one),
+            size(&other)
+        );
     }
 }

@@ -1,10 +1,12 @@
-//! Where boxes and arrows stand: columns from left to right, boxes in a column ordered so that few arrows cross.
+//! Where boxes and arrows stand: columns from left to right, boxes in a column ordered so that few arrows
+//! cross.
 //!
-//! The layout is the simple form of Sugiyama's: the layer of a node is its longest way from a source; sweeps put every box near the middle of its
-//! neighbours, neighbours in a column change places while that takes crossings away, and the order with the fewest crossings is kept. A long arrow is
-//! routed through an empty slot in every column it passes, so that it does not run behind boxes. Arrows between the same two boxes are one, with all
-//! their names. What nearly every box takes (the sensor description, the truth) is written into the boxes instead of drawn.
-//! Pipelines have tens of nodes; nothing here is meant for thousands.
+//! The layout is the simple form of Sugiyama's: the layer of a node is its longest way from a source; sweeps
+//! put every box near the middle of its neighbours, neighbours in a column change places while that takes
+//! crossings away, and the order with the fewest crossings is kept. A long arrow is routed through an empty
+//! slot in every column it passes, so that it does not run behind boxes. Arrows between the same two boxes
+//! are one, with all their names. What nearly every box takes (the sensor description, the truth) is written
+//! into the boxes instead of drawn. Pipelines have tens of nodes; nothing here is meant for thousands.
 
 use super::{Drawing, Edge};
 use std::collections::BTreeMap;
@@ -48,11 +50,20 @@ pub(super) struct Layout {
 
 impl Layout {
     pub(super) fn of(drawing: &Drawing) -> Layout {
-        let takers = |from: usize, port: &str| drawing.edges.iter().filter(|edge| edge.from == from && edge.from_port == port).count();
-        let is_named = |edge: &Edge| NAMED.contains(&edge.data_type.as_str()) && takers(edge.from, &edge.from_port) >= MANY;
+        let takers = |from: usize, port: &str| {
+            drawing.edges.iter().filter(|edge| edge.from == from && edge.from_port == port).count()
+        };
+        let is_named = |edge: &Edge| {
+            NAMED.contains(&edge.data_type.as_str()) && takers(edge.from, &edge.from_port) >= MANY
+        };
         let layers = drawing.layers(|edge| !is_named(edge));
         let ports = |from: usize| {
-            let mut ports: Vec<&str> = drawing.edges.iter().filter(|edge| edge.from == from).map(|edge| edge.from_port.as_str()).collect();
+            let mut ports: Vec<&str> = drawing
+                .edges
+                .iter()
+                .filter(|edge| edge.from == from)
+                .map(|edge| edge.from_port.as_str())
+                .collect();
             ports.sort_unstable();
             ports.dedup();
             ports.len()
@@ -62,12 +73,17 @@ impl Layout {
         for edge in &drawing.edges {
             if is_named(edge) {
                 let id = &drawing.nodes[edge.from].id;
-                named[edge.to].push(if *id == edge.from_port || ports(edge.from) == 1 { id.clone() } else { format!("{id}.{}", edge.from_port) });
+                named[edge.to].push(if *id == edge.from_port || ports(edge.from) == 1 {
+                    id.clone()
+                } else {
+                    format!("{id}.{}", edge.from_port)
+                });
             } else {
                 joined.entry((edge.from, edge.to)).or_default().push(edge.label());
             }
         }
-        let mut slots: Vec<Slot> = layers.iter().map(|&layer| Slot { layer, y: 0.0, left: Vec::new(), right: Vec::new() }).collect();
+        let mut slots: Vec<Slot> =
+            layers.iter().map(|&layer| Slot { layer, y: 0.0, left: Vec::new(), right: Vec::new() }).collect();
         let mut arrows = Vec::new();
         for ((from, to), labels) in joined {
             let mut route = vec![from];
@@ -83,7 +99,9 @@ impl Layout {
             arrows.push(Arrow { label: labels.join(", "), is_labelled: ports(from) > 1, route });
         }
         let count = slots.iter().map(|slot| slot.layer + 1).max().unwrap_or(0);
-        let mut columns: Vec<Vec<usize>> = (0..count).map(|layer| (0..slots.len()).filter(|&at| slots[at].layer == layer).collect()).collect();
+        let mut columns: Vec<Vec<usize>> = (0..count)
+            .map(|layer| (0..slots.len()).filter(|&at| slots[at].layer == layer).collect())
+            .collect();
         order(&mut columns, &mut slots);
         place(&columns, &mut slots);
         Layout { slots, arrows, named, layers: count }
@@ -92,8 +110,12 @@ impl Layout {
     /// How often arrows cross between columns.
     #[cfg(test)]
     pub fn crossings(&self) -> usize {
-        let mut columns: Vec<Vec<usize>> = (0..self.layers).map(|layer| (0..self.slots.len()).filter(|&at| self.slots[at].layer == layer).collect()).collect();
-        columns.iter_mut().for_each(|column| column.sort_by(|&a, &b| self.slots[a].y.total_cmp(&self.slots[b].y)));
+        let mut columns: Vec<Vec<usize>> = (0..self.layers)
+            .map(|layer| (0..self.slots.len()).filter(|&at| self.slots[at].layer == layer).collect())
+            .collect();
+        columns
+            .iter_mut()
+            .for_each(|column| column.sort_by(|&a, &b| self.slots[a].y.total_cmp(&self.slots[b].y)));
         crossings(&columns, &self.slots)
     }
 }
@@ -101,7 +123,12 @@ impl Layout {
 /// Puts every column into the order found with the fewest crossings.
 fn order(columns: &mut Vec<Vec<usize>>, slots: &mut [Slot]) {
     let number = |columns: &[Vec<usize>], slots: &mut [Slot]| {
-        columns.iter().for_each(|column| column.iter().enumerate().for_each(|(row, &at)| slots[at].y = row as f64 - 0.5 * column.len() as f64));
+        columns.iter().for_each(|column| {
+            column
+                .iter()
+                .enumerate()
+                .for_each(|(row, &at)| slots[at].y = row as f64 - 0.5 * column.len() as f64)
+        });
     };
     number(columns, slots);
     let mut best = (crossings(columns, slots), columns.clone());
@@ -112,7 +139,11 @@ fn order(columns: &mut Vec<Vec<usize>>, slots: &mut [Slot]) {
             let middle = |at: usize| {
                 let neighbours = if forward { &slots[at].left } else { &slots[at].right };
                 // What has no neighbour on this side stays where it is.
-                if neighbours.is_empty() { slots[at].y } else { neighbours.iter().map(|&n| slots[n].y).sum::<f64>() / neighbours.len() as f64 }
+                if neighbours.is_empty() {
+                    slots[at].y
+                } else {
+                    neighbours.iter().map(|&n| slots[n].y).sum::<f64>() / neighbours.len() as f64
+                }
             };
             let mut keyed: Vec<(f64, usize)> = columns[column].iter().map(|&at| (middle(at), at)).collect();
             keyed.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -142,8 +173,12 @@ fn swap_neighbours(columns: &mut [Vec<usize>], slots: &[Slot]) {
             for r in 1..columns[c].len() {
                 let (upper, lower) = (columns[c][r - 1], columns[c][r]);
                 let rows = rows(columns);
-                let cross = |a: &[usize], b: &[usize]| a.iter().map(|&i| b.iter().filter(|&&j| rows[i] > rows[j]).count()).sum::<usize>();
-                let count = |a: usize, b: usize| cross(&slots[a].left, &slots[b].left) + cross(&slots[a].right, &slots[b].right);
+                let cross = |a: &[usize], b: &[usize]| {
+                    a.iter().map(|&i| b.iter().filter(|&&j| rows[i] > rows[j]).count()).sum::<usize>()
+                };
+                let count = |a: usize, b: usize| {
+                    cross(&slots[a].left, &slots[b].left) + cross(&slots[a].right, &slots[b].right)
+                };
                 if count(lower, upper) < count(upper, lower) {
                     columns[c].swap(r - 1, r);
                     is_better = true;
@@ -160,10 +195,16 @@ fn crossings(columns: &[Vec<usize>], slots: &[Slot]) -> usize {
     let mut rows = vec![0; slots.len()];
     columns.iter().for_each(|column| column.iter().enumerate().for_each(|(row, &at)| rows[at] = row));
     let between = |column: &Vec<usize>| {
-        let arrows: Vec<(usize, usize)> =
-            column.iter().flat_map(|&from| slots[from].right.iter().map(move |&to| (from, to))).map(|(a, b)| (rows[a], rows[b])).collect();
+        let arrows: Vec<(usize, usize)> = column
+            .iter()
+            .flat_map(|&from| slots[from].right.iter().map(move |&to| (from, to)))
+            .map(|(a, b)| (rows[a], rows[b]))
+            .collect();
         let crossing = |(i, one): (usize, &(usize, usize))| {
-            arrows[i + 1..].iter().filter(|two| (one.0 < two.0 && one.1 > two.1) || (one.0 > two.0 && one.1 < two.1)).count()
+            arrows[i + 1..]
+                .iter()
+                .filter(|two| (one.0 < two.0 && one.1 > two.1) || (one.0 > two.0 && one.1 < two.1))
+                .count()
         };
         arrows.iter().enumerate().map(crossing).sum::<usize>()
     };
@@ -172,7 +213,12 @@ fn crossings(columns: &[Vec<usize>], slots: &[Slot]) -> usize {
 
 /// Heights: every slot as near to the middle of all its neighbours as the slots above and below it allow.
 fn place(columns: &[Vec<usize>], slots: &mut [Slot]) {
-    columns.iter().for_each(|column| column.iter().enumerate().for_each(|(row, &at)| slots[at].y = row as f64 - 0.5 * (column.len() as f64 - 1.0)));
+    columns.iter().for_each(|column| {
+        column
+            .iter()
+            .enumerate()
+            .for_each(|(row, &at)| slots[at].y = row as f64 - 0.5 * (column.len() as f64 - 1.0))
+    });
     for _ in 0..SWEEPS {
         for column in columns {
             let wish = |at: usize| {
@@ -190,7 +236,8 @@ fn place(columns: &[Vec<usize>], slots: &mut [Slot]) {
     slots.iter_mut().for_each(|slot| slot.y -= top);
 }
 
-/// The nearest numbers to `wishes` (least squares) that keep their order and lie one or more apart: pooled where they would come closer.
+/// The nearest numbers to `wishes` (least squares) that keep their order and lie one or more apart: pooled
+/// where they would come closer.
 fn spaced(wishes: &[f64]) -> Vec<f64> {
     // Each number less its place must not fall: pools of neighbours share their mean.
     let mut pools: Vec<(f64, usize)> = Vec::new();
@@ -213,22 +260,42 @@ mod tests {
 
     fn drawing(nodes: usize, edges: &[(usize, usize, &str)]) -> Drawing {
         let node = |at: usize| Node { id: format!("n{at}"), kind: "read/x".into(), ..Node::default() };
-        let edge = |&(from, to, name): &(usize, usize, &str)| Edge { from, from_port: name.into(), to, to_port: name.into(), data_type: name.into() };
-        Drawing { title: String::new(), nodes: (0..nodes).map(node).collect(), edges: edges.iter().map(edge).collect() }
+        let edge = |&(from, to, name): &(usize, usize, &str)| Edge {
+            from,
+            from_port: name.into(),
+            to,
+            to_port: name.into(),
+            data_type: name.into(),
+        };
+        Drawing {
+            title: String::new(),
+            nodes: (0..nodes).map(node).collect(),
+            edges: edges.iter().map(edge).collect(),
+        }
     }
 
     #[test]
     fn a_ladder_that_can_be_drawn_without_crossings_is() {
         // Three rails written in another order each time: 0 -> 3 -> 8, 1 -> 5 -> 6, 2 -> 4 -> 7.
-        let ladder = drawing(9, &[(0, 3, "a"), (1, 5, "a"), (2, 4, "a"), (3, 8, "a"), (4, 7, "a"), (5, 6, "a")]);
+        let ladder =
+            drawing(9, &[(0, 3, "a"), (1, 5, "a"), (2, 4, "a"), (3, 8, "a"), (4, 7, "a"), (5, 6, "a")]);
         assert_eq!(Layout::of(&ladder).crossings(), 0);
     }
 
     #[test]
     fn what_nearly_all_take_is_named_in_their_boxes_and_the_rest_is_drawn() {
-        let layout = Layout::of(&drawing(4, &[(0, 1, "sensor"), (0, 2, "sensor"), (0, 3, "sensor"), (1, 2, "frames"), (1, 2, "events")]));
-        assert_eq!(layout.named, [vec![], vec!["n0".to_string()], vec!["n0".to_string()], vec!["n0".to_string()]]);
-        assert_eq!(layout.arrows.iter().map(|arrow| arrow.label.as_str()).collect::<Vec<_>>(), ["frames, events"]);
+        let layout = Layout::of(&drawing(
+            4,
+            &[(0, 1, "sensor"), (0, 2, "sensor"), (0, 3, "sensor"), (1, 2, "frames"), (1, 2, "events")],
+        ));
+        assert_eq!(
+            layout.named,
+            [vec![], vec!["n0".to_string()], vec!["n0".to_string()], vec!["n0".to_string()]]
+        );
+        assert_eq!(
+            layout.arrows.iter().map(|arrow| arrow.label.as_str()).collect::<Vec<_>>(),
+            ["frames, events"]
+        );
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! Pictures of a pipeline: Graphviz dot, Mermaid, JSON and SVG, all of one small model.
 //!
-//! The picture shows the pipeline as it runs: overlays applied, bypassed nodes passed over. Boxes are coloured by family
-//! (`read`, `solve`, ...), edges carry the names of their ports. The SVG needs no program besides a browser. A [`Drawing`] can also be made of what a run
-//! says of itself, with times and states in its boxes.
+//! The picture shows the pipeline as it runs: overlays applied, bypassed nodes passed over. Boxes are
+//! coloured by family (`read`, `solve`, ...), edges carry the names of their ports. The SVG needs no program
+//! besides a browser. A [`Drawing`] can also be made of what a run says of itself, with times and states in
+//! its boxes.
 
 mod layout;
 mod svg;
@@ -62,7 +63,11 @@ pub struct Edge {
 impl Edge {
     /// The port's name once where both ends call it the same.
     fn label(&self) -> String {
-        if self.from_port == self.to_port { self.to_port.clone() } else { format!("{} to {}", self.from_port, self.to_port) }
+        if self.from_port == self.to_port {
+            self.to_port.clone()
+        } else {
+            format!("{} to {}", self.from_port, self.to_port)
+        }
     }
 }
 
@@ -91,11 +96,21 @@ impl Drawing {
                 for link in links {
                     let Some(from) = places[link.from.0] else { continue };
                     let (from_port, to_port) = (link.from.1.to_string(), port.name.to_string());
-                    drawing.edges.push(Edge { from, from_port, to, to_port, data_type: port.data_type.name().into() });
+                    drawing.edges.push(Edge {
+                        from,
+                        from_port,
+                        to,
+                        to_port,
+                        data_type: port.data_type.name().into(),
+                    });
                 }
             }
             places[at] = Some(to);
-            drawing.nodes.push(Node { id: node.spec.id.clone(), kind: node.kind.decl.kind.into(), ..Node::default() });
+            drawing.nodes.push(Node {
+                id: node.spec.id.clone(),
+                kind: node.kind.decl.kind.into(),
+                ..Node::default()
+            });
         }
         drawing
     }
@@ -104,7 +119,11 @@ impl Drawing {
     fn layers(&self, counts: impl Fn(&Edge) -> bool) -> Vec<usize> {
         let mut layers = vec![0; self.nodes.len()];
         for to in 0..self.nodes.len() {
-            let before = self.edges.iter().filter(|edge| edge.to == to && counts(edge)).map(|edge| layers[edge.from] + 1);
+            let before = self
+                .edges
+                .iter()
+                .filter(|edge| edge.to == to && counts(edge))
+                .map(|edge| layers[edge.from] + 1);
             layers[to] = before.max().unwrap_or(0);
         }
         layers
@@ -116,7 +135,8 @@ impl Drawing {
     }
 }
 
-/// Fill colour of a family: light enough for black text. Families that are not listed get a colour from their name.
+/// Fill colour of a family: light enough for black text. Families that are not listed get a colour from their
+/// name.
 fn colour(family: &str) -> String {
     let known = [
         ("read", "#d5e8f7"),
@@ -151,14 +171,30 @@ pub fn graph(pipeline: &Pipeline, catalogue: &Catalogue, format: GraphFormat) ->
 }
 
 fn dot(drawing: &Drawing) -> String {
-    let quote = |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', " "));
-    let mut text = format!("digraph pipeline {{\n  label={};\n  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\"];\n", quote(&drawing.title));
+    let quote =
+        |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', " "));
+    let mut text = format!(
+        "digraph pipeline \
+                            {{\n  label={};\n  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\"];\n",
+        quote(&drawing.title)
+    );
     for node in &drawing.nodes {
         // `\n` is Graphviz's own line break, so it goes in after quoting.
-        text += &format!("  {} [label=\"{}\\n{}\", fillcolor=\"{}\"];\n", quote(&node.id), node.id, node.kind, dot_colour(node.family()));
+        text += &format!(
+            "  {} [label=\"{}\\n{}\", fillcolor=\"{}\"];\n",
+            quote(&node.id),
+            node.id,
+            node.kind,
+            dot_colour(node.family())
+        );
     }
     for edge in &drawing.edges {
-        text += &format!("  {} -> {} [label={}];\n", quote(&drawing.nodes[edge.from].id), quote(&drawing.nodes[edge.to].id), quote(&edge.label()));
+        text += &format!(
+            "  {} -> {} [label={}];\n",
+            quote(&drawing.nodes[edge.from].id),
+            quote(&drawing.nodes[edge.to].id),
+            quote(&edge.label())
+        );
     }
     text + "}\n"
 }
@@ -176,7 +212,12 @@ fn mermaid(drawing: &Drawing) -> String {
         text += &format!("  style n_{} fill:{},color:#000\n", node.id, dot_colour(node.family()));
     }
     for edge in &drawing.edges {
-        text += &format!("  n_{} -->|{}| n_{}\n", drawing.nodes[edge.from].id, edge.label(), drawing.nodes[edge.to].id);
+        text += &format!(
+            "  n_{} -->|{}| n_{}\n",
+            drawing.nodes[edge.from].id,
+            edge.label(),
+            drawing.nodes[edge.to].id
+        );
     }
     text
 }

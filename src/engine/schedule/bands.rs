@@ -1,20 +1,24 @@
 //! How a task is cut into row bands, and about how much memory that takes.
 //!
-//! A node whose output rows reach only a known number of input rows may be run band by band; the height is the largest with which inputs and
-//! outputs of one band fit into the task's share. Results do not depend on the height: that is a promise of the nodes, tested with every one.
+//! A node whose output rows reach only a known number of input rows may be run band by band; the height is
+//! the largest with which inputs and outputs of one band fit into the task's share. Results do not depend on
+//! the height: that is a promise of the nodes, tested with every one.
 
 use crate::plan::Plan;
 use crate::task::Task;
 use photocurrent_core::ports::PortValues;
 use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta, Value};
 
-/// Outputs of a band count so often: one band is put together from its rows while the one before waits for the writer.
+/// Outputs of a band count so often: one band is put together from its rows while the one before waits for
+/// the writer.
 const COPIES: u64 = 3;
 
-/// Rows may be unlike each other: the next band's outputs are taken for so much larger than the last one's, in quarters.
+/// Rows may be unlike each other: the next band's outputs are taken for so much larger than the last one's,
+/// in quarters.
 const CAUTION_QUARTERS: u64 = 5;
 
-/// Of the tallest band that an estimate allows, the first is such a part: a solver may give three times as many knots an event as was guessed.
+/// Of the tallest band that an estimate allows, the first is such a part: a solver may give three times as
+/// many knots an event as was guessed.
 const FIRST_PART: u32 = 8;
 
 /// How a task may be cut.
@@ -44,7 +48,8 @@ struct Size {
 impl Size {
     /// With `part` of the rows as output and `reach` of the rows as input.
     fn at(&self, part: f64, reach: f64) -> u64 {
-        self.fixed + (self.banded_inputs as f64 * reach + COPIES as f64 * self.banded_outputs as f64 * part) as u64
+        self.fixed
+            + (self.banded_inputs as f64 * reach + COPIES as f64 * self.banded_outputs as f64 * part) as u64
     }
 
     /// Of all in one piece, which waits for the writer once.
@@ -53,33 +58,64 @@ impl Size {
     }
 }
 
-/// Says how a task is cut so that a band fits into `share` bytes; `forced` sets the height instead, where the node may be cut at all.
+/// Says how a task is cut so that a band fits into `share` bytes; `forced` sets the height instead, where the
+/// node may be cut at all.
 pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> Bands {
-    let outputs: Vec<&Meta> = task.outputs.iter().filter(|output| !matches!(output.meta, Meta::Absent { .. })).map(|output| &output.meta).collect();
-    let inputs: Vec<Meta> = task.inputs.iter().filter_map(|input| input.metas(&plan.tasks).ok()).flatten().collect();
-    let rows = outputs.iter().copied().chain(&inputs).find_map(|meta| meta.rows()).unwrap_or(Rows { start: 0, end: 0 });
+    let outputs: Vec<&Meta> = task
+        .outputs
+        .iter()
+        .filter(|output| !matches!(output.meta, Meta::Absent { .. }))
+        .map(|output| &output.meta)
+        .collect();
+    let inputs: Vec<Meta> =
+        task.inputs.iter().filter_map(|input| input.metas(&plan.tasks).ok()).flatten().collect();
+    let rows = outputs
+        .iter()
+        .copied()
+        .chain(&inputs)
+        .find_map(|meta| meta.rows())
+        .unwrap_or(Rows { start: 0, end: 0 });
     let mut size = Size { banded_inputs: 0, banded_outputs: 0, fixed: 0 };
     for meta in &inputs {
         let counter = if meta.rows() == Some(rows) { &mut size.banded_inputs } else { &mut size.fixed };
         *counter += meta.estimated_bytes();
     }
     for output in task.stored() {
-        let counter = if output.meta.rows() == Some(rows) { &mut size.banded_outputs } else { &mut size.fixed };
+        let counter =
+            if output.meta.rows() == Some(rows) { &mut size.banded_outputs } else { &mut size.fixed };
         *counter += output.meta.estimated_bytes();
     }
-    let Some(halo) = halo(task, rows) else { return Bands { rows, halo: None, forced, share, estimate: size.whole(), planned_inputs: size.banded_inputs } };
+    let Some(halo) = halo(task, rows) else {
+        return Bands {
+            rows,
+            halo: None,
+            forced,
+            share,
+            estimate: size.whole(),
+            planned_inputs: size.banded_inputs,
+        };
+    };
     let all = rows.len() as u32;
     let part = |height: u32| f64::from(height.min(all)) / f64::from(all);
     let need = |height: u32| size.at(part(height), part(height.saturating_add(2 * halo)));
     let height = forced.unwrap_or_else(|| tallest(all, share, &need)).clamp(1, all);
-    Bands { rows, halo: Some(halo), forced, share, estimate: need(height), planned_inputs: size.banded_inputs }
+    Bands {
+        rows,
+        halo: Some(halo),
+        forced,
+        share,
+        estimate: need(height),
+        planned_inputs: size.banded_inputs,
+    }
 }
 
 /// How many rows above and below a band of the task's outputs need; `None` when it cannot be cut.
 pub(crate) fn halo(task: &Task, rows: Rows) -> Option<u32> {
     // Only what has rows can be put together from bands, and files are written in one go.
-    let can_be_cut =
-        task.stored().next().is_some() && task.stored().all(|output| output.meta.rows() == Some(rows)) && task.export.is_none() && !rows.is_empty();
+    let can_be_cut = task.stored().next().is_some()
+        && task.stored().all(|output| output.meta.rows() == Some(rows))
+        && task.export.is_none()
+        && !rows.is_empty();
     match task.grain {
         Grain::Pixel => Some(0),
         Grain::Row { halo } => Some(halo),
@@ -102,11 +138,23 @@ pub(crate) struct Cutter<'a> {
 impl<'a> Cutter<'a> {
     /// For `rows` of a task, whose wanted outputs look like `outputs`.
     pub(crate) fn new(bands: &'a Bands, rows: Rows, outputs: &[&Meta], inputs: &'a PortValues) -> Cutter<'a> {
-        // What could not be counted when the run was planned is as much larger as the inputs turned out to be.
-        let larger = f64::max(banded_bytes(inputs, bands.rows, bands.rows) as f64 / (bands.planned_inputs as f64).max(1.0), 1.0);
-        let bytes_of = |meta: &&Meta| (meta.estimated_bytes() as f64 * if meta.is_counted() { 1.0 } else { larger }) as u64;
+        // What could not be counted when the run was planned is as much larger as the inputs turned out to
+        // be.
+        let larger = f64::max(
+            banded_bytes(inputs, bands.rows, bands.rows) as f64 / (bands.planned_inputs as f64).max(1.0),
+            1.0,
+        );
+        let bytes_of = |meta: &&Meta| {
+            (meta.estimated_bytes() as f64 * if meta.is_counted() { 1.0 } else { larger }) as u64
+        };
         let bytes: u64 = outputs.iter().map(bytes_of).fold(0, u64::saturating_add);
-        Cutter { bands, inputs, left: rows, row_outputs: bytes / (bands.rows.len() as u64).max(1), last_height: None }
+        Cutter {
+            bands,
+            inputs,
+            left: rows,
+            row_outputs: bytes / (bands.rows.len() as u64).max(1),
+            last_height: None,
+        }
     }
 
     /// The first row that is still to be produced.
@@ -132,15 +180,21 @@ impl<'a> Cutter<'a> {
         let height = bands.forced.unwrap_or_else(|| {
             let tallest = tallest(all, bands.share, &|height| self.need(height));
             match self.last_height {
-                // Nothing is known yet but an estimate: a part that would fit if it were several times too low.
+                // Nothing is known yet but an estimate: a part that would fit if it were several times too
+                // low.
                 None if all > tallest / FIRST_PART => (tallest / FIRST_PART).max(1),
                 None => all,
                 Some(last) => tallest.min(last.saturating_mul(2)),
             }
         });
-        // A node that reads around its rows often works by blocks as high as that: whole ones spare it work done twice.
+        // A node that reads around its rows often works by blocks as high as that: whole ones spare it work
+        // done twice.
         let end = left.start + height.clamp(1, all);
-        let end = if bands.forced.is_none() && halo > 0 && end < left.end && end / halo * halo > left.start { end / halo * halo } else { end };
+        let end = if bands.forced.is_none() && halo > 0 && end < left.end && end / halo * halo > left.start {
+            end / halo * halo
+        } else {
+            end
+        };
         let band = Rows { start: left.start, end };
         self.left.start = band.end;
         self.last_height = Some(band.len() as u32);
@@ -154,9 +208,13 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// What a single row takes, without those around it, and what it may, in bytes, where that is too much; known after the first band.
+    /// What a single row takes, without those around it, and what it may, in bytes, where that is too much;
+    /// known after the first band.
     pub(crate) fn too_much(&self) -> Option<(u64, u64)> {
-        let is_known = self.last_height.is_some() && self.bands.halo.is_some() && self.bands.forced.is_none() && !self.left.is_empty();
+        let is_known = self.last_height.is_some()
+            && self.bands.halo.is_some()
+            && self.bands.forced.is_none()
+            && !self.left.is_empty();
         let row = Rows { start: self.left.start, end: self.left.start + 1 };
         let needed = || banded_bytes(self.inputs, self.bands.rows, row) + COPIES * self.row_outputs;
         is_known.then(|| (needed(), self.bands.share)).filter(|(needed, share)| needed > share)
@@ -164,7 +222,8 @@ impl<'a> Cutter<'a> {
 
     /// Bytes that the next band takes with so many rows.
     fn need(&self, height: u32) -> u64 {
-        let band = Rows { start: self.left.start, end: self.left.end.min(self.left.start.saturating_add(height)) };
+        let band =
+            Rows { start: self.left.start, end: self.left.end.min(self.left.start.saturating_add(height)) };
         let reach = band.with_halo(self.bands.halo.unwrap_or(0), self.bands.rows);
         banded_bytes(self.inputs, self.bands.rows, reach) + COPIES * self.row_outputs * band.len() as u64
     }
@@ -180,7 +239,8 @@ fn is_cut(value: &Value, rows: Rows) -> bool {
     value.meta().rows() == Some(rows)
 }
 
-/// The inputs of one band: what has the rows of the task is cut to the band and its halo; everything else stays whole.
+/// The inputs of one band: what has the rows of the task is cut to the band and its halo; everything else
+/// stays whole.
 pub(crate) fn inputs_of(inputs: &PortValues, bands: &Bands, band: Rows) -> PortValues {
     let Some(halo) = bands.halo.filter(|_| band != bands.rows) else { return inputs.clone() };
     let reach = band.with_halo(halo, bands.rows);
@@ -198,8 +258,8 @@ fn tallest(all: u32, share: u64, need: &dyn Fn(u32) -> u64) -> u32 {
     fits
 }
 
-/// Does the plan keep its promise? Counts are hints and may differ; a description that a node works out is planned as the one that it was given, and what is in it is
-/// known by its content.
+/// Does the plan keep its promise? Counts are hints and may differ; a description that a node works out is
+/// planned as the one that it was given, and what is in it is known by its content.
 pub(crate) fn same_meta(planned: &Meta, actual: &Meta) -> bool {
     let events = |meta: &EventsMeta| EventsMeta { count_hint: None, ..meta.clone() };
     let tracks = |meta: &TracksMeta| TracksMeta { count_hint: None, ..meta.clone() };
@@ -236,10 +296,18 @@ mod tests {
                 has_sigma: false,
                 count_hint,
             }));
-            let bands = Bands { rows: extent.rows(), halo: Some(0), forced: None, share: 150_000, estimate: 0, planned_inputs };
+            let bands = Bands {
+                rows: extent.rows(),
+                halo: Some(0),
+                forced: None,
+                share: 150_000,
+                estimate: 0,
+                planned_inputs,
+            };
             Cutter::new(&bands, extent.rows(), &[&tracks], &inputs).next(64).map(|band| band.len())
         };
-        // Eight knots a pixel are 104 bytes of it, three times 832 and 32 of inputs of a row: 59 rows fit, and an eighth of that are 7.
+        // Eight knots a pixel are 104 bytes of it, three times 832 and 32 of inputs of a row: 59 rows fit,
+        // and an eighth of that are 7.
         assert_eq!(first(None, bytes), Some(7));
         // Inputs are four times as large as planned, and so are outputs: 14 rows would fit.
         assert_eq!(first(None, bytes / 4), Some(1));

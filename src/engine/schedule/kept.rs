@@ -46,7 +46,9 @@ impl Kept {
                     kept.bands.extend(bands.into_iter().map(|band| (store.clone(), band)));
                     kept.own = if n == 0 { Some(store) } else { kept.own };
                 }
-                Err(error) => trouble.push(format!("row bands of an earlier run cannot be looked up: {error}")),
+                Err(error) => {
+                    trouble.push(format!("row bands of an earlier run cannot be looked up: {error}"))
+                }
             }
         }
         (kept, trouble)
@@ -55,8 +57,12 @@ impl Kept {
     /// The bands of a task, by first row.
     pub(super) fn of(&self, task: TaskId) -> Vec<Found> {
         let Some(identity) = self.identities[task] else { return Vec::new() };
-        let mut found: Vec<Found> =
-            self.bands.iter().filter(|(_, band)| band.identity == identity).map(|(store, band)| Found { store: store.clone(), band: band.clone() }).collect();
+        let mut found: Vec<Found> = self
+            .bands
+            .iter()
+            .filter(|(_, band)| band.identity == identity)
+            .map(|(store, band)| Found { store: store.clone(), band: band.clone() })
+            .collect();
         found.sort_by_key(|found| (found.band.start, found.band.end));
         found
     }
@@ -66,15 +72,19 @@ impl Kept {
         Some((self.own.clone()?, self.identities[task]?))
     }
 
-    /// What a band has from `row` on, when it has that row and every output that is stored. A damaged one counts as missing: its rows are computed again.
+    /// What a band has from `row` on, when it has that row and every output that is stored. A damaged one
+    /// counts as missing: its rows are computed again.
     pub(super) fn load(&self, found: &Found, row: u32, task: &Task) -> Option<Loaded> {
         let rows = Rows { start: row, end: found.rows().end };
         // Notes count what is in all rows of a band, so a band is taken whole or not at all.
         if found.rows().start != row || rows.is_empty() {
             return None;
         }
-        let load = |(port, meta): (&'static str, &Meta)| Some((port, found.store.load(&found.band, port, meta).ok()?));
-        let outputs: Option<Vec<(&'static str, Value)>> = task.stored().map(|output| load((output.port, &output.meta))).collect();
+        let load = |(port, meta): (&'static str, &Meta)| {
+            Some((port, found.store.load(&found.band, port, meta).ok()?))
+        };
+        let outputs: Option<Vec<(&'static str, Value)>> =
+            task.stored().map(|output| load((output.port, &output.meta))).collect();
         Some((rows, outputs?, (found.band.texts.clone(), found.band.counts.clone())))
     }
 }

@@ -1,11 +1,12 @@
 //! Runs a plan: independent tasks at the same time, inside a memory budget, with one thread that writes.
 //!
-//! Each worker takes the next task that can go (`state`), looks it up, and runs it when the cache does not have it (`task`), cut into row
-//! bands where the node allows (`bands`). Neither the number of threads nor the height of a band changes a result; a failed node stops only
-//! what hangs on it; an interrupted run leaves the cache whole, because a record is written after everything it names.
+//! Each worker takes the next task that can go (`state`), looks it up, and runs it when the cache does not
+//! have it (`task`), cut into row bands where the node allows (`bands`). Neither the number of threads nor
+//! the height of a band changes a result; a failed node stops only what hangs on it; an interrupted run
+//! leaves the cache whole, because a record is written after everything it names.
 //!
-//! Inside a node the work is split by rayon's global pool, whose size is the process's own choice: the command sets it to the same number
-//! of threads.
+//! Inside a node the work is split by rayon's global pool, whose size is the process's own choice: the
+//! command sets it to the same number of threads.
 
 mod bands;
 mod kept;
@@ -34,10 +35,19 @@ pub(crate) use writer::guarded;
 
 /// Runs a plan. What goes wrong in a node is in the outcome; the run itself always comes to an end.
 ///
-/// `cancel` may be set at any time, from a signal handler's thread: no further task begins, and running ones stop at their next step.
-pub fn run(plan: &Plan, cache: &Cache, options: &Options, observer: &dyn Observer, cancel: &AtomicBool) -> Outcome {
+/// `cancel` may be set at any time, from a signal handler's thread: no further task begins, and running ones
+/// stop at their next step.
+pub fn run(
+    plan: &Plan,
+    cache: &Cache,
+    options: &Options,
+    observer: &dyn Observer,
+    cancel: &AtomicBool,
+) -> Outcome {
     let threads = options.threads.max(1);
-    let forced = |task: TaskId| plan.tasks[task].uses.iter().any(|(_, name)| options.force.iter().any(|node| is_of(name, node)));
+    let forced = |task: TaskId| {
+        plan.tasks[task].uses.iter().any(|(_, name)| options.force.iter().any(|node| is_of(name, node)))
+    };
     let state = Mutex::new(State::new(plan, options.memory, forced));
     let (kept, trouble) = Kept::open(plan, cache, &options.parts);
     let shared = Shared { plan, cache, options, observer, cancel, kept, state, changed: Condvar::new() };
@@ -61,7 +71,9 @@ pub fn run(plan: &Plan, cache: &Cache, options: &Options, observer: &dyn Observe
 /// A destination that holds somebody's own files is refused before hours are spent on what should go there.
 fn refuse_foreign_folders(shared: &Shared<'_>) {
     for (id, task) in shared.plan.tasks.iter().enumerate() {
-        let Some(folder) = task.export.as_ref().map(|folder| shared.options.out_dir.join(folder)) else { continue };
+        let Some(folder) = task.export.as_ref().map(|folder| shared.options.out_dir.join(folder)) else {
+            continue;
+        };
         if export::read_stamp(&folder).is_none()
             && let Err(error) = export::check_free(&folder)
         {
@@ -96,7 +108,13 @@ fn work(shared: &Shared<'_>, writer: &crossbeam::channel::Sender<writer::Message
                 }
                 match state.claim() {
                     // The flag is set from outside and rings no bell, so the wait is short.
-                    Claim::Wait => state = shared.changed.wait_timeout(state, Duration::from_millis(50)).unwrap_or_else(PoisonError::into_inner).0,
+                    Claim::Wait => {
+                        state = shared
+                            .changed
+                            .wait_timeout(state, Duration::from_millis(50))
+                            .unwrap_or_else(PoisonError::into_inner)
+                            .0
+                    }
                     claim => break claim,
                 }
             }
@@ -126,5 +144,10 @@ fn outcome(plan: &Plan, options: &Options, state: State) -> Outcome {
         key: slot.key,
         export: task.export.as_ref().map(|folder| options.out_dir.join(folder)),
     });
-    Outcome { tasks: tasks.collect(), variants: plan.variants.clone(), warnings: state.warnings, is_ablation: plan.is_ablation }
+    Outcome {
+        tasks: tasks.collect(),
+        variants: plan.variants.clone(),
+        warnings: state.warnings,
+        is_ablation: plan.is_ablation,
+    }
 }

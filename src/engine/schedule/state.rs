@@ -1,7 +1,8 @@
 //! Where every task stands, and which one a worker takes next.
 //!
-//! A task is looked up first, which needs no memory; when the cache does not have it, it waits until its estimate fits in what is left. The
-//! first task in the plan's order that can go, goes. A task larger than the whole budget runs when nothing else does.
+//! A task is looked up first, which needs no memory; when the cache does not have it, it waits until its
+//! estimate fits in what is left. The first task in the plan's order that can go, goes. A task larger than
+//! the whole budget runs when nothing else does.
 
 use super::bands::Bands;
 use crate::observer::End;
@@ -98,7 +99,16 @@ impl State {
             seconds: 0.0,
         };
         let needs = plan.tasks.iter().map(|task| task.needs().into_iter().collect()).collect();
-        State { slots: (0..plan.tasks.len()).map(slot).collect(), needs, memory, used: 0, running: 0, retained: 0, warnings: Vec::new(), broken: false }
+        State {
+            slots: (0..plan.tasks.len()).map(slot).collect(),
+            needs,
+            memory,
+            used: 0,
+            running: 0,
+            retained: 0,
+            warnings: Vec::new(),
+            broken: false,
+        }
     }
 
     fn ended_well(&self, task: TaskId) -> bool {
@@ -112,7 +122,8 @@ impl State {
         }
         let mut idle = true;
         for id in 0..self.slots.len() {
-            let twin_ended = self.slots[id].twin.is_none_or(|twin| matches!(self.slots[twin].phase, Phase::Done(_)));
+            let twin_ended =
+                self.slots[id].twin.is_none_or(|twin| matches!(self.slots[twin].phase, Phase::Done(_)));
             let ready = twin_ended && self.needs[id].iter().all(|&need| self.ended_well(need));
             match self.slots[id].phase {
                 Phase::Admitted if ready && self.fits(id) => {
@@ -132,9 +143,11 @@ impl State {
         if idle { Claim::Stop } else { Claim::Wait }
     }
 
-    /// A task that the cache does not have waits for memory; or for its twin, when another task is about to make the same.
+    /// A task that the cache does not have waits for memory; or for its twin, when another task is about to
+    /// make the same.
     pub(super) fn admit(&mut self, task: TaskId, key: Digest, ingredients: Ingredients, bands: Bands) {
-        let about_to_run = |slot: &Slot| matches!(slot.phase, Phase::Admitted | Phase::Running) && slot.key == Some(key);
+        let about_to_run =
+            |slot: &Slot| matches!(slot.phase, Phase::Admitted | Phase::Running) && slot.key == Some(key);
         let twin = self.slots.iter().position(about_to_run);
         let slot = &mut self.slots[task];
         (slot.key, slot.ingredients, slot.bands) = (Some(key), Some(ingredients), Some(bands));
@@ -147,7 +160,8 @@ impl State {
     }
 
     fn fits(&self, task: TaskId) -> bool {
-        self.running == 0 || self.used.saturating_add(self.retained).saturating_add(self.estimate(task)) <= self.memory
+        self.running == 0
+            || self.used.saturating_add(self.retained).saturating_add(self.estimate(task)) <= self.memory
     }
 
     /// A running task stops running, however it went.
@@ -156,17 +170,22 @@ impl State {
         self.running -= 1;
     }
 
-    /// A task ended: what hangs on a failed one is skipped, and results that nobody waits for any more are let go.
+    /// A task ended: what hangs on a failed one is skipped, and results that nobody waits for any more are
+    /// let go.
     pub(super) fn finish(&mut self, plan: &Plan, task: TaskId, end: End) -> Vec<(TaskId, End)> {
         self.slots[task].phase = Phase::Done(end);
         let mut ended = vec![(task, end)];
         if !matches!(end, End::Executed | End::Reused) {
             let after = if end == End::Interrupted { End::Interrupted } else { End::Skipped };
-            let mut because: BTreeMap<TaskId, String> = BTreeMap::from([(task, plan.tasks[task].label.clone())]);
+            let mut because: BTreeMap<TaskId, String> =
+                BTreeMap::from([(task, plan.tasks[task].label.clone())]);
             // The plan's order lets one pass find all descendants.
             for id in task + 1..plan.tasks.len() {
-                let Some(reason) = self.needs[id].iter().find_map(|need| because.get(need)).cloned() else { continue };
-                // What has ended already keeps its result, even when a result before it could not be made again.
+                let Some(reason) = self.needs[id].iter().find_map(|need| because.get(need)).cloned() else {
+                    continue;
+                };
+                // What has ended already keeps its result, even when a result before it could not be made
+                // again.
                 if matches!(self.slots[id].phase, Phase::Waiting | Phase::Admitted) {
                     because.insert(id, reason.clone());
                     self.slots[id].phase = Phase::Done(after);
@@ -207,10 +226,11 @@ impl State {
         ended
     }
 
-    /// A stored result of `producer` cannot be read: it is made again, and `consumer` waits for that. False when that was tried already.
+    /// A stored result of `producer` cannot be read: it is made again, and `consumer` waits for that. False
+    /// when that was tried already.
     pub(super) fn send_back(&mut self, producer: TaskId, consumer: TaskId) -> bool {
-        // Two consumers may find the same damage; the second one only waits, or finds it repaired when it looks again. A result that is
-        // damaged again and again means a failing disk.
+        // Two consumers may find the same damage; the second one only waits, or finds it repaired when it
+        // looks again. A result that is damaged again and again means a failing disk.
         if self.ended_well(producer) && self.slots[producer].repaired >= 2 {
             return false;
         }

@@ -25,11 +25,20 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
     let contents: BTreeMap<(TaskId, &str), Digest> = {
         let state = shared.state();
         let sources = task.inputs.iter().flat_map(|input| &input.from);
-        sources.filter_map(|source| Some(((source.task, source.port), state.slots[source.task].outputs.get(source.port)?.digest))).collect()
+        sources
+            .filter_map(|source| {
+                Some(((source.task, source.port), state.slots[source.task].outputs.get(source.port)?.digest))
+            })
+            .collect()
     };
     let ingredients = guarded(|| {
         let found = key::ingredients(task, shared.cache, &|from, port| contents.get(&(from, port)).copied())?;
-        found.ok_or_else(|| NodeError::failed("an input has no stored content: the plan marks as wanted what others take"))
+        found.ok_or_else(|| {
+            NodeError::failed(
+                "an input has no stored content: the plan marks as wanted \
+                                               what others take",
+            )
+        })
     });
     let ingredients = match ingredients {
         Ok(ingredients) => ingredients,
@@ -37,7 +46,11 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
     };
     let key = ingredients.key();
     let force = shared.state().slots[id].force;
-    let reuse = if force { Reuse::Nothing { damage: None } } else { key::look_up(task, &key, shared.cache, &shared.options.out_dir) };
+    let reuse = if force {
+        Reuse::Nothing { damage: None }
+    } else {
+        key::look_up(task, &key, shared.cache, &shared.options.out_dir)
+    };
     if let Reuse::Nothing { damage: Some(why) } = &reuse {
         shared.warn(format!("{}: the cache's record is damaged and is made again: {why}", task.label));
     }
@@ -48,13 +61,14 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
         slot.key = Some(key);
         slot.notes = record.notes.clone();
         slot.seconds = record.seconds;
-        slot.outputs = record.outputs.into_iter().filter_map(|(port, output)| Some((port, output?))).collect();
+        slot.outputs =
+            record.outputs.into_iter().filter_map(|(port, output)| Some((port, output?))).collect();
         let ended = state.finish(shared.plan, id, End::Reused);
         drop(state);
         return shared.announce(ended);
     }
-    // Three quarters of the budget are for running tasks, the rest for results that are kept for those that take them.
-    // Nodes use all threads inside themselves, so two at a time keep them busy.
+    // Three quarters of the budget are for running tasks, the rest for results that are kept for those that
+    // take them. Nodes use all threads inside themselves, so two at a time keep them busy.
     let share = shared.options.memory / 4 * 3 / shared.options.threads.clamp(1, 2) as u64;
     let bands = bands::cut(shared.plan, task, share, shared.options.band_rows);
     shared.state().admit(id, key, ingredients, bands);
@@ -119,7 +133,11 @@ pub(super) fn run(shared: &Shared<'_>, id: TaskId, writer: &Sender<Message>) {
         Ok(product) => {
             let mut state = shared.state();
             let room = (shared.options.memory / 4).saturating_sub(state.retained);
-            let bytes = product.values.values().map(|value| value.bytes(value.rows().unwrap_or(Rows { start: 0, end: 0 }))).sum();
+            let bytes = product
+                .values
+                .values()
+                .map(|value| value.bytes(value.rows().unwrap_or(Rows { start: 0, end: 0 })))
+                .sum();
             let slot = &mut state.slots[id];
             (slot.outputs, slot.notes, slot.seconds) = (product.stored, product.notes, seconds);
             if bytes <= room {
@@ -158,7 +176,9 @@ fn value(shared: &Shared<'_>, consumer: TaskId, from: TaskId, port: &'static str
         }
         slot.outputs.get(port).map(|output| output.digest)
     };
-    let digest = digest.ok_or_else(|| NodeError::failed(format!("{} has no stored `{port}`", shared.plan.tasks[from].label)))?;
+    let digest = digest.ok_or_else(|| {
+        NodeError::failed(format!("{} has no stored `{port}`", shared.plan.tasks[from].label))
+    })?;
     let error = match guarded(|| Ok(shared.cache.load(&digest))) {
         Ok(Ok(value)) => {
             shared.state().slots[from].values.insert(port, value.clone());
@@ -174,15 +194,28 @@ fn value(shared: &Shared<'_>, consumer: TaskId, from: TaskId, port: &'static str
     Err(Stopped::Error(error.into()))
 }
 
-fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<Message>, begun: Instant) -> Result<Product, NodeError> {
+fn produce(
+    shared: &Shared<'_>,
+    id: TaskId,
+    inputs: PortValues,
+    writer: &Sender<Message>,
+    begun: Instant,
+) -> Result<Product, NodeError> {
     let task = &shared.plan.tasks[id];
     let (ingredients, bands) = {
         let state = shared.state();
         let slot = &state.slots[id];
-        (slot.ingredients.clone().expect("an admitted task has ingredients"), slot.bands.clone().expect("an admitted task has bands"))
+        (
+            slot.ingredients.clone().expect("an admitted task has ingredients"),
+            slot.bands.clone().expect("an admitted task has bands"),
+        )
     };
     let key = ingredients.key();
-    let staging = task.export.as_ref().map(|folder| Staging::create(&shared.options.out_dir.join(folder))).transpose()?;
+    let staging = task
+        .export
+        .as_ref()
+        .map(|folder| Staging::create(&shared.options.out_dir.join(folder)))
+        .transpose()?;
     let (notes, common) = (Notes::default(), Common::default());
     let mut kept = BTreeMap::new();
     let stored: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
@@ -193,7 +226,9 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     let kept_bands = if may_reuse { shared.kept.of(id) } else { Vec::new() };
     let (mut is_kept, mut is_warned) = (false, false);
     loop {
-        if let Some(stored) = cutter.at().and_then(|row| kept_bands.iter().find_map(|band| shared.kept.load(band, row, task))) {
+        if let Some(stored) =
+            cutter.at().and_then(|row| kept_bands.iter().find_map(|band| shared.kept.load(band, row, task)))
+        {
             let (rows, outputs, said) = stored;
             notes.absorb(said);
             for (port, value) in outputs {
@@ -204,24 +239,40 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
             is_kept = true;
             continue;
         }
-        let limit = kept_bands.iter().map(|band| band.rows().start).filter(|start| Some(*start) > cutter.at()).min().unwrap_or(u32::MAX);
+        let limit = kept_bands
+            .iter()
+            .map(|band| band.rows().start)
+            .filter(|start| Some(*start) > cutter.at())
+            .min()
+            .unwrap_or(u32::MAX);
         let Some(band) = cutter.next(limit) else { break };
         let whole = band == bands.rows;
         if !whole {
             if progress.of_band.is_none() {
                 // What is there already carries no information of how fast the rest goes.
                 let there: u64 = kept_bands.iter().map(|band| band.rows().len() as u64).sum();
-                shared.observer.progress_begin(id, (bands.rows.len() as u64).saturating_sub(there).max(1), "rows");
+                shared.observer.progress_begin(
+                    id,
+                    (bands.rows.len() as u64).saturating_sub(there).max(1),
+                    "rows",
+                );
             }
             progress.of_band = Some(OfBand { rows: band.len() as u64, ..OfBand::default() });
         }
         if shared.cancel.load(Ordering::Relaxed) {
             return Err(NodeError::interrupted());
         }
-        let wanted: BTreeSet<String> = task.outputs.iter().filter(|output| output.wanted).map(|output| output.port.to_string()).collect();
+        let wanted: BTreeSet<String> = task
+            .outputs
+            .iter()
+            .filter(|output| output.wanted)
+            .map(|output| output.port.to_string())
+            .collect();
         let export = staging.as_ref().map(Staging::path);
         let of_band = Notes::default();
-        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &of_band).sharing(&common);
+        let context =
+            Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &of_band)
+                .sharing(&common);
         let began = Instant::now();
         let given = guarded(|| task.node.run(bands::inputs_of(&inputs, &bands, band), &context))?;
         // One band of a task waits for the writer while the next is computed, and no more.
@@ -247,7 +298,8 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
         {
             is_warned = true;
             shared.warn(format!(
-                "{}: a single row takes about {}, and its share of --memory is {}: blocks of time take less (`pipeline.blocks`)",
+                "{}: a single row takes about {}, and its share of --memory is {}: blocks of time take less \
+                 (`pipeline.blocks`)",
                 task.label,
                 size(needed),
                 size(share)
@@ -275,7 +327,14 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     let stored = answer.recv().map_err(|_| NodeError::failed("the writer has stopped"))??;
     let exports = staging.map(|staging| staging.publish(key)).transpose()?.unwrap_or_default();
     let notes = notes.lines();
-    shared.cache.commit(&record(shared.cache, ingredients, &stored, exports, &notes, begun.elapsed().as_secs_f64()))?;
+    shared.cache.commit(&record(
+        shared.cache,
+        ingredients,
+        &stored,
+        exports,
+        &notes,
+        begun.elapsed().as_secs_f64(),
+    ))?;
     remember(shared, task, &key);
     if is_kept && let Some((store, identity)) = shared.kept.own(id) {
         // What stays is found again at worst, and removed by gc.
@@ -284,27 +343,49 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     Ok(Product { stored, notes, values: kept })
 }
 
-fn record(cache: &Cache, ingredients: Ingredients, stored: &Stored, exports: Vec<StampedFile>, notes: &[String], seconds: f64) -> Record {
+fn record(
+    cache: &Cache,
+    ingredients: Ingredients,
+    stored: &Stored,
+    exports: Vec<StampedFile>,
+    notes: &[String],
+    seconds: f64,
+) -> Record {
     let key = ingredients.key();
-    let mut outputs: BTreeMap<String, Option<StoredOutput>> = stored.iter().map(|(port, output)| (port.clone(), Some(*output))).collect();
+    let mut outputs: BTreeMap<String, Option<StoredOutput>> =
+        stored.iter().map(|(port, output)| (port.clone(), Some(*output))).collect();
     // Another pipeline may have wanted other outputs of the same key: what it stored stays named.
     if let Lookup::Found(old) = cache.record(&key) {
         for (port, output) in old.outputs {
             outputs.entry(port).or_insert(output);
         }
     }
-    let exports = exports.into_iter().map(|file| Export { name: file.name, bytes: file.bytes, digest: file.digest }).collect();
+    let exports = exports
+        .into_iter()
+        .map(|file| Export { name: file.name, bytes: file.bytes, digest: file.digest })
+        .collect();
     let created_unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    Record { key, tool_version: TOOL_VERSION.into(), seconds, created_unix_s, notes: notes.to_vec(), ingredients, outputs, exports }
+    Record {
+        key,
+        tool_version: TOOL_VERSION.into(),
+        seconds,
+        created_unix_s,
+        notes: notes.to_vec(),
+        ingredients,
+        outputs,
+        exports,
+    }
 }
 
-/// A band that gives fewer bytes a second is kept until the result is complete: writing it is quicker than computing it.
+/// A band that gives fewer bytes a second is kept until the result is complete: writing it is quicker than
+/// computing it.
 const COSTLY_BYTES_PER_S: f64 = 32e6;
 
 /// After a band that took so long, memory that it freed goes back to the system.
 const WORTH_GIVING_BACK_S: f64 = 0.5;
 
-/// Gives memory that is free back to the system: the allocator keeps what a thread freed for that thread, and bands and blocks of other sizes leave ever more of it.
+/// Gives memory that is free back to the system: the allocator keeps what a thread freed for that thread, and
+/// bands and blocks of other sizes leave ever more of it.
 fn give_back() {
     // SAFETY: the call takes a number of bytes to keep, and touches only memory that nobody has.
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -313,23 +394,44 @@ fn give_back() {
     }
 }
 
-/// The wanted outputs, held against the plan: a node that gives something else than it planned would poison every key after it.
-pub(crate) fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) -> Result<Vec<(&'static str, Meta, Value)>, NodeError> {
-    let broken =
-        |text: String| NodeError::failed(format!("{} broke its promise: {text}", task.decl.kind)).hint("this is a mistake in the node; please report it");
+/// The wanted outputs, held against the plan: a node that gives something else than it planned would poison
+/// every key after it.
+pub(crate) fn checked(
+    task: &Task,
+    mut given: PortValues,
+    band: Option<Rows>,
+) -> Result<Vec<(&'static str, Meta, Value)>, NodeError> {
+    let broken = |text: String| {
+        NodeError::failed(format!("{} broke its promise: {text}", task.decl.kind))
+            .hint("this is a mistake in the node; please report it")
+    };
     let mut outputs = Vec::new();
     for output in &task.outputs {
         let values = given.remove(output.port).unwrap_or_default();
         let absent = matches!(output.meta, Meta::Absent { .. });
         let value = match values.into_iter().next() {
-            Some(_) if absent => return Err(broken(format!("its plan said that there is no `{}`, and there is one", output.port))),
-            None if output.wanted && !absent => return Err(broken(format!("its plan said that there is `{}`, and there is none", output.port))),
+            Some(_) if absent => {
+                return Err(broken(format!(
+                    "its plan said that there is no `{}`, and there \
+                                                            is one",
+                    output.port
+                )));
+            }
+            None if output.wanted && !absent => {
+                return Err(broken(format!(
+                    "its plan said that there is \
+                                                            `{}`, and there is none",
+                    output.port
+                )));
+            }
             Some(value) if output.wanted => value,
             _ => continue,
         };
         let meta = value.meta();
         if !same_meta(&output.meta, &meta) {
-            return Err(broken(format!("`{}` is not as planned", output.port)).note(format!("planned {:?}", output.meta)).note(format!("found   {meta:?}")));
+            return Err(broken(format!("`{}` is not as planned", output.port))
+                .note(format!("planned {:?}", output.meta))
+                .note(format!("found   {meta:?}")));
         }
         let value = match (band, value.rows()) {
             (Some(band), Some(rows)) if !rows.contains(band) => {
@@ -343,7 +445,8 @@ pub(crate) fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) ->
     Ok(outputs)
 }
 
-/// Passes a node's progress on; a task in bands counts its rows, and within a band what the node has done of it.
+/// Passes a node's progress on; a task in bands counts its rows, and within a band what the node has done of
+/// it.
 struct TaskProgress<'a> {
     observer: &'a dyn Observer,
     task: TaskId,

@@ -26,7 +26,11 @@ impl Bench {
         let path = self.folder.write("m.toml", text);
         let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
         let project = Project::load(&path, &sets, &catalogue())?;
-        let selection = Selection { variants: Vec::new(), to: to.iter().map(|node| node.to_string()).collect(), memory: None };
+        let selection = Selection {
+            variants: Vec::new(),
+            to: to.iter().map(|node| node.to_string()).collect(),
+            memory: None,
+        };
         Plan::new(&project, &catalogue(), &selection)
     }
 
@@ -59,7 +63,9 @@ pub fn executed(outcome: &Outcome) -> Vec<&str> {
 
 /// What every output is, by task and port.
 pub fn digests(outcome: &Outcome) -> BTreeMap<String, Digest> {
-    let all = outcome.tasks.iter().flat_map(|task| task.outputs.iter().map(|(port, output)| (format!("{}.{port}", task.label), output.digest)));
+    let all = outcome.tasks.iter().flat_map(|task| {
+        task.outputs.iter().map(|(port, output)| (format!("{}.{port}", task.label), output.digest))
+    });
     all.collect()
 }
 

@@ -22,7 +22,10 @@ impl Bench {
     /// Names in the output folder, folders left out.
     fn names(&self) -> Vec<String> {
         let root = self.folder.path("out");
-        snapshot(&root).into_iter().map(|(path, _)| path.strip_prefix(&root).unwrap().display().to_string()).collect()
+        snapshot(&root)
+            .into_iter()
+            .map(|(path, _)| path.strip_prefix(&root).unwrap().display().to_string())
+            .collect()
     }
 }
 
@@ -73,7 +76,8 @@ fn somebody_s_own_files_are_never_replaced() {
     let shown = error.to_string().replace(&bench.folder.0.path().display().to_string(), "");
     assert_eq!(
         shown,
-        "/out/text holds files that this tool did not write there\n  found thesis.tex\n  hint: move them away, or choose another output folder with `--out`"
+        "/out/text holds files that this tool did not write there\n  found thesis.tex\n  hint: move them \
+         away, or choose another output folder with `--out`"
     );
     assert_eq!(bench.names(), ["text/thesis.tex"]);
     // Nor are those that lie next to ours.
@@ -81,14 +85,17 @@ fn somebody_s_own_files_are_never_replaced() {
     bench.run(TEXT, &[]);
     bench.folder.write("out/text/rows/notes.txt", "mine");
     let outcome = bench.run(TEXT, &["nodes.source.params.offset=7"]);
-    assert!(outcome.node("base", "text").unwrap().error.as_ref().unwrap().notes[0].contains("rows/notes.txt"));
+    assert!(
+        outcome.node("base", "text").unwrap().error.as_ref().unwrap().notes[0].contains("rows/notes.txt")
+    );
     assert_eq!(bench.names().len(), 4);
 }
 
 #[test]
 fn every_variant_has_a_folder_of_its_own() {
     let bench = Bench::new();
-    let axes = "[ablation.axes.x]\na = { }\nb = { nodes.source.params.width = 1 }\nc = { nodes.source.params.width = 2 }\n";
+    let axes = "[ablation.axes.x]\na = { }\nb = { nodes.source.params.width = 1 }\nc = \
+                { nodes.source.params.width = 2 }\n";
     let outcome = bench.run(&format!("{TEXT}{axes}"), &[]);
     assert_eq!(outcome.exit_code(), 0);
     // The sources of a and b are one task, their files are not.

@@ -1,7 +1,10 @@
 //! Toys in time: a film, a node that says how much of it it sees, and one that writes down what it was given.
 
 use super::toys::{Nothing, decl, head, meta};
-use photocurrent_core::{Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, Grain, MapBand, MapSet, Meta, Node, NodeError, PortMetas, testing};
+use photocurrent_core::{
+    Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, Grain, MapBand, MapSet, Meta, Node,
+    NodeError, PortMetas, testing,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -44,7 +47,9 @@ pub struct ReadFilm(FilmParams);
 
 impl ReadFilm {
     fn film(&self) -> FrameSequence {
-        let exposures = (0..self.0.count as i64).map(|l| Exposure::new(l * 5_000_000, l * 5_000_000 + 4_000_000)).collect();
+        let exposures = (0..self.0.count as i64)
+            .map(|l| Exposure::new(l * 5_000_000, l * 5_000_000 + 4_000_000))
+            .collect();
         testing::captured(EXTENT, exposures, 0, |l, _, _| 10.0 * l as f32)
     }
 }
@@ -68,7 +73,10 @@ impl Node for Seen {
     const LOCAL_IN_TIME: bool = true;
     head!(Seen, Film => SeenOut);
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![Meta::Frames(inputs.frames("frames")?.clone()), Meta::Map(Arc::new(meta(EXTENT.width, EXTENT.height)))])
+        Ok(vec![
+            Meta::Frames(inputs.frames("frames")?.clone()),
+            Meta::Map(Arc::new(meta(EXTENT.width, EXTENT.height))),
+        ])
     }
     fn run(&self, input: Film, cx: &Context) -> Result<SeenOut, NodeError> {
         let block = input.frames.read_rows(cx.rows())?;
@@ -92,8 +100,10 @@ impl Node for WriteLast {
     }
     fn run(&self, input: Film, cx: &Context) -> Result<Nothing, NodeError> {
         let block = input.frames.read_rows(EXTENT.rows())?;
-        let text: String = block.frames.clone().map(|l| format!("{}\n", block.row(l, EXTENT.height - 1)[1])).collect();
-        std::fs::write(cx.export_dir()?.join("frames.txt"), text).map_err(|error| NodeError::files(error.to_string()))?;
+        let text: String =
+            block.frames.clone().map(|l| format!("{}\n", block.row(l, EXTENT.height - 1)[1])).collect();
+        std::fs::write(cx.export_dir()?.join("frames.txt"), text)
+            .map_err(|error| NodeError::files(error.to_string()))?;
         Ok(Nothing {})
     }
 }

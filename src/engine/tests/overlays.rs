@@ -41,7 +41,11 @@ fn param(project: &Project, variant: &str, node: &str, name: &str) -> String {
 fn tables_merge_and_scalars_replace() {
     let folder = Folder::new();
     folder.write("base.toml", BASE);
-    let path = folder.write("sub/top.toml", "format = 1\nextends = \"../base.toml\"\n[nodes.solve]\nparams.amount = 5.0\n");
+    let path = folder.write(
+        "sub/top.toml",
+        "format = 1\nextends = \
+                                             \"../base.toml\"\n[nodes.solve]\nparams.amount = 5.0\n",
+    );
     let project = load(&path, &[]);
     assert_eq!(param(&project, "base", "solve", "amount"), "5.0");
     assert_eq!(param(&project, "base", "solve", "rate"), "\"2 kHz\"");
@@ -52,7 +56,11 @@ fn tables_merge_and_scalars_replace() {
 fn a_changed_kind_drops_the_params_and_keeps_the_inputs() {
     let folder = Folder::new();
     folder.write("base.toml", BASE);
-    let path = folder.write("top.toml", "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \"solve/scale\"\nparams.factor = 3.0\n");
+    let path = folder.write(
+        "top.toml",
+        "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \
+                                         \"solve/scale\"\nparams.factor = 3.0\n",
+    );
     let project = load(&path, &[]);
     let solve = project.pipelines[0].node("solve").unwrap();
     assert_eq!(solve.wires[0].from[0].text, "source");
@@ -63,7 +71,11 @@ fn a_changed_kind_drops_the_params_and_keeps_the_inputs() {
 fn the_same_kind_again_keeps_the_params() {
     let folder = Folder::new();
     folder.write("base.toml", BASE);
-    let path = folder.write("top.toml", "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \"solve/add\"\n");
+    let path = folder.write(
+        "top.toml",
+        "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \
+                                         \"solve/add\"\n",
+    );
     assert_eq!(param(&load(&path, &[]), "base", "solve", "amount"), "2.0");
 }
 
@@ -71,12 +83,21 @@ fn the_same_kind_again_keeps_the_params() {
 fn later_wins_in_the_order_extends_file_level_set() {
     let folder = Folder::new();
     folder.write("base.toml", BASE);
-    let level = "[ablation.axes.way]\nup = { }\ndown = { nodes.solve.params = { direction = \"down\", amount = 4.0 } }\n";
-    let path = folder.write("top.toml", &format!("format = 1\nextends = \"base.toml\"\n[nodes.solve]\nparams.amount = 3.0\n{level}"));
+    let level = "[ablation.axes.way]\nup = { }\ndown = \
+                 { nodes.solve.params = { direction = \"down\", amount = 4.0 } }\n";
+    let path = folder.write(
+        "top.toml",
+        &format!(
+            "format = 1\nextends = \
+                                                  \"base.toml\"\n[nodes.solve]\nparams.amount = \
+                                                  3.0\n{level}"
+        ),
+    );
     let project = load(&path, &[]);
     assert_eq!(param(&project, "way=up", "solve", "amount"), "3.0");
     assert_eq!(param(&project, "way=down", "solve", "amount"), "4.0");
-    let project = load(&path, &["nodes.solve.params.amount=5", "nodes.solve.params.rate=10 kHz", "pipeline.seed = 9"]);
+    let project =
+        load(&path, &["nodes.solve.params.amount=5", "nodes.solve.params.rate=10 kHz", "pipeline.seed = 9"]);
     assert_eq!(param(&project, "way=down", "solve", "amount"), "5.0");
     assert_eq!(param(&project, "way=down", "solve", "rate"), "\"10 kHz\"");
     assert_eq!(param(&project, "way=down", "solve", "direction"), "\"down\"");
@@ -86,8 +107,16 @@ fn later_wins_in_the_order_extends_file_level_set() {
 #[test]
 fn a_path_starts_from_the_manifest_that_wrote_it() {
     let folder = Folder::new();
-    folder.write("deep/base.toml", "format = 1\n[nodes.source]\nkind = \"read/source\"\nparams.path = \"data.bin\"\n");
-    let path = folder.write("top.toml", "format = 1\nextends = \"deep/base.toml\"\n[nodes.source]\nparams.width = 2\n");
+    folder.write(
+        "deep/base.toml",
+        "format = 1\n[nodes.source]\nkind = \"read/source\"\nparams.path = \
+                                    \"data.bin\"\n",
+    );
+    let path = folder.write(
+        "top.toml",
+        "format = 1\nextends = \
+                                         \"deep/base.toml\"\n[nodes.source]\nparams.width = 2\n",
+    );
     let found = param(&load(&path, &[]), "base", "source", "path");
     assert_eq!(found, format!("\"{}\"", folder.path("deep/data.bin").display()));
 }
@@ -110,7 +139,10 @@ down = { nodes.solve.params.direction = "down" }
     let path = folder.write("m.toml", &format!("{BASE}{ablation}"));
     let project = load(&path, &[]);
     let names: Vec<&str> = project.pipelines.iter().map(|pipeline| pipeline.variant.as_str()).collect();
-    assert_eq!(names, ["way=up,amount=1", "way=up,amount=2", "way=up,amount=3", "way=down,amount=1", "way=down,amount=2"]);
+    assert_eq!(
+        names,
+        ["way=up,amount=1", "way=up,amount=2", "way=up,amount=3", "way=down,amount=1", "way=down,amount=2"]
+    );
     let ablation = project.ablation.as_ref().unwrap();
     assert_eq!(ablation.baseline.as_deref(), Some("way=up,amount=1"));
     assert_eq!(ablation.metrics, [("sum".to_string(), "sum".to_string())]);
@@ -120,7 +152,13 @@ down = { nodes.solve.params.direction = "down" }
 #[test]
 fn a_log_sweep_has_round_numbers() {
     let folder = Folder::new();
-    let path = folder.write("m.toml", &format!("{BASE}[ablation.sweep]\n\"nodes.solve.params.amount\" = {{ log = [0.1, 10.0], steps = 5 }}\n"));
+    let path = folder.write(
+        "m.toml",
+        &format!(
+            "{BASE}[ablation.sweep]\n\"nodes.solve.params.amount\" = \
+                                                {{ log = [0.1, 10.0], steps = 5 }}\n"
+        ),
+    );
     let project = load(&path, &[]);
     let names: Vec<&str> = project.pipelines.iter().map(|pipeline| pipeline.levels[0].1.as_str()).collect();
     assert_eq!(names, ["0.1", "0.316228", "1", "3.16228", "10"]);
@@ -129,7 +167,13 @@ fn a_log_sweep_has_round_numbers() {
 #[test]
 fn a_sweep_over_text_names_its_levels_without_spaces() {
     let folder = Folder::new();
-    let path = folder.write("m.toml", &format!("{BASE}[ablation.sweep]\n\"nodes.solve.params.rate\" = [\"1 kHz\", \"2 kHz\"]\n"));
+    let path = folder.write(
+        "m.toml",
+        &format!(
+            "{BASE}[ablation.sweep]\n\"nodes.solve.params.rate\" = [\"1 \
+                                                kHz\", \"2 kHz\"]\n"
+        ),
+    );
     let project = load(&path, &[]);
     assert_eq!(project.pipelines[0].variant, "rate=1kHz");
     assert_eq!(param(&project, "rate=2kHz", "solve", "rate"), "\"2 kHz\"");
@@ -138,17 +182,30 @@ fn a_sweep_over_text_names_its_levels_without_spaces() {
 #[test]
 fn variants_are_chosen_whole_or_in_part() {
     let folder = Folder::new();
-    let axes = "[ablation.axes.way]\nup = {}\ndown = { nodes.solve.params.direction = \"down\" }\n[ablation.sweep]\n\"nodes.source.params.offset\" = [1, 2]\n";
+    let axes = "[ablation.axes.way]\nup = {}\ndown = \
+                { nodes.solve.params.direction = \"down\" }\n[ablation.sweep]\n\"nodes.source.params.offset\" = [1, 2]\n";
     let project = load(&folder.write("m.toml", &format!("{BASE}{axes}")), &[]);
     let names = |variants: &[&str]| -> Vec<String> {
-        let selection = Selection { variants: variants.iter().map(|name| name.to_string()).collect(), ..Selection::default() };
-        Plan::new(&project, &catalogue(), &selection).unwrap_or_else(|p| panic!("{p:?}")).variants.into_iter().map(|variant| variant.name).collect()
+        let selection = Selection {
+            variants: variants.iter().map(|name| name.to_string()).collect(),
+            ..Selection::default()
+        };
+        Plan::new(&project, &catalogue(), &selection)
+            .unwrap_or_else(|p| panic!("{p:?}"))
+            .variants
+            .into_iter()
+            .map(|variant| variant.name)
+            .collect()
     };
     assert_eq!(names(&["way=up,offset=2"]), ["way=up,offset=2"]);
     assert_eq!(names(&["offset=2"]), ["way=up,offset=2", "way=down,offset=2"]);
     let selection = Selection { variants: vec!["way=upp,offset=2".into()], ..Selection::default() };
     let problems = Plan::new(&project, &catalogue(), &selection).err().unwrap();
-    assert_eq!(folder.show(&problems), "there is no variant `way=upp,offset=2`\n  hint: did you mean `way=up,offset=2`?\n");
+    assert_eq!(
+        folder.show(&problems),
+        "there is no variant `way=upp,offset=2`\n  hint: did you mean \
+                                        `way=up,offset=2`?\n"
+    );
 }
 
 #[test]
@@ -159,13 +216,17 @@ fn a_bypassed_node_passes_its_input_on() {
     let plan = plan(&project);
     assert_eq!(plan.task_of("base", "solve"), None);
     let (source, sum) = (plan.task_of("base", "source").unwrap(), plan.task_of("base", "sum").unwrap());
-    assert_eq!(plan.tasks[sum].inputs[0].from.iter().map(|from| (from.task, from.port)).collect::<Vec<_>>(), [(source, "plane")]);
+    assert_eq!(
+        plan.tasks[sum].inputs[0].from.iter().map(|from| (from.task, from.port)).collect::<Vec<_>>(),
+        [(source, "plane")]
+    );
 }
 
 #[test]
 fn variants_share_equal_branches() {
     let folder = Folder::new();
-    let axes = "[ablation.axes.way]\nup = {}\ndown = { nodes.solve.params.direction = \"down\" }\nalso_up = { nodes.solve.params.direction = \"up\" }\n";
+    let axes = "[ablation.axes.way]\nup = {}\ndown = { nodes.solve.params.direction = \"down\" }\nalso_up = \
+                { nodes.solve.params.direction = \"up\" }\n";
     let plan = plan(&load(&folder.write("m.toml", &format!("{BASE}{axes}")), &[]));
     // One source, and two ways with a sum each.
     assert_eq!(plan.tasks.len(), 5);
@@ -177,15 +238,24 @@ fn variants_share_equal_branches() {
 fn only_what_somebody_wants_is_stored() {
     let folder = Folder::new();
     let split = |extra: &str| {
-        let text = format!("{BASE}[nodes.halves]\nkind = \"split/halves\"\nin = {{ plane = \"solve\" }}\n{extra}");
+        let text = format!(
+            "{BASE}[nodes.halves]\nkind = \"split/halves\"\nin = \
+                            {{ plane = \"solve\" }}\n{extra}"
+        );
         let plan = plan(&load(&folder.write("m.toml", &text), &[]));
-        plan.tasks[plan.task_of("base", "halves").unwrap()].stored().map(|output| output.port).collect::<Vec<_>>()
+        plan.tasks[plan.task_of("base", "halves").unwrap()]
+            .stored()
+            .map(|output| output.port)
+            .collect::<Vec<_>>()
     };
     let smooth = "[nodes.smooth]\nkind = \"refine/smooth\"\nin = { plane = \"halves.high\" }\n";
     assert_eq!(split(""), ["low", "high"], "nothing takes an output, so all are results");
     assert_eq!(split(smooth), ["high"]);
     let kept = BASE.replace("seed = 7", "seed = 7\nkeep = [\"halves.low\"]");
-    let text = format!("{kept}[nodes.halves]\nkind = \"split/halves\"\nin = {{ plane = \"solve\" }}\n{smooth}");
+    let text = format!(
+        "{kept}[nodes.halves]\nkind = \"split/halves\"\nin = \
+                        {{ plane = \"solve\" }}\n{smooth}"
+    );
     let plan = plan(&load(&folder.write("m.toml", &text), &[]));
     assert_eq!(plan.tasks[plan.task_of("base", "halves").unwrap()].stored().count(), 2);
 }
@@ -196,5 +266,8 @@ fn a_set_value_knows_where_it_came_from() {
     let project = load(&folder.write("m.toml", BASE), &["nodes.solve.params.rate=10 kHz"]);
     let solve = project.pipelines[0].node("solve").unwrap();
     let rate = solve.params.as_table().unwrap().get("rate").unwrap();
-    assert_eq!((rate.origin.to_string(), &rate.item), ("--set:1:25".to_string(), &Item::String("10 kHz".into())));
+    assert_eq!(
+        (rate.origin.to_string(), &rate.item),
+        ("--set:1:25".to_string(), &Item::String("10 kHz".into()))
+    );
 }

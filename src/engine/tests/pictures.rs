@@ -30,19 +30,30 @@ fn draw(format: GraphFormat) -> String {
 #[test]
 fn json_has_every_node_and_edge() {
     let json: Json = serde_json::from_str(&draw(GraphFormat::Json)).unwrap();
-    let ids: Vec<&str> = json["nodes"].as_array().unwrap().iter().map(|node| node["id"].as_str().unwrap()).collect();
+    let ids: Vec<&str> =
+        json["nodes"].as_array().unwrap().iter().map(|node| node["id"].as_str().unwrap()).collect();
     assert_eq!(ids, ["source", "halves", "smooth", "sum"]);
     assert_eq!(json["edges"].as_array().unwrap().len(), 5);
-    assert_eq!(json["edges"][1], serde_json::json!({"from": "halves", "from_port": "low", "to": "smooth", "to_port": "plane", "type": "map"}));
+    assert_eq!(
+        json["edges"][1],
+        serde_json::json!({"from": "halves", "from_port": "low", "to": "smooth", "to_port": "plane", "type": "map"})
+    );
     assert_eq!(json["nodes"][3]["layer"], 3);
 }
 
 #[test]
 fn dot_and_mermaid_name_ports() {
     let dot = draw(GraphFormat::Dot);
-    assert!(dot.contains("label=\"Light & <shade> \\\"quoted\\\"\"") && dot.contains("\"halves\" -> \"smooth\" [label=\"low to plane\"];"), "{dot}");
+    assert!(
+        dot.contains("label=\"Light & <shade> \\\"quoted\\\"\"")
+            && dot.contains("\"halves\" -> \"smooth\" [label=\"low to plane\"];"),
+        "{dot}"
+    );
     let mermaid = draw(GraphFormat::Mermaid);
-    assert!(mermaid.starts_with("flowchart LR\n") && mermaid.contains("n_halves -->|low to plane| n_smooth"), "{mermaid}");
+    assert!(
+        mermaid.starts_with("flowchart LR\n") && mermaid.contains("n_halves -->|low to plane| n_smooth"),
+        "{mermaid}"
+    );
 }
 
 #[test]
@@ -94,5 +105,8 @@ fn the_schema_has_every_kind_and_no_reference_into_nowhere() {
     }
     let mut found = Vec::new();
     references(&schema, &mut found);
-    assert!(!found.is_empty() && found.iter().all(|reference| schema.pointer(&reference[1..]).is_some()), "{found:?}");
+    assert!(
+        !found.is_empty() && found.iter().all(|reference| schema.pointer(&reference[1..]).is_some()),
+        "{found:?}"
+    );
 }

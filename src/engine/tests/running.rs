@@ -36,7 +36,11 @@ impl Bench {
             match status.state {
                 State::Hit => format!("{label}: hit"),
                 State::Miss { reasons } => format!("{label}: {}", reasons.join("; ")),
-                State::Waits { on, reasons } => format!("{label}: waits for {} {}", on.join(", "), reasons.join("; ")).trim_end().to_string(),
+                State::Waits { on, reasons } => {
+                    format!("{label}: waits for {} {}", on.join(", "), reasons.join("; "))
+                        .trim_end()
+                        .to_string()
+                }
             }
         };
         status(&plan, &self.cache, &self.folder.path("out")).into_iter().map(line).collect()
@@ -61,7 +65,9 @@ fn values_are_what_the_nodes_say() {
     let bench = Bench::new();
     let outcome = bench.run(CHAIN, &["nodes.source.params = { width = 1, height = 2, offset = 1.0 }"]);
     // Rows 1.0 and 1.5, plus 2: 3.0 and 3.5; their mean twice: 3.25.
-    let Some(Value::Table(table)) = outcome.value(&bench.cache, "base", "sum", "scores").unwrap() else { panic!("a table is stored") };
+    let Some(Value::Table(table)) = outcome.value(&bench.cache, "base", "sum", "scores").unwrap() else {
+        panic!("a table is stored")
+    };
     let sums: Vec<f64> = table.as_scores().unwrap().iter().map(|score| score.value).collect();
     assert_eq!(sums, [6.5, 6.5, 13.0]);
     let (single, pooled) = outcome.metrics(&bench.cache).unwrap();
@@ -84,14 +90,23 @@ fn a_changed_parameter_reruns_the_node_and_what_follows() {
 fn a_comment_and_the_order_of_keys_rerun_nothing() {
     let bench = Bench::new();
     bench.run(CHAIN, &[]);
-    let outcome = bench.run(&format!("# A comment.\n{}", CHAIN.replace("params.amount = 2.0", "params = { direction = \"up\", amount = 2 }")), &[]);
+    let outcome = bench.run(
+        &format!(
+            "# A comment.\n{}",
+            CHAIN.replace("params.amount = 2.0", "params = { direction = \"up\", amount = 2 }")
+        ),
+        &[],
+    );
     assert_eq!(ended(&outcome, End::Executed), [""; 0]);
 }
 
 #[test]
 fn an_equal_result_upstream_stops_the_rerun() {
     let bench = Bench::new();
-    let text = format!("{CHAIN}[nodes.sign]\nkind = \"refine/sign\"\nin.plane = \"solve\"\n[nodes.after]\nkind = \"solve/scale\"\nin.plane = \"sign\"\n");
+    let text = format!(
+        "{CHAIN}[nodes.sign]\nkind = \"refine/sign\"\nin.plane = \
+                        \"solve\"\n[nodes.after]\nkind = \"solve/scale\"\nin.plane = \"sign\"\n"
+    );
     bench.run(&text, &[]);
     let outcome = bench.run(&text, &["nodes.solve.params.amount=3"]);
     assert_eq!(ended(&outcome, End::Reused), ["source", "after"]);
@@ -104,15 +119,20 @@ fn variants_share_equal_branches_and_run_them_once() {
     let outcome = bench.run(&text, &[]);
     assert_well(&outcome);
     assert_eq!(outcome.count(End::Executed), 1 + 3 * 3);
-    assert_eq!(outcome.node("amount=1", "source").unwrap().key, outcome.node("amount=3", "source").unwrap().key);
+    assert_eq!(
+        outcome.node("amount=1", "source").unwrap().key,
+        outcome.node("amount=3", "source").unwrap().key
+    );
     // The base pipeline has the amount 2: its results are there already.
     assert_eq!(ended(&bench.run(CHAIN, &[]), End::Executed), [""; 0]);
 }
 
 #[test]
 fn bands_of_any_height_and_any_number_of_threads_give_the_same() {
-    let text =
-        format!("{CHAIN}[nodes.noise]\nkind = \"simulate/noise\"\nin.plane = \"smooth\"\n[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"noise\"\n");
+    let text = format!(
+        "{CHAIN}[nodes.noise]\nkind = \"simulate/noise\"\nin.plane = \
+                 \"smooth\"\n[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"noise\"\n"
+    );
     let mut seen = None;
     for threads in [1, 2] {
         for height in [None, Some(1), Some(5), Some(11), Some(12), Some(100)] {
@@ -129,7 +149,8 @@ fn bands_of_any_height_and_any_number_of_threads_give_the_same() {
 
 #[test]
 fn a_node_is_cut_into_bands_or_not_as_its_inputs_say() {
-    let text = "format = 1\n[nodes.source]\nkind = \"read/source\"\n[nodes.couple]\nkind = \"refine/couple\"\nin.plane = \"source\"\n";
+    let text = "format = 1\n[nodes.source]\nkind = \"read/source\"\n[nodes.couple]\nkind = \
+                \"refine/couple\"\nin.plane = \"source\"\n";
     #[derive(Default)]
     struct Bands(Mutex<usize>);
     impl Observer for Bands {
@@ -145,7 +166,9 @@ fn a_node_is_cut_into_bands_or_not_as_its_inputs_say() {
         let outcome = run(&plan, &bench.cache, &options, &seen, &AtomicBool::new(false));
         assert_well(&outcome);
         assert_eq!(*seen.0.lock().unwrap(), bands);
-        let Some(Value::Map(map)) = outcome.value(&bench.cache, "base", "couple", "plane").unwrap() else { panic!("a map is stored") };
+        let Some(Value::Map(map)) = outcome.value(&bench.cache, "base", "couple", "plane").unwrap() else {
+            panic!("a map is stored")
+        };
         let band = map.read(map.rows()).unwrap();
         assert_eq!([0, 1, 2].map(|y| band.row(0, y)[0]), expected);
     }
@@ -167,8 +190,9 @@ fn a_small_budget_cuts_into_bands_and_gives_the_same() {
     let outcome = run(&tight.plan(CHAIN, &large), &tight.cache, &options, &rows, &AtomicBool::new(false));
     assert_well(&outcome);
     assert_eq!(digests(&outcome), expected);
-    // 15 000 bytes are a task's share and a row of `solve` takes 256 of inputs and three times as many of outputs: 14 such rows fit. The first band is an
-    // eighth of that, because nothing is known yet of what it gives; the ones after it are at most twice as high as the one before.
+    // 15 000 bytes are a task's share and a row of `solve` takes 256 of inputs and three times as many of
+    // outputs: 14 such rows fit. The first band is an eighth of that, because nothing is known yet of what it
+    // gives; the ones after it are at most twice as high as the one before.
     let seen = rows.0.lock().unwrap();
     assert_eq!(seen.iter().max().map(|rows| *rows <= 14), Some(true), "{seen:?}");
     assert!(seen.windows(4).any(|heights| heights == [1, 2, 4, 8]), "{seen:?}");
@@ -177,8 +201,18 @@ fn a_small_budget_cuts_into_bands_and_gives_the_same() {
 #[test]
 fn the_memory_budget_is_kept() {
     let bench = Bench::new();
-    let heavy: String = (0..6).map(|i| format!("[nodes.h{i}]\nkind = \"solve/heavy\"\nin.plane = \"source\"\nparams.amount = {i}\n")).collect();
-    let text = format!("format = 1\n[nodes.source]\nkind = \"read/source\"\nparams = {{ width = 100, height = 100 }}\n{heavy}");
+    let heavy: String = (0..6)
+        .map(|i| {
+            format!(
+                "[nodes.h{i}]\nkind = \"solve/heavy\"\nin.plane = \
+                                                \"source\"\nparams.amount = {i}\n"
+            )
+        })
+        .collect();
+    let text = format!(
+        "format = 1\n[nodes.source]\nkind = \"read/source\"\nparams = \
+                        {{ width = 100, height = 100 }}\n{heavy}"
+    );
     // One heavy node counts 3 x 40 000 bytes: two fit next to each other and to what is kept, three do not.
     let options = Options { threads: 6, memory: 360_000, ..bench.options() };
     let outcome = bench.run_with(&bench.plan(&text, &[]), &options);
@@ -194,9 +228,13 @@ fn the_memory_budget_is_kept() {
 }
 
 fn with_mischief(mischief: &str) -> String {
-    let trouble = format!("[nodes.bad]\nkind = \"solve/trouble\"\nin.plane = \"source\"\nparams.mischief = \"{mischief}\"\n");
+    let trouble = format!(
+        "[nodes.bad]\nkind = \"solve/trouble\"\nin.plane = \"source\"\nparams.mischief = \
+                           \"{mischief}\"\n"
+    );
     format!(
-        "{CHAIN}{trouble}[nodes.after]\nkind = \"refine/smooth\"\nin.plane = \"bad\"\n[nodes.last]\nkind = \"score/sum\"\nin.planes = [\"after\", \"smooth\"]\n"
+        "{CHAIN}{trouble}[nodes.after]\nkind = \"refine/smooth\"\nin.plane = \"bad\"\n[nodes.last]\nkind = \
+         \"score/sum\"\nin.planes = [\"after\", \"smooth\"]\n"
     )
 }
 
@@ -208,13 +246,19 @@ fn a_failed_node_skips_only_what_hangs_on_it() {
     assert_eq!(ended(&outcome, End::Skipped), ["after", "last"]);
     assert_eq!(ended(&outcome, End::Executed), ["source", "solve", "smooth", "sum"]);
     assert_eq!(outcome.node("base", "last").unwrap().because, ["bad"]);
-    assert_eq!(outcome.node("base", "bad").unwrap().error.as_ref().unwrap().to_string(), "nothing works today\n  hint: try tomorrow");
+    assert_eq!(
+        outcome.node("base", "bad").unwrap().error.as_ref().unwrap().to_string(),
+        "nothing works today\n  hint: try tomorrow"
+    );
     assert_eq!(outcome.exit_code(), 1);
     assert_eq!(bench.run(&with_mischief("bad_input"), &[]).exit_code(), 3);
     let ablation = "[ablation.axes.x]\nbad = { }\ngood = { nodes.bad.params.mischief = \"none\" }\n";
     let outcome = bench.run(&format!("{}{ablation}", with_mischief("fails")), &[]);
     assert_eq!(outcome.exit_code(), 4);
-    assert_eq!(outcome.variants.iter().map(|variant| outcome.variant_is_whole(variant)).collect::<Vec<_>>(), [false, true]);
+    assert_eq!(
+        outcome.variants.iter().map(|variant| outcome.variant_is_whole(variant)).collect::<Vec<_>>(),
+        [false, true]
+    );
 }
 
 #[test]
@@ -222,7 +266,11 @@ fn a_panic_is_that_node_s_failure() {
     let bench = Bench::new();
     let outcome = bench.run(&with_mischief("panics"), &[]);
     assert_eq!(ended(&outcome, End::Failed), ["bad"]);
-    assert_eq!(outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message, "the node broke off: index 5 is beyond 3");
+    assert_eq!(
+        outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message,
+        "the node broke off: \
+                                                            index 5 is beyond 3"
+    );
     assert_eq!(ended(&outcome, End::Executed), ["source", "solve", "smooth", "sum"]);
 }
 
@@ -230,7 +278,11 @@ fn a_panic_is_that_node_s_failure() {
 fn an_output_that_is_not_as_planned_is_refused() {
     let bench = Bench::new();
     let outcome = bench.run(&with_mischief("lies"), &[]);
-    assert_eq!(outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message, "solve/trouble broke its promise: `plane` is not as planned");
+    assert_eq!(
+        outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message,
+        "solve/trouble broke \
+                                                            its promise: `plane` is not as planned"
+    );
 }
 
 #[test]
@@ -247,7 +299,10 @@ fn a_cancelled_run_leaves_the_cache_whole() {
     }
     let plan = bench.plan(&with_mischief("waits"), &[]);
     let outcome = run(&plan, &bench.cache, &bench.options(), &Canceller(&cancel), &cancel);
-    assert!(ended(&outcome, End::Interrupted).contains(&"bad") && ended(&outcome, End::Interrupted).contains(&"last"));
+    assert!(
+        ended(&outcome, End::Interrupted).contains(&"bad")
+            && ended(&outcome, End::Interrupted).contains(&"last")
+    );
     assert_eq!(outcome.exit_code(), 130);
     assert_eq!(bench.cache.verify().unwrap().damaged, [""; 0]);
     assert_well(&bench.run(&with_mischief("none"), &[]));
@@ -280,10 +335,21 @@ fn a_stopped_run_goes_on_from_the_bands_that_it_kept() {
         let options = Options { keep: Keep::All, band_rows: Some(5), threads: 1, ..bench.options() };
         let solve = plan.task_of("base", "solve").unwrap();
         let cancel = AtomicBool::new(false);
-        let stopped = run(&plan, &bench.cache, &options, &StopAfter { rows: 5, task: solve, done: Mutex::new(0), cancel: &cancel }, &cancel);
+        let stopped = run(
+            &plan,
+            &bench.cache,
+            &options,
+            &StopAfter { rows: 5, task: solve, done: Mutex::new(0), cancel: &cancel },
+            &cancel,
+        );
         assert_eq!(stopped.exit_code(), 130);
         let bands = bench.cache.bands().unwrap();
-        let kept: Vec<_> = bands.list().unwrap().into_iter().filter(|band| band.counts.contains_key("rows were added to")).collect();
+        let kept: Vec<_> = bands
+            .list()
+            .unwrap()
+            .into_iter()
+            .filter(|band| band.counts.contains_key("rows were added to"))
+            .collect();
         let [band] = &kept[..] else { panic!("the band that was done is kept: {kept:?}") };
         assert_eq!((band.start, band.end), (0, 5));
         if forged {
@@ -294,7 +360,14 @@ fn a_stopped_run_goes_on_from_the_bands_that_it_kept() {
             let mut rows = map.read(map.rows()).unwrap();
             rows.values.fill(100.0);
             let other = Value::Map(photocurrent_core::MapSet::in_memory(map.meta.clone(), rows));
-            bands.put(band.identity, band.rows(), &[("plane", other)], (band.texts.clone(), band.counts.clone())).unwrap();
+            bands
+                .put(
+                    band.identity,
+                    band.rows(),
+                    &[("plane", other)],
+                    (band.texts.clone(), band.counts.clone()),
+                )
+                .unwrap();
         }
         // With other bands, threads and memory: none of them says what a result is.
         let outcome = bench.run_with(&plan, &Options { band_rows: Some(3), ..bench.options() });
@@ -312,10 +385,18 @@ fn a_damaged_band_is_computed_again() {
     let plan = bench.plan(CHAIN, &[]);
     let options = Options { keep: Keep::All, band_rows: Some(4), threads: 1, ..bench.options() };
     let cancel = AtomicBool::new(false);
-    let observer = StopAfter { rows: 8, task: plan.task_of("base", "solve").unwrap(), done: Mutex::new(0), cancel: &cancel };
+    let observer = StopAfter {
+        rows: 8,
+        task: plan.task_of("base", "solve").unwrap(),
+        done: Mutex::new(0),
+        cancel: &cancel,
+    };
     run(&plan, &bench.cache, &options, &observer, &cancel);
     let bands = bench.cache.bands().unwrap();
-    let data = std::fs::read_dir(bands.folder()).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.extension().is_some_and(|e| e == "h5"));
+    let data = std::fs::read_dir(bands.folder())
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|e| e == "h5"));
     let mut damaged = 0;
     for path in data {
         let mut bytes = std::fs::read(&path).unwrap();
@@ -341,7 +422,8 @@ fn a_damaged_artefact_is_made_again_with_a_warning() {
     let last = bytes.len() - 1;
     bytes[last] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
-    // The length is right, so the damage shows when somebody reads it: `smooth`, which has to run with another halo of interest.
+    // The length is right, so the damage shows when somebody reads it: `smooth`, which has to run with
+    // another halo of interest.
     let cache = Cache::open(&bench.folder.path("cache")).unwrap();
     let options = Options { force: ["smooth".to_string(), "sum".to_string()].into(), ..bench.options() };
     let outcome = run(&bench.plan(CHAIN, &[]), &cache, &options, &Unobserved, &AtomicBool::new(false));
@@ -355,7 +437,11 @@ fn a_damaged_artefact_is_made_again_with_a_warning() {
     assert!(shown[1].starts_with("solve: record damaged: output `plane`"), "{shown:?}");
     let outcome = bench.run(CHAIN, &[]);
     assert_eq!(ended(&outcome, End::Executed), ["solve"]);
-    assert!(outcome.warnings[0].starts_with("solve: the cache's record is damaged"), "{:?}", outcome.warnings);
+    assert!(
+        outcome.warnings[0].starts_with("solve: the cache's record is damaged"),
+        "{:?}",
+        outcome.warnings
+    );
 }
 
 #[test]
@@ -380,25 +466,49 @@ fn two_runs_at_once_on_one_cache_are_both_right() {
 fn the_status_names_what_changed_and_writes_nothing() {
     let bench = Bench::new();
     let before = snapshot(&bench.folder.path("cache"));
-    assert_eq!(bench.status(CHAIN, &[]), ["source: never ran", "solve: waits for source", "smooth: waits for solve", "sum: waits for solve, smooth"]);
+    assert_eq!(
+        bench.status(CHAIN, &[]),
+        [
+            "source: never ran",
+            "solve: waits for source",
+            "smooth: waits for solve",
+            "sum: waits for solve, smooth"
+        ]
+    );
     assert_eq!(snapshot(&bench.folder.path("cache")), before);
     let data = bench.folder.write("data.bin", "four");
-    let text =
-        format!("{CHAIN}[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"smooth\"\n[nodes.low]\nkind = \"refine/sign\"\nin.plane = \"halves.low\"\n")
-            .replace("kind = \"read/source\"", "kind = \"read/source\"\nparams.path = \"data.bin\"");
+    let text = format!(
+        "{CHAIN}[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"smooth\"\n[nodes.low]\nkind = \
+                 \"refine/sign\"\nin.plane = \"halves.low\"\n"
+    )
+    .replace("kind = \"read/source\"", "kind = \"read/source\"\nparams.path = \"data.bin\"");
     assert_well(&bench.run(&text, &[]));
     let before = snapshot(&bench.folder.path("cache"));
     assert!(bench.status(&text, &[]).iter().all(|line| line.ends_with(": hit")));
     let shown = bench.status(&text, &["nodes.solve.params = { amount = 3, rate = \"2 kHz\" }"]);
-    assert_eq!(shown[..3], ["source: hit", "solve: params.amount 2.0 -> 3.0; params.rate \"1 kHz\" -> \"2 kHz\"", "smooth: waits for solve"]);
+    assert_eq!(
+        shown[..3],
+        [
+            "source: hit",
+            "solve: params.amount 2.0 -> 3.0; params.rate \"1 kHz\" -> \"2 kHz\"",
+            "smooth: waits for solve"
+        ]
+    );
     let kept = text.replace("seed = 7", "keep = [\"halves.high\"]");
     assert_eq!(bench.status(&kept, &[])[4], "halves: output high was not stored");
     std::fs::write(&data, "five!").unwrap();
     assert_eq!(bench.status(&text, &[])[0], format!("source: file {} changed content", data.display()));
     assert_eq!(snapshot(&bench.folder.path("cache")), before);
-    let explained = explain(&bench.plan(&text, &["nodes.solve.params.amount=3"]), &bench.cache, &bench.folder.path("out"), "solve").unwrap();
+    let explained = explain(
+        &bench.plan(&text, &["nodes.solve.params.amount=3"]),
+        &bench.cache,
+        &bench.folder.path("out"),
+        "solve",
+    )
+    .unwrap();
     assert_eq!(explained[0].lines, ["waits for source", "params.amount 2.0 -> 3.0"]);
-    let problem = explain(&bench.plan(&text, &[]), &bench.cache, &bench.folder.path("out"), "slove").unwrap_err();
+    let problem =
+        explain(&bench.plan(&text, &[]), &bench.cache, &bench.folder.path("out"), "slove").unwrap_err();
     assert_eq!(problem.help.as_deref(), Some("did you mean `solve`?"));
 }
 
@@ -422,8 +532,10 @@ fn a_part_of_the_pipeline_runs_alone() {
 #[test]
 fn outputs_that_another_pipeline_stored_stay_named() {
     let bench = Bench::new();
-    let halves =
-        format!("{CHAIN}[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"smooth\"\n[nodes.x]\nkind = \"refine/sign\"\nin.plane = \"halves.PORT\"\n");
+    let halves = format!(
+        "{CHAIN}[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"smooth\"\n[nodes.x]\nkind = \
+                 \"refine/sign\"\nin.plane = \"halves.PORT\"\n"
+    );
     bench.run(&halves.replace("PORT", "low"), &[]);
     assert_eq!(ended(&bench.run(&halves.replace("PORT", "high"), &[]), End::Executed), ["halves", "x"]);
     assert_eq!(ended(&bench.run(&halves.replace("PORT", "low"), &[]), End::Executed), [""; 0]);

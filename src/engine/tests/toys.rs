@@ -6,7 +6,8 @@ use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::{InputPath, Rate};
 use photocurrent_core::table::{Score, TableMeta};
 use photocurrent_core::{
-    Catalogue, Context, DataType, Decl, Extent, FileRef, FrameSequence, Grain, Kind, MapBand, MapMeta, MapSet, Meta, Node, NodeError, PortMetas, Table, testing,
+    Catalogue, Context, DataType, Decl, Extent, FileRef, FrameSequence, Grain, Kind, MapBand, MapMeta,
+    MapSet, Meta, Node, NodeError, PortMetas, Table, testing,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,10 +36,20 @@ pub fn catalogue() -> Catalogue {
 }
 
 pub const fn decl(kind: &'static str, grain: Grain) -> Decl {
-    Decl { kind, about: "A toy.", revision: 1, grain, draws: false, exports: false, sources: &[], example: "" }
+    Decl {
+        kind,
+        about: "A toy.",
+        revision: 1,
+        grain,
+        draws: false,
+        exports: false,
+        sources: &[],
+        example: "",
+    }
 }
 
-/// The part of a toy that all of them have: its types, how it is built, and the plan of those that give a plane like their own.
+/// The part of a toy that all of them have: its types, how it is built, and the plan of those that give a
+/// plane like their own.
 macro_rules! head {
     ($name:ident $(($params:ty))?, $in:ty => $out:ty; plans its plane) => {
         head!($name $(($params))?, $in => $out);
@@ -124,7 +135,8 @@ impl Node for Source {
     }
     fn run(&self, _: Nothing, cx: &Context) -> Result<Plane, NodeError> {
         let meta = meta(self.0.width, self.0.height);
-        let extra = self.0.path.as_ref().map_or(Ok(0), |path| std::fs::read(path.path()).map(|bytes| bytes.len()));
+        let extra =
+            self.0.path.as_ref().map_or(Ok(0), |path| std::fs::read(path.path()).map(|bytes| bytes.len()));
         let extra = extra.map_err(|error| NodeError::files(error.to_string()))?;
         let mut band = MapBand::zeros(cx.rows(), &meta);
         for y in cx.rows().iter() {
@@ -135,7 +147,11 @@ impl Node for Source {
         Ok(Plane { plane: MapSet::in_memory(Arc::new(meta), band) })
     }
     fn files(&self) -> Vec<FileRef> {
-        self.0.path.iter().map(|path| FileRef { param: "path".into(), path: path.path().to_path_buf() }).collect()
+        self.0
+            .path
+            .iter()
+            .map(|path| FileRef { param: "path".into(), path: path.path().to_path_buf() })
+            .collect()
     }
 }
 
@@ -183,7 +199,10 @@ impl Node for Add {
     }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         if self.0.amount == 13.0 {
-            return Err(NodeError::usage("`amount` must not be 13 here").param("amount").note("somebody is superstitious").hint("take 15"));
+            return Err(NodeError::usage("`amount` must not be 13 here")
+                .param("amount")
+                .note("somebody is superstitious")
+                .hint("take 15"));
         }
         Ok(vec![plane_meta(inputs)])
     }
@@ -227,9 +246,14 @@ impl Node for Smooth {
         let around = input.plane.read(cx.rows().with_halo(1, all))?;
         let mut band = MapBand::zeros(cx.rows(), &input.plane.meta);
         for y in cx.rows().iter() {
-            let rows: Vec<u32> = [y.checked_sub(1), Some(y), Some(y + 1)].into_iter().flatten().filter(|&y| y < all.end).collect();
+            let rows: Vec<u32> = [y.checked_sub(1), Some(y), Some(y + 1)]
+                .into_iter()
+                .flatten()
+                .filter(|&y| y < all.end)
+                .collect();
             for x in 0..input.plane.meta.extent.width as usize {
-                band.row_mut(0, y)[x] = rows.iter().map(|&y| around.row(0, y)[x]).sum::<f32>() / rows.len() as f32;
+                band.row_mut(0, y)[x] =
+                    rows.iter().map(|&y| around.row(0, y)[x]).sum::<f32>() / rows.len() as f32;
             }
             cx.advance(1)?;
         }
@@ -248,14 +272,19 @@ impl Node for Sign {
     }
 }
 
-/// Couples all pixels of a plane wider than four columns: each becomes the plane's sum. Leaves pixels of narrower ones alone.
+/// Couples all pixels of a plane wider than four columns: each becomes the plane's sum. Leaves pixels of
+/// narrower ones alone.
 pub struct Couple;
 
 impl Node for Couple {
     const DECL: Decl = decl("refine/couple", Grain::Pixel);
     head!(Couple, Plane => Plane; plans its plane);
     fn grain(&self, inputs: &PortMetas) -> Grain {
-        if matches!(plane_meta(inputs), Meta::Map(map) if map.extent.width > 4) { Grain::Whole } else { Grain::Pixel }
+        if matches!(plane_meta(inputs), Meta::Map(map) if map.extent.width > 4) {
+            Grain::Whole
+        } else {
+            Grain::Pixel
+        }
     }
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         let extent = input.plane.meta.extent;
@@ -305,7 +334,8 @@ impl Node for Noise {
         let mut band = input.plane.read(cx.rows())?;
         for y in cx.rows().iter() {
             for (x, value) in band.row_mut(0, y).iter_mut().enumerate() {
-                *value += photocurrent_core::random::Random::new(cx.seed(), &[x as u64, u64::from(y)]).uniform() as f32;
+                *value += photocurrent_core::random::Random::new(cx.seed(), &[x as u64, u64::from(y)])
+                    .uniform() as f32;
             }
         }
         Ok(Plane { plane: MapSet::in_memory(input.plane.meta.clone(), band) })
@@ -343,7 +373,13 @@ impl Node for Sum {
         let mut scores = Vec::new();
         for (i, plane) in input.planes.iter().enumerate() {
             let sum = plane.read(plane.rows())?.values.iter().map(|&value| f64::from(value)).sum::<f64>();
-            scores.push(Score { metric: "sum".into(), frame: i as i64, t_ns: 0, value: sum, unit: "1".into() });
+            scores.push(Score {
+                metric: "sum".into(),
+                frame: i as i64,
+                t_ns: 0,
+                value: sum,
+                unit: "1".into(),
+            });
             total += sum;
         }
         scores.push(Score { metric: "sum".into(), frame: -1, t_ns: 0, value: total, unit: "1".into() });
@@ -401,7 +437,8 @@ impl Node for Write {
         let folder = cx.export_dir()?.join("rows");
         std::fs::create_dir_all(&folder).map_err(|error| NodeError::files(error.to_string()))?;
         for y in band.rows().iter() {
-            std::fs::write(folder.join(format!("{y:03}.txt")), format!("{:?}", band.row(0, y))).map_err(|error| NodeError::files(error.to_string()))?;
+            std::fs::write(folder.join(format!("{y:03}.txt")), format!("{:?}", band.row(0, y)))
+                .map_err(|error| NodeError::files(error.to_string()))?;
         }
         Ok(Nothing {})
     }

@@ -45,7 +45,8 @@ impl Node for Trouble {
     head!(Trouble(TroubleParams), Plane => Plane);
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         if matches!(self.0.mischief, Mischief::Complains) {
-            return Err(NodeError::usage("the description has a mistake").problems(vec![Problem::new("line 3 is wrong")]));
+            return Err(NodeError::usage("the description has a mistake")
+                .problems(vec![Problem::new("line 3 is wrong")]));
         }
         if matches!(self.0.mischief, Mischief::Misses) {
             return Err(NodeError::files("cannot read w.onnx: there is no such file").hint("put it there"));
@@ -54,7 +55,9 @@ impl Node for Trouble {
     }
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         match self.0.mischief {
-            Mischief::None | Mischief::Complains | Mischief::Misses => Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? }),
+            Mischief::None | Mischief::Complains | Mischief::Misses => {
+                Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? })
+            }
             Mischief::Fails => Err(NodeError::failed("nothing works today").hint("try tomorrow")),
             Mischief::BadInput => Err(NodeError::input("pixel 3 is not a number")),
             Mischief::Panics => panic!("index 5 is beyond 3"),

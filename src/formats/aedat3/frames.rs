@@ -1,8 +1,9 @@
 //! Frames of an AEDAT 3.1 file.
 //!
-//! A frame is: 32 bits of marks (valid in bit 0, channels in 1 to 3, colour filter in 4 to 7), begin and end of the frame, begin and end of its exposure
-//! (i32 microseconds each), width and height, column and row of its first pixel (i32), then 16-bit values row by row. Values of a converter with
-//! fewer bits are shifted up to 16 by the recorder. Opening reads what stands before the values.
+//! A frame is: 32 bits of marks (valid in bit 0, channels in 1 to 3, colour filter in 4 to 7), begin and end
+//! of the frame, begin and end of its exposure (i32 microseconds each), width and height, column and row of
+//! its first pixel (i32), then 16-bit values row by row. Values of a converter with fewer bits are shifted up
+//! to 16 by the recorder. Opening reads what stands before the values.
 
 use super::packets::{FRAME_HEAD, Packet, Packets};
 use crate::declared::StampRole;
@@ -33,7 +34,9 @@ impl Head {
         let signed = |k: usize| number(k).map(u32::cast_signed);
         let marks = number(0)?;
         let (stored, filter) = ((marks >> 1 & 7) as usize, marks >> 4 & 15);
-        let side = |k: usize| signed(k).and_then(|side| u32::try_from(side).ok()).filter(|side| (1..=1 << 14).contains(side));
+        let side = |k: usize| {
+            signed(k).and_then(|side| u32::try_from(side).ok()).filter(|side| (1..=1 << 14).contains(side))
+        };
         Some(Head {
             is_valid: marks & 1 == 1,
             colour: colour(stored, filter),
@@ -57,7 +60,8 @@ impl Head {
     }
 }
 
-/// Colours of a frame; `None` for those that are not read. Filters are named clockwise from the upper left pixel.
+/// Colours of a frame; `None` for those that are not read. Filters are named clockwise from the upper left
+/// pixel.
 fn colour(stored: usize, filter: u32) -> Option<Colour> {
     match (stored, filter) {
         (1, 0) => Some(Colour::Mono),
@@ -86,11 +90,18 @@ impl Finder {
     ///
     /// # Errors
     /// When the file cannot be read any more.
-    pub(super) fn add(&mut self, packets: &mut Packets, packet: &Packet, stated: Option<Extent>, losses: &mut Losses) -> Result<(), FormatError> {
+    pub(super) fn add(
+        &mut self,
+        packets: &mut Packets,
+        packet: &Packet,
+        stated: Option<Extent>,
+        losses: &mut Losses,
+    ) -> Result<(), FormatError> {
         for k in 0..packet.number {
             let at = packet.content() + u64::from(k) * u64::from(packet.size);
             packets.fetch(at, FRAME_HEAD, &mut self.bytes)?;
-            let mut leave_out = |what: String| losses.add("frames that were left out", || packet.place(), || what);
+            let mut leave_out =
+                |what: String| losses.add("frames that were left out", || packet.place(), || what);
             let Some(head) = Head::parse(&self.bytes) else { continue };
             if !head.is_valid {
                 self.invalid += 1;
@@ -102,19 +113,26 @@ impl Finder {
             };
             let Some(colour) = head.colour else {
                 leave_out(format!(
-                    "a frame of {} channels with the colour filter {} is left out: grey, Bayer, RGB and RGBA are read",
+                    "a frame of {} channels with the colour filter {} is left out: grey, Bayer, RGB and \
+                     RGBA are read",
                     head.stored, head.filter
                 ));
                 continue;
             };
             if FRAME_HEAD + 2 * head.values() > u64::from(packet.size) {
-                leave_out(format!("a frame of {extent} pixels is left out: its packet has {} bytes for a frame", packet.size));
+                leave_out(format!(
+                    "a frame of {extent} pixels is left out: its packet has {} bytes for a frame",
+                    packet.size
+                ));
                 continue;
             }
             let whole = self.first.map_or(stated.unwrap_or(extent), |(extent, ..)| extent);
             if extent != whole || head.position != (0, 0) {
                 let (x, y) = head.position;
-                leave_out(format!("a frame of {extent} pixels at ({x}, {y}) is left out, because the others have {whole} pixels"));
+                leave_out(format!(
+                    "a frame of {extent} pixels at ({x}, {y}) is left out, because the others \
+                                   have {whole} pixels"
+                ));
                 continue;
             }
             if self.first.is_some_and(|(_, others, stored)| (others, stored) != (colour, head.stored)) {
@@ -133,12 +151,28 @@ impl Finder {
     pub(super) fn finish(self, path: PathBuf, packets: Packets, mut notes: Vec<String>) -> Option<Frames> {
         let (extent, colour, stored) = self.first?;
         if self.invalid > 0 {
-            notes.push(format!("{} frames are marked as invalid in the file; they are left out", self.invalid));
+            notes.push(format!(
+                "{} frames are marked as invalid in the file; they are left out",
+                self.invalid
+            ));
         }
         if self.timeless > 0 {
-            notes.push(format!("{} of {} frames have no exposure: its end is not after its start", self.timeless, self.stamps.len()));
+            notes.push(format!(
+                "{} of {} frames have no exposure: its end is not after its start",
+                self.timeless,
+                self.stamps.len()
+            ));
         }
-        let about = FramesAbout { extent, colour, bits: 16, stamps: self.stamps, stamp_role: Some(StampRole::Start), row_time_ns: None, transfer: None, notes };
+        let about = FramesAbout {
+            extent,
+            colour,
+            bits: 16,
+            stamps: self.stamps,
+            stamp_role: Some(StampRole::Start),
+            row_time_ns: None,
+            transfer: None,
+            notes,
+        };
         Some(Frames { path, about, stored, places: self.places, packets: Mutex::new(packets) })
     }
 }
@@ -161,19 +195,36 @@ impl Pictures for Frames {
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         values.clear();
         let Some(&at) = self.places.get(frame) else {
-            return Err(FormatError::new(&self.path, format!("there is no frame {frame}, but {}", self.places.len()), "ask for one of them"));
+            return Err(FormatError::new(
+                &self.path,
+                format!("there is no frame {frame}, but {}", self.places.len()),
+                "ask for one of them",
+            ));
         };
         let needed = self.about.extent.pixels() * self.stored * 2;
         let mut bytes = Vec::new();
-        self.packets.lock().unwrap_or_else(PoisonError::into_inner).fetch(at + FRAME_HEAD, needed as u64, &mut bytes)?;
+        self.packets.lock().unwrap_or_else(PoisonError::into_inner).fetch(
+            at + FRAME_HEAD,
+            needed as u64,
+            &mut bytes,
+        )?;
         if bytes.len() != needed {
             let found = format!("frame {frame} is damaged: its values are not all there");
-            return Err(FormatError::new(&self.path, found, "read the recording without it").at(format!("byte {at}")));
+            return Err(
+                FormatError::new(&self.path, found, "read the recording without it").at(format!("byte {at}"))
+            );
         }
         let channels = self.about.colour.channels() as usize;
         values.reserve(self.about.extent.pixels() * channels);
         for pixel in bytes.chunks_exact(2 * self.stored) {
-            values.extend(pixel.as_chunks::<2>().0.iter().take(channels).map(|&value| f32::from(u16::from_le_bytes(value))));
+            values.extend(
+                pixel
+                    .as_chunks::<2>()
+                    .0
+                    .iter()
+                    .take(channels)
+                    .map(|&value| f32::from(u16::from_le_bytes(value))),
+            );
         }
         Ok(())
     }

@@ -1,14 +1,18 @@
 //! AEDAT 3.1: recordings of cAER and of older versions of DV.
 //!
-//! A line `#!AER-DAT3.1`, comment lines (`#Format: RAW`, `#Source 1: DAVIS346`), `#!END-HEADER`, then packets of events of one kind, little-endian: see
-//! [`packets`]. Polarity events are 32 bits of data (valid in bit 0, polarity in 1, row in 2 to 16, column in 17 to 31) and a stamp in microseconds, whose
-//! 31 bits every packet continues by its overflow. Special events are edges on the camera's inputs; frames come with their exposures.
-//! Columns count from the left and rows from above, in events and frames alike. What a packet or frame has damaged is left out; the others are read.
+//! A line `#!AER-DAT3.1`, comment lines (`#Format: RAW`, `#Source 1: DAVIS346`), `#!END-HEADER`, then packets
+//! of events of one kind, little-endian: see [`packets`]. Polarity events are 32 bits of data (valid in bit
+//! 0, polarity in 1, row in 2 to 16, column in 17 to 31) and a stamp in microseconds, whose 31 bits every
+//! packet continues by its overflow. Special events are edges on the camera's inputs; frames come with their
+//! exposures. Columns count from the left and rows from above, in events and frames alike. What a packet or
+//! frame has damaged is left out; the others are read.
 //!
-//! Sources: iniVation's page on AEDAT 3.1, and the event headers of libcaer (`common.h`, `polarity.h`, `frame.h`, `special.h`).
+//! Sources: iniVation's page on AEDAT 3.1, and the event headers of libcaer (`common.h`, `polarity.h`,
+//! `frame.h`, `special.h`).
 //!
-//! Limits: one source of several is read, the first or the one that is named. Compressed files (`SerializedTS`, `PNG`) and AEDAT 3.0, whose rows count from
-//! below, are refused. Regions of interest are left out. Random access goes back to the first packet. Samples of the inertial sensor are left.
+//! Limits: one source of several is read, the first or the one that is named. Compressed files
+//! (`SerializedTS`, `PNG`) and AEDAT 3.0, whose rows count from below, are refused. Regions of interest are
+//! left out. Random access goes back to the first packet. Samples of the inertial sensor are left.
 
 mod frames;
 #[doc(hidden)]
@@ -86,7 +90,8 @@ impl Header {
             let text = String::from_utf8_lossy(&line).trim().to_owned();
             if count == 0 && !text.starts_with("#!AER-DAT3.1") {
                 let found = format!("the first line is `{}`", crate::ros::wire::label(text.as_bytes()));
-                let hint = "convert it to AEDAT4 with DV (its rows count from below), or let the program find the format by itself";
+                let hint = "convert it to AEDAT4 with DV (its rows count from below), or let the program \
+                            find the format by itself";
                 return Err(FormatError::new(path, found, hint).at("line 1").expected("`#!AER-DAT3.1`"));
             }
             // Without the line that ends them, comments end where a line is no text.
@@ -101,9 +106,13 @@ impl Header {
             header.take(path, &text, count)?;
         }
         if count == 0 {
-            return Err(
-                FormatError::new(path, "the file does not begin as AEDAT files do", "let the program find the format by itself").expected("`#!AER-DAT3.1`")
-            );
+            return Err(FormatError::new(
+                path,
+                "the file does not begin as AEDAT files do",
+                "let the program find \
+                                                            the format by itself",
+            )
+            .expected("`#!AER-DAT3.1`"));
         }
         Ok(header)
     }
@@ -111,9 +120,12 @@ impl Header {
     fn take(&mut self, path: &Path, line: &str, number: usize) -> Result<(), FormatError> {
         let value = |name: &str| line.strip_prefix(name).map(str::trim);
         if let Some(format) = value("#Format:").filter(|format| *format != "RAW" && !format.is_empty()) {
-            let found = format!("its packets are in the format `{}`", crate::ros::wire::label(format.as_bytes()));
+            let found =
+                format!("its packets are in the format `{}`", crate::ros::wire::label(format.as_bytes()));
             let hint = "convert it to AEDAT4 with DV, or record it in the format RAW";
-            return Err(FormatError::new(path, found, hint).at(format!("line {number}")).expected("`#Format: RAW`"));
+            return Err(FormatError::new(path, found, hint)
+                .at(format!("line {number}"))
+                .expected("`#Format: RAW`"));
         }
         if let Some((id, name)) = value("#Source").and_then(|rest| rest.split_once(':'))
             && let Ok(id) = id.trim().parse::<u16>()
@@ -134,10 +146,12 @@ impl Header {
     /// The source that is named by its number or its name, or the first; `None` where the header has none.
     fn choose(&self, path: &Path, named: Option<&str>) -> Result<Option<&(u16, String)>, FormatError> {
         let Some(named) = named else { return Ok(self.sources.first()) };
-        let is_named = |(id, name): &&(u16, String)| name.eq_ignore_ascii_case(named) || id.to_string() == named;
+        let is_named =
+            |(id, name): &&(u16, String)| name.eq_ignore_ascii_case(named) || id.to_string() == named;
         self.sources.iter().find(is_named).map(Some).ok_or_else(|| {
             let found = format!("no source is called `{named}`; there are: {}", self.describe());
-            FormatError::new(path, found, "name one of them as `camera`, by its number or its name").undeclared("camera")
+            FormatError::new(path, found, "name one of them as `camera`, by its number or its name")
+                .undeclared("camera")
         })
     }
 }
@@ -166,7 +180,8 @@ impl Aedat3 {
     /// Reads the header, and goes over the packets' headers once.
     ///
     /// # Errors
-    /// When the file is no AEDAT 3.1 or is compressed, a source that was named is not there, or the size of the pixel array is not known.
+    /// When the file is no AEDAT 3.1 or is compressed, a source that was named is not there, or the size of
+    /// the pixel array is not known.
     pub fn open(path: &Path, declared: &Declared) -> Result<Aedat3, FormatError> {
         let header = Header::read(path)?;
         let source = header.choose(path, declared.camera.as_deref())?.cloned();
@@ -192,8 +207,12 @@ impl Aedat3 {
             _ => Some(events_about(path, &source, (declared.extent, by_name), frames.as_deref(), &counts)?),
         };
         if about.is_none() && frames.is_none() {
-            let lost = losses.list().first().map(|loss| format!("; {}: {}", loss.at, loss.what)).unwrap_or_default();
-            let found = format!("no packet of source {} has events or frames{lost}", source.as_ref().map_or("any".into(), |(id, _)| id.to_string()));
+            let lost =
+                losses.list().first().map(|loss| format!("; {}: {}", loss.at, loss.what)).unwrap_or_default();
+            let found = format!(
+                "no packet of source {} has events or frames{lost}",
+                source.as_ref().map_or("any".into(), |(id, _)| id.to_string())
+            );
             let hint = format!("name another source as `camera`; there are: {}", header.describe());
             return Err(FormatError::new(path, found, hint));
         }
@@ -242,7 +261,8 @@ impl Aedat3 {
     }
 }
 
-/// What is known of the events. The size of the pixel array is that which is declared, that of the named camera, or that of the frames.
+/// What is known of the events. The size of the pixel array is that which is declared, that of the named
+/// camera, or that of the frames.
 fn events_about(
     path: &Path,
     source: &Option<(u16, String)>,
@@ -262,20 +282,34 @@ fn events_about(
                 Some((_, name)) => format!("the size of the pixel array of `{name}` is not known"),
                 None => "no comment says which camera the events are from".into(),
             };
-            return Err(FormatError::new(path, found, "state its `extent`, such as 346 x 260").undeclared("extent"));
+            return Err(
+                FormatError::new(path, found, "state its `extent`, such as 346 x 260").undeclared("extent")
+            );
         }
     };
     let invalid = counts.events - counts.valid;
     if invalid > 0 {
-        notes.push(format!("{invalid} events are marked as invalid in the file (by a filter of the recorder); they are left out"));
+        notes.push(format!(
+            "{invalid} events are marked as invalid in the file (by a filter of the \
+                            recorder); they are left out"
+        ));
     }
     let stamps = "i32 microseconds of 31 bits, continued by the overflow of their packet".into();
-    Ok(EventsAbout { extent: Some(extent), tick_ns: 1000, count: Some(counts.valid), has_t_in: false, stamps, notes })
+    Ok(EventsAbout {
+        extent: Some(extent),
+        tick_ns: 1000,
+        count: Some(counts.valid),
+        has_t_in: false,
+        stamps,
+        notes,
+    })
 }
 
 /// Data and stamps of events of eight bytes.
 fn words(bytes: &[u8]) -> impl Iterator<Item = (u32, i32)> {
-    let word = |&[a, b, c, d, e, f, g, h]: &[u8; 8]| (u32::from_le_bytes([a, b, c, d]), i32::from_le_bytes([e, f, g, h]));
+    let word = |&[a, b, c, d, e, f, g, h]: &[u8; 8]| {
+        (u32::from_le_bytes([a, b, c, d]), i32::from_le_bytes([e, f, g, h]))
+    };
     bytes.as_chunks::<8>().0.iter().map(word)
 }
 
@@ -337,9 +371,19 @@ impl Cursor {
         }
         let extent = self.extent.unwrap_or(Extent { width, height });
         let what = || format!("{outside} events lie outside the {extent} pixels; they are left out");
-        self.losses.add_items("events outside the pixel array were left out", outside, || packet.place(), what);
+        self.losses.add_items(
+            "events outside the pixel array were left out",
+            outside,
+            || packet.place(),
+            what,
+        );
         let what = || format!("{timeless} events have a negative stamp; they are left out");
-        self.losses.add_items("events with an impossible stamp were left out", timeless, || packet.place(), what);
+        self.losses.add_items(
+            "events with an impossible stamp were left out",
+            timeless,
+            || packet.place(),
+            what,
+        );
     }
 }
 
@@ -393,7 +437,11 @@ impl Recording for Aedat3 {
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
         if self.about.is_none() {
-            return Err(FormatError::new(&self.path, "the file has no polarity events of this source", "use its frames only"));
+            return Err(FormatError::new(
+                &self.path,
+                "the file has no polarity events of this source",
+                "use its frames only",
+            ));
         }
         Ok(Box::new(self.cursor()?))
     }

@@ -1,8 +1,9 @@
 //! The packets of an AEDAT 3.1 file: a header of 28 bytes each, then events of one kind and one size.
 //!
-//! Header, little-endian: kind (i16), source (i16), bytes of an event, place of its stamp, overflow of the clock, capacity, events, valid events (i32 each).
-//! The content has as many bytes as the capacity times the bytes of an event. A header is taken for one only when its fields fit together; where a
-//! header or a length is damaged, the next header that fits is searched for, and what stands between is lost.
+//! Header, little-endian: kind (i16), source (i16), bytes of an event, place of its stamp, overflow of the
+//! clock, capacity, events, valid events (i32 each). The content has as many bytes as the capacity times the
+//! bytes of an event. A header is taken for one only when its fields fit together; where a header or a length
+//! is damaged, the next header that fits is searched for, and what stands between is lost.
 
 use crate::error::FormatError;
 use crate::losses::Losses;
@@ -62,7 +63,12 @@ impl Packet {
             FRAME => u64::from(size) >= FRAME_HEAD,
             _ => size >= 4,
         };
-        let sound = kind < KINDS && source < 1 << 15 && sized && size <= MOST_EVENT && place < size && overflow < MOST_OVERFLOWS;
+        let sound = kind < KINDS
+            && source < 1 << 15
+            && sized
+            && size <= MOST_EVENT
+            && place < size
+            && overflow < MOST_OVERFLOWS;
         let counted = valid <= number && number <= capacity && capacity < 1 << 31;
         let length = u64::from(capacity) * u64::from(size);
         (sound && counted).then_some(Packet { at, kind, source, size, overflow, number, valid, length })
@@ -77,7 +83,8 @@ impl Packet {
         self.content() + self.length
     }
 
-    /// A stamp of this packet in ns: the clock's 31 bits, continued by the overflow; `None` for one that is negative.
+    /// A stamp of this packet in ns: the clock's 31 bits, continued by the overflow; `None` for one that is
+    /// negative.
     pub(super) fn time_ns(&self, stamp: i32) -> Option<i64> {
         let stamp = u32::try_from(stamp).ok()?;
         // 20 bits of overflow and 31 of the stamp: in ns below 2^61.
@@ -112,7 +119,14 @@ impl Packets {
         let io = |error: std::io::Error| FormatError::io(path, &error);
         let file = File::open(path).map_err(io)?;
         let size = file.metadata().map_err(io)?.len();
-        Ok(Packets { path: path.into(), file: BufReader::with_capacity(BUFFER, file), first, size, at: first, losses: Losses::default() })
+        Ok(Packets {
+            path: path.into(),
+            file: BufReader::with_capacity(BUFFER, file),
+            first,
+            size,
+            at: first,
+            losses: Losses::default(),
+        })
     }
 
     /// Goes back to the first packet.
@@ -140,7 +154,11 @@ impl Packets {
                 let found = self.search(start + 1)?;
                 let end = found.map_or(self.size, |packet| packet.at);
                 let what = "these bytes are no packet; what they held is lost";
-                self.losses.add("stretches of bytes that are no packet", || format!("bytes {start} to {end}"), || what.into());
+                self.losses.add(
+                    "stretches of bytes that are no packet",
+                    || format!("bytes {start} to {end}"),
+                    || what.into(),
+                );
                 match found {
                     Some(packet) => packet,
                     None => {
@@ -175,11 +193,18 @@ impl Packets {
         Ok(Some(packet))
     }
 
-    /// Replaces `bytes` by `count` events of a packet, from the event numbered `from` on; by fewer where the file has become shorter.
+    /// Replaces `bytes` by `count` events of a packet, from the event numbered `from` on; by fewer where the
+    /// file has become shorter.
     ///
     /// # Errors
     /// When the file cannot be read any more.
-    pub(super) fn read(&mut self, packet: &Packet, from: u32, count: u32, bytes: &mut Vec<u8>) -> Result<(), FormatError> {
+    pub(super) fn read(
+        &mut self,
+        packet: &Packet,
+        from: u32,
+        count: u32,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), FormatError> {
         let size = u64::from(packet.size);
         let count = count.min(packet.number.saturating_sub(from));
         self.fetch(packet.content() + u64::from(from) * size, u64::from(count) * size, bytes)
@@ -192,7 +217,10 @@ impl Packets {
     pub(super) fn fetch(&mut self, at: u64, length: u64, bytes: &mut Vec<u8>) -> Result<(), FormatError> {
         bytes.clear();
         self.go_to(at)?;
-        (&mut self.file).take(length).read_to_end(bytes).map_err(|error| FormatError::io(&self.path, &error))?;
+        (&mut self.file)
+            .take(length)
+            .read_to_end(bytes)
+            .map_err(|error| FormatError::io(&self.path, &error))?;
         Ok(())
     }
 
@@ -220,7 +248,8 @@ impl Packets {
         }
     }
 
-    /// The next header from a place on. It must have events of a kind that is read, or of the inertial sensor, and a plausible follower.
+    /// The next header from a place on. It must have events of a kind that is read, or of the inertial
+    /// sensor, and a plausible follower.
     fn search(&mut self, from: u64) -> Result<Option<Packet>, FormatError> {
         const STRIDE: usize = BUFFER - HEAD as usize;
         let mut window = Vec::new();
@@ -228,12 +257,17 @@ impl Packets {
         while start < self.size {
             self.fetch(start, BUFFER as u64, &mut window)?;
             let heads = window.windows(HEAD as usize).enumerate();
-            let fits = heads.filter_map(|(k, head)| Packet::parse(head.try_into().ok()?, start + k as u64).filter(Packet::is_distinct));
+            let fits = heads.filter_map(|(k, head)| {
+                Packet::parse(head.try_into().ok()?, start + k as u64).filter(Packet::is_distinct)
+            });
             // Each is held against what follows it: of more in one window nothing sensible comes.
             let candidates: Vec<Packet> = fits.take(64).collect();
             for candidate in candidates {
                 let end = candidate.end();
-                if end == self.size || end < self.size && self.header(end)?.is_some() || end > self.size && candidate.number > 0 {
+                if end == self.size
+                    || end < self.size && self.header(end)?.is_some()
+                    || end > self.size && candidate.number > 0
+                {
                     return Ok(Some(candidate));
                 }
             }
@@ -247,7 +281,8 @@ impl Packets {
 }
 
 impl Packet {
-    /// Could its header hardly be anything else? Empty packets and kinds that are not read could be zeros, or any small numbers.
+    /// Could its header hardly be anything else? Empty packets and kinds that are not read could be zeros, or
+    /// any small numbers.
     fn is_distinct(&self) -> bool {
         self.kind <= FRAME && self.number > 0 && self.source < 1 << 8
     }

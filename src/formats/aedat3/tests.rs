@@ -15,9 +15,11 @@ fn with<T>(bytes: &[u8], declared: &Declared, work: impl FnOnce(Result<Aedat3, F
 }
 
 fn read(recording: &Aedat3) -> (Vec<Event>, Vec<Loss>) {
-    let (mut cursor, mut chunk, mut events) = (recording.events().unwrap(), EventChunk::default(), Vec::new());
+    let (mut cursor, mut chunk, mut events) =
+        (recording.events().unwrap(), EventChunk::default(), Vec::new());
     while cursor.next(&mut chunk).unwrap() {
-        events.extend((0..chunk.len()).map(|k| (chunk.t[k] / 1000, chunk.x[k], chunk.y[k], chunk.on[k] == 1)));
+        events
+            .extend((0..chunk.len()).map(|k| (chunk.t[k] / 1000, chunk.x[k], chunk.y[k], chunk.on[k] == 1)));
     }
     (events, cursor.losses())
 }
@@ -47,7 +49,9 @@ fn the_bits_of_an_event_are_those_of_the_published_layout() {
 fn stamps_go_on_with_the_overflow_of_their_packet() {
     let late = [((3 << 31) + 7, 1, 1, false)];
     let bytes = file(&[polarity(0, &[(0x7fff_ffff, 0, 0, true)]), polarity(3, &late)]);
-    with(&bytes, &Declared::default(), |recording| assert_eq!(read(&recording.unwrap()).0, [(0x7fff_ffff, 0, 0, true), late[0]]));
+    with(&bytes, &Declared::default(), |recording| {
+        assert_eq!(read(&recording.unwrap()).0, [(0x7fff_ffff, 0, 0, true), late[0]])
+    });
 }
 
 #[test]
@@ -69,7 +73,12 @@ fn frames_come_with_their_exposures_and_inputs_with_their_edges() {
         pictures.read(0, &mut out).unwrap();
         assert!(out.iter().zip(&values).all(|(a, b)| *a == f32::from(*b)) && out.len() == values.len());
         let edge = |t, line, edge| Trigger { t, line, edge };
-        let expected = [edge(100_000, 0, Edge::Rising), edge(200_000, 0, Edge::Falling), edge(500_000, 1, Edge::Rising), edge(600_000, 3, Edge::Falling)];
+        let expected = [
+            edge(100_000, 0, Edge::Rising),
+            edge(200_000, 0, Edge::Falling),
+            edge(500_000, 1, Edge::Rising),
+            edge(600_000, 3, Edge::Falling),
+        ];
         assert_eq!(recording.triggers().unwrap(), expected);
         assert!(recording.facts().contains(&("resets of the clock".into(), "1".into())));
         assert_eq!(read(&recording).0.len(), 20);
@@ -89,11 +98,16 @@ fn colours_are_given_as_red_green_blue_and_mosaics_by_their_upper_left_pixel() {
         let pictures = recording.unwrap().pictures().unwrap();
         let mut out = Vec::new();
         pictures.read(0, &mut out).unwrap();
-        assert_eq!((pictures.about().colour, out), (Colour::Rgb, vec![0.0, 1.0, 2.0, 4.0, 5.0, 6.0, 8.0, 9.0, 10.0, 12.0, 13.0, 14.0]));
+        assert_eq!(
+            (pictures.about().colour, out),
+            (Colour::Rgb, vec![0.0, 1.0, 2.0, 4.0, 5.0, 6.0, 8.0, 9.0, 10.0, 12.0, 13.0, 14.0])
+        );
     });
     for (filter, order) in [(1, Order::Rggb), (2, Order::Grbg), (3, Order::Gbrg), (4, Order::Bggr)] {
         let bytes = [header("prototype"), frame(0, (1, filter), (1, 2), (2, 2), &[1, 2, 3, 4])].concat();
-        with(&bytes, &Declared::default(), |recording| assert_eq!(recording.unwrap().pictures().unwrap().about().colour, Colour::Bayer(order)));
+        with(&bytes, &Declared::default(), |recording| {
+            assert_eq!(recording.unwrap().pictures().unwrap().about().colour, Colour::Bayer(order))
+        });
     }
 }
 
@@ -114,28 +128,42 @@ fn what_a_filter_of_the_recorder_marked_is_left_out_and_counted() {
 #[test]
 fn a_source_of_several_is_chosen_by_name_or_number_and_an_unknown_camera_needs_an_extent() {
     let two = |second: u16| {
-        let head = "#!AER-DAT3.1\n#Source 1: DVS128\n#-Source 7: gone\n#Source 2: prototype\n#!END-HEADER\n".as_bytes().to_vec();
+        let head = "#!AER-DAT3.1\n#Source 1: DVS128\n#-Source 7: gone\n#Source 2: prototype\n#!END-HEADER\n"
+            .as_bytes()
+            .to_vec();
         let event = |x: u32| [(x << 17 | 3).to_le_bytes(), 9_u32.to_le_bytes()].concat();
         [head, packet(1, 1, 8, 0, &[event(1)]), packet(1, second, 8, 0, &[event(2), event(3)])].concat()
     };
-    with(&two(2), &Declared::default(), |recording| assert_eq!(read(&recording.unwrap()).0, [(9, 1, 0, true)]));
-    let named = |camera: &str, extent| Declared { camera: Some(camera.into()), extent, ..Declared::default() };
-    with(&two(2), &named("2", None), |recording| assert_eq!(recording.err().unwrap().undeclared, Some("extent")));
+    with(&two(2), &Declared::default(), |recording| {
+        assert_eq!(read(&recording.unwrap()).0, [(9, 1, 0, true)])
+    });
+    let named =
+        |camera: &str, extent| Declared { camera: Some(camera.into()), extent, ..Declared::default() };
+    with(&two(2), &named("2", None), |recording| {
+        assert_eq!(recording.err().unwrap().undeclared, Some("extent"))
+    });
     let extent = Some(Extent { width: 3, height: 3 });
     with(&two(2), &named("prototype", extent), |recording| {
         let (events, losses) = read(&recording.unwrap());
         assert_eq!((events, losses.len()), (vec![(9, 2, 0, true)], 1));
     });
-    with(&two(2), &named("gone", None), |recording| assert!(recording.err().unwrap().found.contains("1 (DVS128), 2 (prototype)")));
+    with(&two(2), &named("gone", None), |recording| {
+        assert!(recording.err().unwrap().found.contains("1 (DVS128), 2 (prototype)"))
+    });
     with(&two(1), &named("2", extent), |recording| assert!(recording.err().unwrap().hint.contains("DVS128")));
 }
 
 #[test]
 fn other_versions_and_packed_formats_are_refused_with_what_to_do() {
-    with(b"#!AER-DAT3.0\r\n", &Declared::default(), |recording| assert!(recording.err().unwrap().to_string().contains("rows count from below")));
+    with(b"#!AER-DAT3.0\r\n", &Declared::default(), |recording| {
+        assert!(recording.err().unwrap().to_string().contains("rows count from below"))
+    });
     with(b"#!AER-DAT3.1\r\n#Format: SerializedTS\r\n", &Declared::default(), |recording| {
         let error = recording.err().unwrap().to_string();
-        assert!(error.contains("line 2") && error.contains("`SerializedTS`") && error.contains("DV"), "{error}");
+        assert!(
+            error.contains("line 2") && error.contains("`SerializedTS`") && error.contains("DV"),
+            "{error}"
+        );
     });
     with(&header("DAVIS346"), &Declared::default(), |recording| assert!(recording.is_err()));
 }
@@ -158,7 +186,10 @@ fn a_damaged_packet_costs_itself_and_no_other() {
         });
     }
     // Bytes that were lost, and others that came in.
-    for cut in [[&whole[..third + 100], &whole[third + 133..]].concat(), [&whole[..third], &[9; 77], &whole[third..]].concat()] {
+    for cut in [
+        [&whole[..third + 100], &whole[third + 133..]].concat(),
+        [&whole[..third], &[9; 77], &whole[third..]].concat(),
+    ] {
         with(&cut, &Declared::default(), |recording| {
             let (events, losses) = read(&recording.unwrap());
             assert!(events.len() >= 395 - 50 && !losses.is_empty(), "{} {losses:?}", events.len());
@@ -171,7 +202,8 @@ fn a_file_cut_anywhere_gives_its_whole_events_and_a_loss() {
     let bytes = file(&[polarity(0, &some(3)), polarity(0, &some(2))]);
     let (start, first) = (header("DAVIS346").len(), 28 + 3 * 8);
     for length in start + 28 + 8..bytes.len() {
-        let (events, losses) = with(&bytes[..length], &Declared::default(), |recording| read(&recording.unwrap()));
+        let (events, losses) =
+            with(&bytes[..length], &Declared::default(), |recording| read(&recording.unwrap()));
         let inside = length - start;
         let whole = if inside < first + 28 { (inside - 28) / 8 } else { 3 + (inside - first - 28) / 8 };
         assert_eq!(events.len(), whole.min(if inside < first + 28 { 3 } else { 5 }), "{length}");

@@ -1,8 +1,9 @@
 //! Walks the chain of packets: each has eight bytes of stream number and length, then its content.
 //!
-//! The walk does not trust the lengths: a packet has to name a known stream, end within the file and begin as its compression does. Where
-//! that fails, the next such place is looked for, byte by byte, and what lies between is a loss. A packet that was skipped unread may have had a wrong
-//! length; then the search begins inside of it, so that one damaged length costs one packet.
+//! The walk does not trust the lengths: a packet has to name a known stream, end within the file and begin as
+//! its compression does. Where that fails, the next such place is looked for, byte by byte, and what lies
+//! between is a loss. A packet that was skipped unread may have had a wrong length; then the search begins
+//! inside of it, so that one damaged length costs one packet.
 
 use super::decompress::{MOST_BYTES, Plain};
 use super::header::Header;
@@ -52,7 +53,8 @@ pub(super) struct Chain {
     at: u64,
     /// A packet whose length has not been proven by its content.
     unproven: Option<u64>,
-    /// Bytes of content that proved to be damaged: a file that is nothing else must not be read again and again.
+    /// Bytes of content that proved to be damaged: a file that is nothing else must not be read again and
+    /// again.
     wasted: u64,
     /// The content as it stands in the file; longer than what is in use.
     raw: Vec<u8>,
@@ -64,11 +66,27 @@ impl Chain {
     ///
     /// # Errors
     /// When the file has gone.
-    pub(super) fn new(path: &Path, header: &Arc<Header>, end: u64, buffer: usize) -> Result<Chain, FormatError> {
+    pub(super) fn new(
+        path: &Path,
+        header: &Arc<Header>,
+        end: u64,
+        buffer: usize,
+    ) -> Result<Chain, FormatError> {
         let file = File::open(path).map_err(|error| FormatError::io(path, &error))?;
         let (raw, plain) = (Vec::new(), Plain::default());
         let file = BufReader::with_capacity(buffer, file);
-        Ok(Chain { path: path.into(), file, position: 0, header: header.clone(), end, at: header.first, unproven: None, wasted: 0, raw, plain })
+        Ok(Chain {
+            path: path.into(),
+            file,
+            position: 0,
+            header: header.clone(),
+            end,
+            at: header.first,
+            unproven: None,
+            wasted: 0,
+            raw,
+            plain,
+        })
     }
 
     /// Where the walk stands, and where it ends.
@@ -105,10 +123,15 @@ impl Chain {
     /// The packet whose head these twelve bytes are, when it is one.
     fn packet(&self, at: u64, head: [u8; HEAD as usize]) -> Option<Packet> {
         let [a, b, c, d, e, f, g, h, start @ ..] = head;
-        let (stream, length) = (u32::from_le_bytes([a, b, c, d]), u64::from(u32::from_le_bytes([e, f, g, h])));
+        let (stream, length) =
+            (u32::from_le_bytes([a, b, c, d]), u64::from(u32::from_le_bytes([e, f, g, h])));
         let fits = length >= 4 && at + 8 + length <= self.end && length <= MOST_BYTES as u64;
         let known = || self.header.streams.iter().any(|known| known.id == stream);
-        (fits && known() && self.header.compression.begins(start, length)).then_some(Packet { at, stream, length })
+        (fits && known() && self.header.compression.begins(start, length)).then_some(Packet {
+            at,
+            stream,
+            length,
+        })
     }
 
     /// The next packet's head; `None` at the end.
@@ -128,7 +151,8 @@ impl Chain {
         }
         if found.is_none() {
             let from = self.unproven.unwrap_or(self.at);
-            found = if self.wasted > 2 * self.header.size + (1 << 24) { None } else { self.search(from + 1)? };
+            found =
+                if self.wasted > 2 * self.header.size + (1 << 24) { None } else { self.search(from + 1)? };
             match found {
                 Some(packet) => {
                     let what = || "the chain of packets is damaged here; what was in it is lost".into();
@@ -136,7 +160,11 @@ impl Chain {
                 }
                 None => {
                     let what = || "the last packet is cut off or damaged; what was in it is lost".into();
-                    losses.add("pieces that are damaged", || format!("bytes {} to {}", self.at, self.end), what);
+                    losses.add(
+                        "pieces that are damaged",
+                        || format!("bytes {} to {}", self.at, self.end),
+                        what,
+                    );
                     self.at = self.end;
                     return Ok(None);
                 }
@@ -168,11 +196,17 @@ impl Chain {
         Ok(None)
     }
 
-    /// Reads and decompresses a packet, at least its first `wanted` bytes; [`Chain::content`] has it then. False when it is damaged, and that is noted.
+    /// Reads and decompresses a packet, at least its first `wanted` bytes; [`Chain::content`] has it then.
+    /// False when it is damaged, and that is noted.
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub(super) fn load(&mut self, packet: &Packet, wanted: usize, losses: &mut Losses) -> Result<bool, FormatError> {
+    pub(super) fn load(
+        &mut self,
+        packet: &Packet,
+        wanted: usize,
+        losses: &mut Losses,
+    ) -> Result<bool, FormatError> {
         self.seek(packet.at + 8)?;
         let length = packet.length as usize;
         // No longer than the rest of the file: the head was held against it.
@@ -197,7 +231,16 @@ impl Chain {
     pub(super) fn spoiled(&mut self, packet: &Packet, why: &str, losses: &mut Losses) {
         self.wasted += packet.length;
         self.unproven = Some(packet.at);
-        losses.add("packets that are damaged", || packet.place(), || format!("the packet is damaged and left out: {why}"));
+        losses.add(
+            "packets that are damaged",
+            || packet.place(),
+            || {
+                format!(
+                    "the packet is damaged and \
+                                                            left out: {why}"
+                )
+            },
+        );
     }
 
     /// Notes that a packet is whole: its length is what it says.

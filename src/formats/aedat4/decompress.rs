@@ -1,8 +1,9 @@
 //! Decompresses packets: LZ4 frames, Zstandard frames, or bytes as they are.
 //!
-//! Cameras write a packet every few milliseconds, a few kilobytes each. LZ4 frames of the plain form that they use (no checksums, no dictionary) are
-//! taken apart here, block by block into one buffer that is used again: a general decoder clears a window for every packet, which takes longer
-//! than the events in it. All other LZ4 frames go through the general decoder of `lz4_flex`. Source: "LZ4 Frame Format Description".
+//! Cameras write a packet every few milliseconds, a few kilobytes each. LZ4 frames of the plain form that
+//! they use (no checksums, no dictionary) are taken apart here, block by block into one buffer that is used
+//! again: a general decoder clears a window for every packet, which takes longer than the events in it. All
+//! other LZ4 frames go through the general decoder of `lz4_flex`. Source: "LZ4 Frame Format Description".
 
 use std::io::Read;
 
@@ -74,7 +75,12 @@ impl Plain {
     ///
     /// # Errors
     /// When the bytes are damaged, or grow beyond [`MOST_BYTES`]: says why.
-    pub(super) fn fill(&mut self, compression: Compression, packet: &[u8], wanted: usize) -> Result<(), String> {
+    pub(super) fn fill(
+        &mut self,
+        compression: Compression,
+        packet: &[u8],
+        wanted: usize,
+    ) -> Result<(), String> {
         self.used = 0;
         match compression {
             Compression::None => {
@@ -100,15 +106,22 @@ impl Plain {
 
     fn zstd(&mut self, packet: &[u8], wanted: usize) -> Result<(), String> {
         // A size that is only claimed is reserved when it is small, or usual for so many bytes.
-        let claimed = zstd::zstd_safe::get_frame_content_size(packet).ok().flatten().and_then(|size| usize::try_from(size).ok());
-        match claimed.filter(|&size| size <= (1 << 20).max(packet.len().saturating_mul(32)) && size <= MOST_BYTES) {
+        let claimed = zstd::zstd_safe::get_frame_content_size(packet)
+            .ok()
+            .flatten()
+            .and_then(|size| usize::try_from(size).ok());
+        match claimed
+            .filter(|&size| size <= (1 << 20).max(packet.len().saturating_mul(32)) && size <= MOST_BYTES)
+        {
             Some(size) => {
                 self.room(size);
                 if self.zstd.is_none() {
                     self.zstd = Some(zstd::bulk::Decompressor::new().map_err(|error| error.to_string())?);
                 }
                 let Some(decompressor) = &mut self.zstd else { return Ok(()) };
-                self.used = decompressor.decompress_to_buffer(packet, &mut self.buffer[..size]).map_err(|error| error.to_string())?;
+                self.used = decompressor
+                    .decompress_to_buffer(packet, &mut self.buffer[..size])
+                    .map_err(|error| error.to_string())?;
                 Ok(())
             }
             None => {
@@ -136,16 +149,27 @@ impl Plain {
         }
     }
 
-    /// The blocks of an LZ4 frame: four bytes of length, whose highest bit says that the block is not compressed; a length of 0 ends the frame.
-    fn lz4_blocks(&mut self, mut rest: &[u8], most: usize, linked: bool, wanted: usize) -> Result<(), String> {
+    /// The blocks of an LZ4 frame: four bytes of length, whose highest bit says that the block is not
+    /// compressed; a length of 0 ends the frame.
+    fn lz4_blocks(
+        &mut self,
+        mut rest: &[u8],
+        most: usize,
+        linked: bool,
+        wanted: usize,
+    ) -> Result<(), String> {
         while self.used < wanted {
-            let (length, after) = rest.split_first_chunk::<4>().ok_or("the compressed bytes end too early")?;
+            let (length, after) =
+                rest.split_first_chunk::<4>().ok_or("the compressed bytes end too early")?;
             let length = u32::from_le_bytes(*length);
             if length == 0 {
                 return Ok(());
             }
             let size = (length & 0x7fff_ffff) as usize;
-            let (block, after) = after.split_at_checked(size).ok_or("a compressed block is longer than the packet")?;
+            let (block, after) = after.split_at_checked(size).ok_or(
+                "a compressed block is longer than the \
+                                                            packet",
+            )?;
             rest = after;
             if size > most {
                 return Err("a compressed block is longer than the frame allows".into());
@@ -157,9 +181,11 @@ impl Plain {
                 size
             } else if linked && !before.is_empty() {
                 let window = &before[before.len().saturating_sub(1 << 16)..];
-                lz4_flex::block::decompress_into_with_dict(block, &mut after[..most], window).map_err(|error| error.to_string())?
+                lz4_flex::block::decompress_into_with_dict(block, &mut after[..most], window)
+                    .map_err(|error| error.to_string())?
             } else {
-                lz4_flex::block::decompress_into(block, &mut after[..most]).map_err(|error| error.to_string())?
+                lz4_flex::block::decompress_into(block, &mut after[..most])
+                    .map_err(|error| error.to_string())?
             };
             if self.used > MOST_BYTES {
                 return Err(too_large());
@@ -173,7 +199,8 @@ fn too_large() -> String {
     format!("it grows beyond {} MiB when it is decompressed", MOST_BYTES >> 20)
 }
 
-/// Largest block, whether blocks are linked, and the blocks of an LZ4 frame of the plain form; `None` for all other forms.
+/// Largest block, whether blocks are linked, and the blocks of an LZ4 frame of the plain form; `None` for all
+/// other forms.
 fn plain_lz4_blocks(frame: &[u8]) -> Option<(usize, bool, &[u8])> {
     let (head, blocks) = frame.split_first_chunk::<7>()?;
     let (flags, size) = (head[4], head[5]);

@@ -1,6 +1,7 @@
 //! Events of an AEDAT4 file, packet by packet.
 //!
-//! A packet (`EVTS`) is one vector of structures of 16 bytes: stamp in microseconds (i64), column and row (i16), polarity (u8), three bytes of nothing.
+//! A packet (`EVTS`) is one vector of structures of 16 bytes: stamp in microseconds (i64), column and row
+//! (i16), polarity (u8), three bytes of nothing.
 
 use super::chain::{Chain, Packet};
 use super::index::{EVENT, Mark, elements, marks_by_reading};
@@ -35,7 +36,15 @@ impl Cursor {
     /// When the file has gone.
     pub(super) fn new(file: &Arc<Inner>, stream: u32, extent: Extent) -> Result<Cursor, FormatError> {
         let chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 16)?;
-        Ok(Cursor { file: file.clone(), chain, stream, extent, rest: 0..0, packet: None, losses: Losses::default() })
+        Ok(Cursor {
+            file: file.clone(),
+            chain,
+            stream,
+            extent,
+            rest: 0..0,
+            packet: None,
+            losses: Losses::default(),
+        })
     }
 
     /// Loads the next packet that has events. False at the end.
@@ -48,7 +57,11 @@ impl Cursor {
             match elements(content) {
                 Some(events) => {
                     // An absent vector is empty and does not stand in the content.
-                    let start = if events.is_empty() { 0 } else { events.as_ptr() as usize - content.as_ptr() as usize };
+                    let start = if events.is_empty() {
+                        0
+                    } else {
+                        events.as_ptr() as usize - content.as_ptr() as usize
+                    };
                     self.rest = start..start + events.len();
                     self.chain.proven();
                     self.packet = Some(packet);
@@ -56,7 +69,11 @@ impl Cursor {
                         return Ok(true);
                     }
                 }
-                None => self.chain.spoiled(&packet, "it is not the table of events that it should be", &mut self.losses),
+                None => self.chain.spoiled(
+                    &packet,
+                    "it is not the table of events that it should be",
+                    &mut self.losses,
+                ),
             }
         }
         Ok(false)
@@ -73,7 +90,12 @@ fn is_inside(t: i64, x: u16, y: u16, extent: Extent) -> bool {
 #[inline]
 fn event(bytes: &[u8; EVENT]) -> (i64, u16, u16, u8) {
     let [t @ .., _, _, _, _, _, _, _, _] = *bytes;
-    (i64::from_le_bytes(t), u16::from_le_bytes([bytes[8], bytes[9]]), u16::from_le_bytes([bytes[10], bytes[11]]), u8::from(bytes[12] != 0))
+    (
+        i64::from_le_bytes(t),
+        u16::from_le_bytes([bytes[8], bytes[9]]),
+        u16::from_le_bytes([bytes[10], bytes[11]]),
+        u8::from(bytes[12] != 0),
+    )
 }
 
 /// Adds events to a chunk, and says how many were left out because they lie outside the array.
@@ -85,7 +107,11 @@ fn decode(events: &[u8], extent: Extent, chunk: &mut EventChunk) -> usize {
     chunk.x.resize(end, 0);
     chunk.y.resize(end, 0);
     chunk.on.resize(end, 0);
-    let columns = chunk.t[start..].iter_mut().zip(&mut chunk.x[start..]).zip(&mut chunk.y[start..]).zip(&mut chunk.on[start..]);
+    let columns = chunk.t[start..]
+        .iter_mut()
+        .zip(&mut chunk.x[start..])
+        .zip(&mut chunk.y[start..])
+        .zip(&mut chunk.on[start..]);
     let mut all_inside = true;
     for (bytes, (((t, x), y), on)) in events.iter().zip(columns) {
         let event = event(bytes);
@@ -121,18 +147,34 @@ impl EventCursor for Cursor {
             let end = self.rest.end.min(self.rest.start + EVENT * (CHUNK_EVENTS - chunk.len()));
             let outside = decode(&self.chain.content()[self.rest.start..end], self.extent, chunk);
             self.rest.start = end;
-            let what = || format!("{outside} events lie outside the {} pixels, or have impossible stamps; they are left out", self.extent);
+            let what = || {
+                format!(
+                    "{outside} events lie outside the {} pixels, or have impossible stamps; \
+                                   they are left out",
+                    self.extent
+                )
+            };
             let at = || self.packet.map(|packet| packet.place()).unwrap_or_default();
-            self.losses.add_by(Cause::Outside, "events outside the pixels or with impossible stamps were left out", outside as u64, at, what);
+            self.losses.add_by(
+                Cause::Outside,
+                "events outside the pixels or with impossible stamps were \
+                                                left out",
+                outside as u64,
+                at,
+                what,
+            );
         }
         Ok(true)
     }
 
     fn seek(&mut self, t_ns: i64) -> Result<(), FormatError> {
         let t_us = t_ns.div_euclid(1000);
-        let marks = self.file.marks(|file| marks_by_reading(&file.path, &file.header, file.index.end, self.stream))?;
+        let marks = self
+            .file
+            .marks(|file| marks_by_reading(&file.path, &file.header, file.index.end, self.stream))?;
         let mut latest = i64::MIN;
-        // The first mark whose packets have, or come after, the latest stamp so far that is not before the time.
+        // The first mark whose packets have, or come after, the latest stamp so far that is not before the
+        // time.
         let mark = marks.iter().find(|mark| {
             latest = latest.max(mark.latest_us);
             latest >= t_us

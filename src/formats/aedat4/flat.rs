@@ -1,7 +1,8 @@
 //! Just enough of FlatBuffers to read the few tables of AEDAT4, with every offset checked.
 //!
-//! A table is a block of bytes with an offset to its list of fields; a field is absent or stands at an offset in the table. Everything
-//! little-endian. A damaged buffer gives `None` or a default, never a panic. Source: FlatBuffers, "Internals".
+//! A table is a block of bytes with an offset to its list of fields; a field is absent or stands at an offset
+//! in the table. Everything little-endian. A damaged buffer gives `None` or a default, never a panic. Source:
+//! FlatBuffers, "Internals".
 
 /// Reads `N` bytes at `at`.
 fn bytes<const N: usize>(buffer: &[u8], at: usize) -> Option<[u8; N]> {
@@ -47,7 +48,11 @@ impl<'a> Table<'a> {
         let back = i64::from(i32::from_le_bytes(bytes(buffer, at)?));
         let fields = usize::try_from(i64::try_from(at).ok()?.checked_sub(back)?).ok()?;
         let length = usize::from(u16::from_le_bytes(bytes(buffer, fields)?));
-        (fields.checked_add(length)? <= buffer.len()).then_some(Table { buffer, at, fields: (fields, length) })
+        (fields.checked_add(length)? <= buffer.len()).then_some(Table {
+            buffer,
+            at,
+            fields: (fields, length),
+        })
     }
 
     /// Where a field stands; `None` when the table does not have it.
@@ -103,7 +108,8 @@ impl<'a> Table<'a> {
         if self.has(slot) { self.vector_at(slot).map(|(_, count)| count) } else { Some(0) }
     }
 
-    /// The bytes of a vector of elements of `size` bytes; empty when it is absent, `None` when it does not fit into the buffer.
+    /// The bytes of a vector of elements of `size` bytes; empty when it is absent, `None` when it does not
+    /// fit into the buffer.
     pub(super) fn vector(&self, slot: usize, size: usize) -> Option<&'a [u8]> {
         if !self.has(slot) {
             return Some(&[]);

@@ -1,7 +1,8 @@
 //! Frames of an AEDAT4 file.
 //!
-//! A packet (`FRME`) is one frame: a plain stamp, start and end of the frame and of its exposure (all in microseconds), the type of its values after OpenCV
-//! (8 or 16 bits; grey, BGR or BGRA), size, position on the sensor, and the values row by row. Opening reads the beginnings of the packets only.
+//! A packet (`FRME`) is one frame: a plain stamp, start and end of the frame and of its exposure (all in
+//! microseconds), the type of its values after OpenCV (8 or 16 bits; grey, BGR or BGRA), size, position on
+//! the sensor, and the values row by row. Opening reads the beginnings of the packets only.
 
 use super::chain::{Chain, Packet};
 use super::flat::Table;
@@ -51,14 +52,23 @@ impl PixelFormat {
         for pixel in bytes.chunks_exact(self.bytes * self.stored) {
             match self.bytes {
                 1 => values.extend(pixel[..channels].iter().rev().map(|&byte| f32::from(byte))),
-                _ => values.extend(pixel[..2 * channels].chunks_exact(2).rev().map(|pair| f32::from(u16::from_le_bytes([pair[0], pair[1]])))),
+                _ => values.extend(
+                    pixel[..2 * channels]
+                        .chunks_exact(2)
+                        .rev()
+                        .map(|pair| f32::from(u16::from_le_bytes([pair[0], pair[1]]))),
+                ),
             }
         }
     }
 
     /// For people.
     fn describe(self) -> String {
-        format!("{} of {} bits", ["grey values", "BGR values", "BGRA values"][self.stored.saturating_sub(2)], 8 * self.bytes)
+        format!(
+            "{} of {} bits",
+            ["grey values", "BGR values", "BGRA values"][self.stored.saturating_sub(2)],
+            8 * self.bytes
+        )
     }
 }
 
@@ -88,7 +98,8 @@ impl Head {
     /// Its stamps in nanoseconds; the exposure only when it has a length.
     fn stamp(&self) -> Option<FrameStamp> {
         let (start, end) = self.exposure;
-        let exposure = if end > start { Some((start.checked_mul(1000)?, end.checked_mul(1000)?)) } else { None };
+        let exposure =
+            if end > start { Some((start.checked_mul(1000)?, end.checked_mul(1000)?)) } else { None };
         Some(FrameStamp { at: self.at.checked_mul(1000)?, exposure })
     }
 }
@@ -103,11 +114,16 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// Reads the beginnings of all frames' packets. `None` when there is no frame. Frames that differ from the first are left out: a loss each.
+    /// Reads the beginnings of all frames' packets. `None` when there is no frame. Frames that differ from
+    /// the first are left out: a loss each.
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub(super) fn new(file: &Arc<Inner>, stated: Option<Extent>, notes: Vec<String>) -> Result<(Option<Frames>, Vec<Loss>), FormatError> {
+    pub(super) fn new(
+        file: &Arc<Inner>,
+        stated: Option<Extent>,
+        notes: Vec<String>,
+    ) -> Result<(Option<Frames>, Vec<Loss>), FormatError> {
         let mut losses = Losses::default();
         let mut chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 12)?;
         let (mut stamps, mut packets) = (Vec::new(), Vec::new());
@@ -116,29 +132,49 @@ impl Frames {
             if !chain.load(packet, TABLE_BYTES, &mut losses)? {
                 continue;
             }
-            let mut leave_out = |what: String| losses.add("frames that were left out", || packet.place(), || what);
+            let mut leave_out =
+                |what: String| losses.add("frames that were left out", || packet.place(), || what);
             let head = Table::root_of_start(chain.content(), b"FRME").as_ref().and_then(Head::of);
             let Some(head) = head else {
-                leave_out("the packet is damaged and left out: it is not the table of a frame that it should be".into());
+                leave_out(
+                    "the packet is damaged and left out: it is not the table of a frame that it \
+                           should be"
+                        .into(),
+                );
                 continue;
             };
             let extent = first.map_or(stated.unwrap_or(head.extent), |(extent, _)| extent);
             if head.extent != extent || head.position != (0, 0) {
                 let (x, y) = head.position;
-                leave_out(format!("a frame of {} pixels at ({x}, {y}) is left out, because the others have {extent} pixels", head.extent));
+                leave_out(format!(
+                    "a frame of {} pixels at ({x}, {y}) is left out, because the others have \
+                                   {extent} pixels",
+                    head.extent
+                ));
                 continue;
             }
             let Some(format) = PixelFormat::of_code(head.code) else {
-                leave_out(format!("a frame of pixel type {} is left out: it is neither grey nor BGR of 8 or 16 bits", head.code));
+                leave_out(format!(
+                    "a frame of pixel type {} is left out: it is neither grey nor BGR of 8 or \
+                                   16 bits",
+                    head.code
+                ));
                 continue;
             };
             if let Some((_, others)) = first.filter(|(_, others)| *others != format) {
-                leave_out(format!("a frame with {} is left out, because the others have {}", format.describe(), others.describe()));
+                leave_out(format!(
+                    "a frame with {} is left out, because the others have {}",
+                    format.describe(),
+                    others.describe()
+                ));
                 continue;
             }
             let needed = extent.pixels() * format.stored * format.bytes;
             if head.bytes != needed {
-                leave_out(format!("a frame with {} bytes of values is left out, because {needed} are needed", head.bytes));
+                leave_out(format!(
+                    "a frame with {} bytes of values is left out, because {needed} are needed",
+                    head.bytes
+                ));
                 continue;
             }
             let Some(stamp) = head.stamp() else {
@@ -165,13 +201,20 @@ impl Frames {
         }
         let without = about.stamps.iter().filter(|stamp| stamp.exposure.is_none()).count();
         if without > 0 {
-            about.notes.push(format!("{without} of {} frames have no exposure: its end is not after its start", about.stamps.len()));
+            about.notes.push(format!(
+                "{without} of {} frames have no exposure: its end is not after its start",
+                about.stamps.len()
+            ));
         }
-        Ok((Some(Frames { about, format, packets, file: file.clone(), chain: Mutex::new(chain) }), losses.list()))
+        Ok((
+            Some(Frames { about, format, packets, file: file.clone(), chain: Mutex::new(chain) }),
+            losses.list(),
+        ))
     }
 }
 
-/// What the plain stamps mean: what they are of every frame that has an exposure, when that is one and the same. Middles are rounded to a microsecond.
+/// What the plain stamps mean: what they are of every frame that has an exposure, when that is one and the
+/// same. Middles are rounded to a microsecond.
 fn role(stamps: &[FrameStamp]) -> Option<StampRole> {
     let timed = || stamps.iter().filter_map(|stamp| stamp.exposure.map(|exposure| (stamp.at, exposure)));
     timed().next()?;
@@ -193,19 +236,37 @@ impl Pictures for Frames {
 
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         values.clear();
-        let damaged =
-            |at: String, what: &str| FormatError::new(&self.file.path, format!("frame {frame} is damaged: {what}"), "read the recording without it").at(at);
+        let damaged = |at: String, what: &str| {
+            FormatError::new(
+                &self.file.path,
+                format!(
+                    "frame {frame} is damaged: \
+                                                            {what}"
+                ),
+                "read the recording without it",
+            )
+            .at(at)
+        };
         let Some(packet) = self.packets.get(frame) else {
-            return Err(FormatError::new(&self.file.path, format!("there is no frame {frame}, but {}", self.packets.len()), "ask for one of them"));
+            return Err(FormatError::new(
+                &self.file.path,
+                format!("there is no frame {frame}, but {}", self.packets.len()),
+                "ask for one of them",
+            ));
         };
         let mut chain = self.chain.lock().unwrap_or_else(PoisonError::into_inner);
         let mut losses = Losses::default();
         if !chain.load(packet, usize::MAX, &mut losses)? {
-            return Err(damaged(packet.place(), losses.list().first().map_or("it cannot be decompressed", |loss| loss.what.as_str())));
+            return Err(damaged(
+                packet.place(),
+                losses.list().first().map_or("it cannot be decompressed", |loss| loss.what.as_str()),
+            ));
         }
         let pixels = Table::root(chain.content(), b"FRME").and_then(|table| table.vector(10, 1));
         let needed = self.about.extent.pixels() * self.format.stored * self.format.bytes;
-        let pixels = pixels.filter(|pixels| pixels.len() == needed).ok_or_else(|| damaged(packet.place(), "its values are not all there"))?;
+        let pixels = pixels
+            .filter(|pixels| pixels.len() == needed)
+            .ok_or_else(|| damaged(packet.place(), "its values are not all there"))?;
         values.reserve(self.about.extent.pixels() * self.format.channels());
         self.format.add_values(pixels, values);
         Ok(())

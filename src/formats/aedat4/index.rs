@@ -1,8 +1,10 @@
-//! Where packets stand: from the data table behind the last packet, or, where that is missing or wrong, from a walk over the heads.
+//! Where packets stand: from the data table behind the last packet, or, where that is missing or wrong, from
+//! a walk over the heads.
 //!
-//! The data table (`FTAB`) has a row for every packet: where its content stands, stream and length, how many elements it has, and its first and last
-//! stamp. It is taken only when its rows follow each other without a gap from the first packet to the table itself. Of event packets only every so many
-//! bytes one is kept, so that the index of a long recording stays small.
+//! The data table (`FTAB`) has a row for every packet: where its content stands, stream and length, how many
+//! elements it has, and its first and last stamp. It is taken only when its rows follow each other without a
+//! gap from the first packet to the table itself. Of event packets only every so many bytes one is kept, so
+//! that the index of a long recording stays small.
 
 use super::chain::{Chain, Packet, read_at};
 use super::decompress::{MOST_BYTES, Plain};
@@ -63,7 +65,12 @@ impl Index {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub(super) fn new(path: &Path, header: &Arc<Header>, wanted: Wanted, losses: &mut Losses) -> Result<Index, FormatError> {
+    pub(super) fn new(
+        path: &Path,
+        header: &Arc<Header>,
+        wanted: Wanted,
+        losses: &mut Losses,
+    ) -> Result<Index, FormatError> {
         let mut end = header.size;
         match header.table {
             Some(at) if at >= header.first && at < header.size => match table(path, header, at, wanted) {
@@ -72,18 +79,34 @@ impl Index {
                     losses.add(
                         "data tables that are damaged",
                         || format!("bytes {at} to {}", header.size),
-                        || format!("the data table is damaged: {why}; the packets were looked for one by one"),
+                        || {
+                            format!(
+                                "the data table is damaged: {why}; the packets were looked for one by one"
+                            )
+                        },
                     );
                     let start = read_at(path, at, 4)?;
                     // The packets end where something stands that looks like the table.
-                    if start.try_into().is_ok_and(|start| header.compression.begins(start, header.size - at)) {
+                    if start.try_into().is_ok_and(|start| header.compression.begins(start, header.size - at))
+                    {
                         end = at;
                     }
                 }
             },
             Some(at) => {
-                let what = || format!("the file ends here, and its data table should stand at byte {at}: the end is cut off");
-                losses.add_by(Cause::Cut, "ends that are cut off", 1, || format!("byte {}", header.size), what);
+                let what = || {
+                    format!(
+                        "the file ends here, and its data table should stand at byte {at}: \
+                                       the end is cut off"
+                    )
+                };
+                losses.add_by(
+                    Cause::Cut,
+                    "ends that are cut off",
+                    1,
+                    || format!("byte {}", header.size),
+                    what,
+                );
             }
             None => {}
         }
@@ -130,7 +153,10 @@ fn table(path: &Path, header: &Header, position: u64, wanted: Wanted) -> Result<
         let (stream, length) = row.two_i32(1).ok_or("a row is damaged")?;
         // The row names the place of the content, behind the head.
         if row.i64(0) != i64::try_from(at + 8).unwrap_or(i64::MAX) {
-            return Err(format!("a row names byte {}, and the packet before it ends at byte {at}", row.i64(0)));
+            return Err(format!(
+                "a row names byte {}, and the packet before it ends at byte {at}",
+                row.i64(0)
+            ));
         }
         let packet = Packet { at, stream: stream as u32, length: u64::from(length as u32) };
         at = packet.end();
@@ -153,7 +179,13 @@ fn table(path: &Path, header: &Header, position: u64, wanted: Wanted) -> Result<
 }
 
 /// The index that a walk over the heads gives.
-fn walk(path: &Path, header: &Arc<Header>, end: u64, wanted: Wanted, losses: &mut Losses) -> Result<Index, FormatError> {
+fn walk(
+    path: &Path,
+    header: &Arc<Header>,
+    end: u64,
+    wanted: Wanted,
+    losses: &mut Losses,
+) -> Result<Index, FormatError> {
     let mut chain = Chain::new(path, header, end, 1 << 12)?;
     let mut index = Index { end, triggers: Some(Vec::new()), ..Index::default() };
     while let Some(packet) = chain.next(losses)? {
@@ -174,14 +206,23 @@ pub(super) fn elements(content: &[u8]) -> Option<&[u8]> {
 ///
 /// # Errors
 /// When the file cannot be read.
-pub(super) fn marks_by_reading(path: &Path, header: &Arc<Header>, end: u64, stream: u32) -> Result<Vec<Mark>, FormatError> {
-    let (mut chain, mut losses, mut marks) = (Chain::new(path, header, end, 1 << 16)?, Losses::default(), Vec::new());
+pub(super) fn marks_by_reading(
+    path: &Path,
+    header: &Arc<Header>,
+    end: u64,
+    stream: u32,
+) -> Result<Vec<Mark>, FormatError> {
+    let (mut chain, mut losses, mut marks) =
+        (Chain::new(path, header, end, 1 << 16)?, Losses::default(), Vec::new());
     while let Some(packet) = chain.next(&mut losses)? {
         if packet.stream != stream || !chain.load(&packet, usize::MAX, &mut losses)? {
             continue;
         }
         if let Some(events) = elements(chain.content()) {
-            let stamps = events.chunks_exact(16).filter_map(|event| event.first_chunk::<8>()).map(|bytes| i64::from_le_bytes(*bytes));
+            let stamps = events
+                .chunks_exact(16)
+                .filter_map(|event| event.first_chunk::<8>())
+                .map(|bytes| i64::from_le_bytes(*bytes));
             let latest_us = stamps.max().unwrap_or(i64::MIN);
             chain.proven();
             Index::mark(&mut marks, packet.at, latest_us);

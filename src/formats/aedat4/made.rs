@@ -6,8 +6,9 @@
 
 use std::io::Write;
 
-/// A table of one root with every field present: `fields` in order of their slots, each aligned to its size; `tail` is a vector that the last field
-/// points to. Positions count from behind the four bytes of the length that is written before it, alignment from their start.
+/// A table of one root with every field present: `fields` in order of their slots, each aligned to its size;
+/// `tail` is a vector that the last field points to. Positions count from behind the four bytes of the length
+/// that is written before it, alignment from their start.
 pub fn flat_table(identifier: &[u8; 4], fields: &[Vec<u8>], tail: &[u8]) -> Vec<u8> {
     // Root offset, identifier, list of fields (padded to 4), table, tail.
     let list_length = 4 + 2 * fields.len();
@@ -79,7 +80,10 @@ impl How {
         match self {
             How::Plain => bytes.to_vec(),
             How::Lz4 => lz4(FrameInfo::new().block_mode(BlockMode::Linked).block_size(BlockSize::Max64KB)),
-            How::Lz4Checked => lz4(FrameInfo::new().block_mode(BlockMode::Independent).block_checksums(true).content_checksum(true)),
+            How::Lz4Checked => lz4(FrameInfo::new()
+                .block_mode(BlockMode::Independent)
+                .block_checksums(true)
+                .content_checksum(true)),
             How::Zstd => zstd::bulk::compress(bytes, 3).unwrap(),
             How::ZstdStream => zstd::stream::encode_all(bytes, 19).unwrap(),
         }
@@ -113,17 +117,27 @@ pub fn events(stream: u32, events: &[(i64, i16, i16, u8)]) -> Piece {
 }
 
 /// A frame: plain stamp, exposure, OpenCV's type, size, bytes of its values.
-pub fn frame(stream: u32, stamp: i64, exposure: (i64, i64), format: i8, size: (i16, i16), pixels: &[u8]) -> Piece {
+pub fn frame(
+    stream: u32,
+    stamp: i64,
+    exposure: (i64, i64),
+    format: i8,
+    size: (i16, i16),
+    pixels: &[u8],
+) -> Piece {
     let long = |t: i64| t.to_le_bytes().to_vec();
     let short = |v: i16| v.to_le_bytes().to_vec();
     let stamps = [long(stamp), long(0), long(0), long(exposure.0), long(exposure.1)];
-    let fields = [&stamps[..], &[vec![format as u8], short(size.0), short(size.1), short(0), short(0), vec![0; 4]]].concat();
+    let fields =
+        [&stamps[..], &[vec![format as u8], short(size.0), short(size.1), short(0), short(0), vec![0; 4]]]
+            .concat();
     piece(stream, flat_table(b"FRME", &fields, &vector(pixels.len(), pixels)), 1, (stamp, stamp))
 }
 
 /// Triggers: stamp in us, kind. Each is a table of its own.
 pub fn triggers(stream: u32, signals: &[(i64, u8)]) -> Piece {
-    let rows: Vec<Vec<u8>> = signals.iter().map(|(t, kind)| [&[*kind, 0, 0, 0][..], &t.to_le_bytes()].concat()).collect();
+    let rows: Vec<Vec<u8>> =
+        signals.iter().map(|(t, kind)| [&[*kind, 0, 0, 0][..], &t.to_le_bytes()].concat()).collect();
     piece(stream, rows_table(b"TRIG", &[8, 16, 8, 4], &rows), signals.len(), (0, 0))
 }
 
@@ -131,12 +145,22 @@ pub fn triggers(stream: u32, signals: &[(i64, u8)]) -> Piece {
 pub fn header(how: How, table_at: i64, streams: &[(&str, u32, u32)]) -> Vec<u8> {
     let mut xml = String::from("<dv version=\"2.0\"><node name=\"outInfo\">");
     for (id, (kind, width, height)) in streams.iter().enumerate() {
-        xml += &format!("<node name=\"{id}\"><attr key=\"typeIdentifier\">{kind}</attr><attr key=\"originalOutputName\">out{id}</attr><node name=\"info\">");
-        xml += &format!("<attr key=\"source\">DAVIS346_00000007</attr><attr key=\"sizeX\">{width}</attr><attr key=\"sizeY\">{height}</attr></node></node>");
+        xml += &format!(
+            "<node name=\"{id}\"><attr key=\"typeIdentifier\">{kind}</attr><attr \
+                         key=\"originalOutputName\">out{id}</attr><node name=\"info\">"
+        );
+        xml += &format!(
+            "<attr key=\"source\">DAVIS346_00000007</attr><attr \
+                         key=\"sizeX\">{width}</attr><attr key=\"sizeY\">{height}</attr></node></node>"
+        );
     }
     xml += "</node></dv>";
     let text = vector(xml.len(), &[xml.as_bytes(), &[0]].concat());
-    let table = flat_table(b"IOHE", &[how.code().to_le_bytes().to_vec(), table_at.to_le_bytes().to_vec(), vec![0; 4]], &text);
+    let table = flat_table(
+        b"IOHE",
+        &[how.code().to_le_bytes().to_vec(), table_at.to_le_bytes().to_vec(), vec![0; 4]],
+        &text,
+    );
     [b"#!AER-DAT4.0\r\n", &(table.len() as u32).to_le_bytes()[..], &table].concat()
 }
 
@@ -148,7 +172,13 @@ pub fn file(how: How, streams: &[(&str, u32, u32)], pieces: &[Piece], with_table
         let content = how.apply(&piece.table);
         bytes.extend(piece.stream.to_le_bytes());
         bytes.extend((content.len() as u32).to_le_bytes());
-        rows.push((bytes.len() as i64, piece.stream as i32, content.len() as i32, piece.elements, piece.span));
+        rows.push((
+            bytes.len() as i64,
+            piece.stream as i32,
+            content.len() as i32,
+            piece.elements,
+            piece.span,
+        ));
         bytes.extend(content);
     }
     if with_table {
@@ -163,12 +193,21 @@ pub fn file(how: How, streams: &[(&str, u32, u32)], pieces: &[Piece], with_table
 /// Rows: place of the content, stream, length, elements, first and last stamp.
 fn data_table(rows: &[(i64, i32, i32, i64, (i64, i64))]) -> Vec<u8> {
     let row = |(at, stream, length, elements, span): &(i64, i32, i32, i64, (i64, i64))| {
-        [&at.to_le_bytes()[..], &stream.to_le_bytes(), &length.to_le_bytes(), &elements.to_le_bytes(), &span.0.to_le_bytes(), &span.1.to_le_bytes()].concat()
+        [
+            &at.to_le_bytes()[..],
+            &stream.to_le_bytes(),
+            &length.to_le_bytes(),
+            &elements.to_le_bytes(),
+            &span.0.to_le_bytes(),
+            &span.1.to_le_bytes(),
+        ]
+        .concat()
     };
     rows_table(b"FTAB", &[14, 44, 4, 12, 20, 28, 36], &rows.iter().map(row).collect::<Vec<_>>())
 }
 
-/// A table whose one field is a vector of tables: `list` is the list of fields that serves all of those, `rows` are their bytes behind the distance to it.
+/// A table whose one field is a vector of tables: `list` is the list of fields that serves all of those,
+/// `rows` are their bytes behind the distance to it.
 fn rows_table(identifier: &[u8; 4], list: &[u16], rows: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = 40u32.to_le_bytes().to_vec();
     bytes.extend(identifier);

@@ -1,13 +1,16 @@
 //! AEDAT4: recordings of DVS and DAVIS cameras (DV, dv-processing).
 //!
-//! A file is a header with a list of streams, and a chain of packets, each compressed, each of one stream; behind them usually a table of all packets.
-//! Events, frames and triggers are read; samples of the inertial sensor are left. Stamps are microseconds of the camera's clock. A file that is cut off, or
-//! damaged in places, gives every packet that is whole.
+//! A file is a header with a list of streams, and a chain of packets, each compressed, each of one stream;
+//! behind them usually a table of all packets. Events, frames and triggers are read; samples of the inertial
+//! sensor are left. Stamps are microseconds of the camera's clock. A file that is cut off, or damaged in
+//! places, gives every packet that is whole.
 //!
-//! Source: the AEDAT 4.0 pages of iniVation and its FlatBuffers schemas (`IOHE`, `EVTS`, `FRME`, `TRIG`, `FTAB`).
+//! Source: the AEDAT 4.0 pages of iniVation and its FlatBuffers schemas (`IOHE`, `EVTS`, `FRME`, `TRIG`,
+//! `FTAB`).
 //!
-//! Limits: one stream of events and one of frames are read, those with the lowest numbers or those that were named. Frames of another size or type than the
-//! first (regions of interest) are left out. Whether values of frames are linear, and when which row was exposed, the file does not say.
+//! Limits: one stream of events and one of frames are read, those with the lowest numbers or those that were
+//! named. Frames of another size or type than the first (regions of interest) are left out. Whether values of
+//! frames are linear, and when which row was exposed, the file does not say.
 
 mod chain;
 mod decompress;
@@ -69,8 +72,10 @@ impl Aedat4 {
     /// When it is no AEDAT4 file, its header is damaged, or a stream that was named is not there.
     pub fn open(path: &Path, declared: &Declared) -> Result<Aedat4, FormatError> {
         let header = Header::read(path)?;
-        let (events, other_events) = header.choose(path, Content::Events, declared.camera.as_deref(), "camera")?;
-        let (frames, other_frames) = header.choose(path, Content::Frames, declared.frame_camera.as_deref(), "frame_camera")?;
+        let (events, other_events) =
+            header.choose(path, Content::Events, declared.camera.as_deref(), "camera")?;
+        let (frames, other_frames) =
+            header.choose(path, Content::Frames, declared.frame_camera.as_deref(), "frame_camera")?;
         let (events, frames) = (events.cloned(), frames.cloned());
         let mut about = None;
         let mut chosen = None;
@@ -83,16 +88,32 @@ impl Aedat4 {
                 }
                 (Some(extent), _) | (None, Some(extent)) => extent,
                 (None, None) => {
-                    let error = FormatError::new(path, "the header does not state the size of the pixel array", "state its extent, such as 346 x 260");
+                    let error = FormatError::new(
+                        path,
+                        "the header does not state the size of the pixel array",
+                        "state its extent, such as 346 x 260",
+                    );
                     return Err(error.undeclared("extent"));
                 }
             };
-            about = Some(EventsAbout { extent: Some(extent), tick_ns: 1000, count: None, has_t_in: false, stamps: "i64 microseconds".into(), notes });
+            about = Some(EventsAbout {
+                extent: Some(extent),
+                tick_ns: 1000,
+                count: None,
+                has_t_in: false,
+                stamps: "i64 microseconds".into(),
+                notes,
+            });
             chosen = Some((stream.clone(), extent));
         }
         let mut losses = Losses::default();
-        let triggers = header.streams.iter().find(|stream| stream.content == Content::Triggers).map(|stream| stream.id);
-        let wanted = Wanted { events: events.map(|stream| stream.id), frames: frames.as_ref().map(|stream| stream.id), triggers };
+        let triggers =
+            header.streams.iter().find(|stream| stream.content == Content::Triggers).map(|stream| stream.id);
+        let wanted = Wanted {
+            events: events.map(|stream| stream.id),
+            frames: frames.as_ref().map(|stream| stream.id),
+            triggers,
+        };
         let header = Arc::new(header);
         let index = Index::new(path, &header, wanted, &mut losses)?;
         if let Some(about) = &mut about {
@@ -124,12 +145,14 @@ impl Aedat4 {
     /// The stamp of the first event, us.
     fn first_stamp_us(&self) -> Option<i64> {
         let (stream, _) = self.events.as_ref()?;
-        let mut chain = Chain::new(&self.inner.path, &self.inner.header, self.inner.index.end, 1 << 12).ok()?;
+        let mut chain =
+            Chain::new(&self.inner.path, &self.inner.header, self.inner.index.end, 1 << 12).ok()?;
         let mut losses = Losses::default();
         while let Some(packet) = chain.next(&mut losses).ok()? {
             if packet.stream == stream.id
                 && chain.load(&packet, usize::MAX, &mut losses).ok()?
-                && let Some(first) = index::elements(chain.content()).and_then(|events| events.first_chunk::<8>())
+                && let Some(first) =
+                    index::elements(chain.content()).and_then(|events| events.first_chunk::<8>())
             {
                 return Some(i64::from_le_bytes(*first));
             }
@@ -146,7 +169,11 @@ impl Recording for Aedat4 {
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
         let (stream, extent) = self.events.as_ref().ok_or_else(|| {
             let streams: Vec<String> = self.inner.header.streams.iter().map(Stream::describe).collect();
-            FormatError::new(&self.inner.path, "the file has no event stream", format!("it has these streams: {}", streams.join("; ")))
+            FormatError::new(
+                &self.inner.path,
+                "the file has no event stream",
+                format!("it has these streams: {}", streams.join("; ")),
+            )
         })?;
         Ok(Box::new(events::Cursor::new(&self.inner, stream.id, *extent)?))
     }
@@ -168,10 +195,14 @@ impl Recording for Aedat4 {
         let mut facts: Vec<(String, String)> = Vec::new();
         let mut add = |name: &str, what: String| facts.push((name.into(), what));
         let of_events = self.events.as_ref().and_then(|(stream, _)| stream.source.clone());
-        if let Some(source) = of_events.or_else(|| header.streams.iter().find_map(|stream| stream.source.clone())) {
+        if let Some(source) =
+            of_events.or_else(|| header.streams.iter().find_map(|stream| stream.source.clone()))
+        {
             // Recorders write model and serial number with an underscore between.
             match source.split_once('_') {
-                Some((model, serial)) if serial.chars().all(|letter| letter.is_ascii_digit()) => add("camera", format!("{model} serial {serial}")),
+                Some((model, serial)) if serial.chars().all(|letter| letter.is_ascii_digit()) => {
+                    add("camera", format!("{model} serial {serial}"))
+                }
                 _ => add("camera", source),
             }
         }

@@ -17,7 +17,10 @@ pub(super) struct Inner {
 
 impl Inner {
     /// Where to begin to read events: from the data table, or found by `find` once.
-    pub(super) fn marks(&self, find: impl FnOnce(&Inner) -> Result<Vec<Mark>, FormatError>) -> Result<&[Mark], FormatError> {
+    pub(super) fn marks(
+        &self,
+        find: impl FnOnce(&Inner) -> Result<Vec<Mark>, FormatError>,
+    ) -> Result<&[Mark], FormatError> {
         if let Some(marks) = self.index.marks.as_ref().or(self.marks.get()) {
             return Ok(marks);
         }

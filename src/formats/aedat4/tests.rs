@@ -41,24 +41,39 @@ fn read(recording: &Aedat4) -> (Vec<Event>, Vec<Loss>) {
     (events, losses)
 }
 
-/// Three packets of events, two frames, a packet of the inertial sensor and one of triggers: in file order, ten microseconds a packet.
+/// Three packets of events, two frames, a packet of the inertial sensor and one of triggers: in file order,
+/// ten microseconds a packet.
 fn pieces() -> Vec<Piece> {
     vec![
         made::events(0, &[(1000, 2, 1, 1), (1003, 0, 0, 0)]),
         made::frame(1, 1004, (1004, 1008), 0, (2, 1), &[7, 8]),
         made::triggers(2, &[(5, 5)]),
         made::events(0, &[(1010, 1, 1, 0), (1012, 1, 0, 255)]),
-        made::triggers(3, &[(1004, 8), (1008, 9), (1010, 1), (1011, 2), (1012, 3), (1013, 4), (1014, 5), (1015, 77)]),
+        made::triggers(
+            3,
+            &[(1004, 8), (1008, 9), (1010, 1), (1011, 2), (1012, 3), (1013, 4), (1014, 5), (1015, 77)],
+        ),
         made::frame(1, 1014, (1014, 1018), 0, (2, 1), &[9, 10]),
         made::events(0, &[(1020, 2, 0, 1)]),
     ]
 }
 
-const EVENTS: [Event; 5] = [(1_000_000, 2, 1, 1), (1_003_000, 0, 0, 0), (1_010_000, 1, 1, 0), (1_012_000, 1, 0, 1), (1_020_000, 2, 0, 1)];
+const EVENTS: [Event; 5] = [
+    (1_000_000, 2, 1, 1),
+    (1_003_000, 0, 0, 0),
+    (1_010_000, 1, 1, 0),
+    (1_012_000, 1, 0, 1),
+    (1_020_000, 2, 0, 1),
+];
 
 #[test]
 fn a_packet_without_its_vector_of_events_has_none() {
-    let mut bytes = made::file(How::Plain, &STREAMS, &[made::events(0, &[(1000, 2, 1, 1)]), made::events(0, &[(1020, 2, 0, 1)])], false);
+    let mut bytes = made::file(
+        How::Plain,
+        &STREAMS,
+        &[made::events(0, &[(1000, 2, 1, 1)]), made::events(0, &[(1020, 2, 0, 1)])],
+        false,
+    );
     // Behind the identifier: two sizes, then where the table has the vector. Zero is nowhere.
     let places = bytes.windows(4).enumerate().filter(|(_, window)| *window == b"EVTS");
     // The first is the name of the kind in the header.
@@ -83,9 +98,15 @@ fn whole_files_give_the_same_however_they_are_compressed() {
                 pictures.read(1, &mut values).unwrap();
                 assert_eq!(values, [9.0, 10.0]);
                 let about = pictures.about();
-                assert_eq!((about.bits, about.colour, about.stamp_role), (8, Colour::Mono, Some(StampRole::Start)));
+                assert_eq!(
+                    (about.bits, about.colour, about.stamp_role),
+                    (8, Colour::Mono, Some(StampRole::Start))
+                );
                 let stamps = [(1_004_000, 1_008_000), (1_014_000, 1_018_000)];
-                assert_eq!(about.stamps, stamps.map(|exposure| crate::FrameStamp { at: exposure.0, exposure: Some(exposure) }));
+                assert_eq!(
+                    about.stamps,
+                    stamps.map(|exposure| crate::FrameStamp { at: exposure.0, exposure: Some(exposure) })
+                );
                 assert!(pictures.read(2, &mut values).is_err());
             });
         }
@@ -95,13 +116,18 @@ fn whole_files_give_the_same_however_they_are_compressed() {
 #[test]
 fn a_long_packet_of_linked_blocks_is_what_an_independent_encoder_was_given() {
     // 200,000 events are 3.2 MB: fifty blocks, each of which refers to the one before.
-    let list: Vec<(i64, i16, i16, u8)> = (0..200_000).map(|k: i64| (k / 3, (k * k % 3) as i16, (k % 2) as i16, u8::from(k % 5 == 0))).collect();
+    let list: Vec<(i64, i16, i16, u8)> = (0..200_000)
+        .map(|k: i64| (k / 3, (k * k % 3) as i16, (k % 2) as i16, u8::from(k % 5 == 0)))
+        .collect();
     for how in How::ALL {
         with(&made::file(how, &STREAMS, &[made::events(0, &list)], true), |recording| {
             let (events, losses) = read(&recording);
             assert_eq!(losses, []);
             assert_eq!(events.len(), list.len());
-            assert!(events.iter().zip(&list).all(|(a, b)| *a == (1000 * b.0, b.1 as u16, b.2 as u16, b.3)), "{how:?}");
+            assert!(
+                events.iter().zip(&list).all(|(a, b)| *a == (1000 * b.0, b.1 as u16, b.2 as u16, b.3)),
+                "{how:?}"
+            );
         });
     }
 }
@@ -109,13 +135,15 @@ fn a_long_packet_of_linked_blocks_is_what_an_independent_encoder_was_given() {
 /// A clip of a DAVIS346, and what another decoder (PyPI `aedat` 2.3.0) finds in it.
 #[test]
 fn the_traffic_clip_is_what_another_decoder_finds_in_it() {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../data/recordings/davis346_traffic.aedat4"));
+    let path =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../data/recordings/davis346_traffic.aedat4"));
     let recording = Aedat4::open(path, &Declared::default()).unwrap();
     let (events, losses) = read(&recording);
     assert_eq!((events.len(), losses.len()), (78_830, 0));
     assert_eq!(recording.events_about().unwrap().count, Some(78_830));
-    let sums =
-        events.iter().fold((0, 0, 0), |sums: (u64, u64, u64), event| (sums.0 + u64::from(event.1), sums.1 + u64::from(event.2), sums.2 + u64::from(event.3)));
+    let sums = events.iter().fold((0, 0, 0), |sums: (u64, u64, u64), event| {
+        (sums.0 + u64::from(event.1), sums.1 + u64::from(event.2), sums.2 + u64::from(event.3))
+    });
     assert_eq!(sums, (14_861_513, 15_061_593, 41_257));
     assert_eq!(events.iter().map(|event| i128::from(event.0)).sum::<i128>(), 125_273_730_997_963_369_624_000);
     let pictures = recording.pictures().unwrap();
@@ -126,17 +154,28 @@ fn the_traffic_clip_is_what_another_decoder_finds_in_it() {
     }
     assert_eq!(sum, 409_067_057.0);
     let about = pictures.about();
-    let first = crate::FrameStamp { at: 1_589_163_147_365_215_000, exposure: Some((1_589_163_147_364_965_000, 1_589_163_147_365_465_000)) };
+    let first = crate::FrameStamp {
+        at: 1_589_163_147_365_215_000,
+        exposure: Some((1_589_163_147_364_965_000, 1_589_163_147_365_465_000)),
+    };
     assert_eq!((about.stamps.len(), about.stamps[0], about.stamp_role), (59, first, Some(StampRole::Middle)));
     assert_eq!(recording.triggers().unwrap(), []);
     let signals = recording.facts().into_iter().find(|(name, _)| name == "trigger signals").unwrap().1;
-    assert_eq!(signals, "59 begins of frames, 59 ends of frames, 59 begins of exposures, 59 ends of exposures");
+    assert_eq!(
+        signals,
+        "59 begins of frames, 59 ends of frames, 59 begins of exposures, 59 ends of \
+                         exposures"
+    );
 
     // Half of the file: about half of the events, and the same ones.
     let bytes = std::fs::read(path).unwrap();
     with(&bytes[..bytes.len() / 2], |half| {
         let (some, losses) = read(&half);
-        assert!(some.len() > 30_000 && some.len() < 50_000 && losses.len() >= 2, "{} events, {losses:?}", some.len());
+        assert!(
+            some.len() > 30_000 && some.len() < 50_000 && losses.len() >= 2,
+            "{} events, {losses:?}",
+            some.len()
+        );
         assert_eq!(some, events[..some.len()]);
     });
 }
@@ -145,15 +184,30 @@ fn the_traffic_clip_is_what_another_decoder_finds_in_it() {
 fn only_edges_on_lines_are_triggers() {
     with(&made::file(How::Lz4, &STREAMS, &pieces(), true), |recording| {
         let edge = |t, line, edge| Trigger { t, line, edge };
-        let expected =
-            [edge(1_010_000, 0, Edge::Rising), edge(1_011_000, 0, Edge::Falling), edge(1_013_000, 1, Edge::Rising), edge(1_014_000, 1, Edge::Falling)];
+        let expected = [
+            edge(1_010_000, 0, Edge::Rising),
+            edge(1_011_000, 0, Edge::Falling),
+            edge(1_013_000, 1, Edge::Rising),
+            edge(1_014_000, 1, Edge::Falling),
+        ];
         assert_eq!(recording.triggers().unwrap(), expected);
         let facts = recording.facts();
         let fact = |name: &str| facts.iter().find(|(known, _)| known == name).unwrap().1.clone();
-        assert!(fact("trigger signals").contains("1 pulses on the input, 1 rising edges of the generator"), "{}", fact("trigger signals"));
-        assert!(fact("trigger signals").ends_with("1 begins of exposures, 1 ends of exposures"), "{}", fact("trigger signals"));
+        assert!(
+            fact("trigger signals").contains("1 pulses on the input, 1 rising edges of the generator"),
+            "{}",
+            fact("trigger signals")
+        );
+        assert!(
+            fact("trigger signals").ends_with("1 begins of exposures, 1 ends of exposures"),
+            "{}",
+            fact("trigger signals")
+        );
         assert_eq!((fact("camera"), fact("compression")), ("DAVIS346 serial 00000007".into(), "LZ4".into()));
-        assert_eq!((fact("first event"), fact("packets")), ("1000 us on the camera's clock".into(), "7".into()));
+        assert_eq!(
+            (fact("first event"), fact("packets")),
+            ("1000 us on the camera's clock".into(), "7".into())
+        );
         assert!(recording.losses().iter().any(|loss| loss.what.contains("kind 77")));
     });
 }
@@ -161,8 +215,11 @@ fn only_edges_on_lines_are_triggers() {
 #[test]
 fn after_seek_no_event_at_or_after_the_time_is_missing() {
     // 3,000 packets of 20 events with stamps that do not run straight on; more than one mark.
-    let list: Vec<Vec<(i64, i16, i16, u8)>> =
-        (0..3000).map(|p| (0..20).map(|k: i64| (100 * p + (k * 7919 + p * 31) % 100, ((k + p) % 3) as i16, 0, 1)).collect()).collect();
+    let list: Vec<Vec<(i64, i16, i16, u8)>> = (0..3000)
+        .map(|p| {
+            (0..20).map(|k: i64| (100 * p + (k * 7919 + p * 31) % 100, ((k + p) % 3) as i16, 0, 1)).collect()
+        })
+        .collect();
     let pieces: Vec<Piece> = list.iter().map(|events| made::events(0, events)).collect();
     // What tables say are the first and last stamp; give them events in order.
     let sorted: Vec<Piece> = list
@@ -173,11 +230,14 @@ fn after_seek_no_event_at_or_after_the_time_is_missing() {
             made::events(0, &events)
         })
         .collect();
-    for bytes in [made::file(How::Plain, &STREAMS, &pieces, false), made::file(How::Plain, &STREAMS, &sorted, true)] {
+    for bytes in
+        [made::file(How::Plain, &STREAMS, &pieces, false), made::file(How::Plain, &STREAMS, &sorted, true)]
+    {
         with(&bytes, |recording| {
             let all = read(&recording).0;
             let mut cursor = recording.events().unwrap();
-            for t in [i64::MIN, 0, 123_456_789, 299_000_000, 299_999_000, 299_999_001, i64::MAX, 150_000_000] {
+            for t in [i64::MIN, 0, 123_456_789, 299_000_000, 299_999_000, 299_999_001, i64::MAX, 150_000_000]
+            {
                 cursor.seek(t).unwrap();
                 let after = rest(cursor.as_mut());
                 let wanted = all.iter().filter(|event| event.0 >= t).count();
@@ -217,7 +277,9 @@ fn a_file_cut_anywhere_gives_its_whole_packets_and_says_that_it_is_cut() {
 
 #[test]
 fn a_recorder_that_was_killed_leaves_no_table_and_no_loss() {
-    with(&made::file(How::Lz4, &STREAMS, &pieces(), false), |recording| assert_eq!(read(&recording), (EVENTS.to_vec(), vec![])));
+    with(&made::file(How::Lz4, &STREAMS, &pieces(), false), |recording| {
+        assert_eq!(read(&recording), (EVENTS.to_vec(), vec![]))
+    });
 }
 
 #[test]
@@ -226,11 +288,17 @@ fn no_flipped_byte_makes_the_reader_panic_or_spoils_more_than_a_packet() {
         let bytes = made::file(how, &STREAMS, &pieces(), true);
         let header = made::header(how, 0, &STREAMS).len();
         for i in 0..bytes.len() {
-            for flip in [0x01, 0x80, 0xff].into_iter().skip(if how == How::Plain { 0 } else { i % 3 }).take(if how == How::Plain { 3 } else { 1 }) {
+            for flip in [0x01, 0x80, 0xff]
+                .into_iter()
+                .skip(if how == How::Plain { 0 } else { i % 3 })
+                .take(if how == How::Plain { 3 } else { 1 })
+            {
                 let mut damaged = bytes.clone();
                 damaged[i] ^= flip;
                 with_path(&damaged, |path| {
-                    let Ok(recording) = Aedat4::open(path, &Declared::default()) else { return assert!(i < header, "byte {i}") };
+                    let Ok(recording) = Aedat4::open(path, &Declared::default()) else {
+                        return assert!(i < header, "byte {i}");
+                    };
                     let _ = (recording.triggers(), recording.facts());
                     if let Some(pictures) = recording.pictures() {
                         let mut values = Vec::new();
@@ -275,7 +343,8 @@ fn a_wrong_length_costs_one_packet_even_of_a_stream_that_is_not_read() {
 
 #[test]
 fn events_outside_the_pixels_are_left_out_and_counted() {
-    let packet = made::events(0, &[(10, 2, 1, 1), (11, 3, 0, 1), (12, -1, 0, 1), (i64::MAX, 0, 0, 1), (13, 0, 0, 0)]);
+    let packet =
+        made::events(0, &[(10, 2, 1, 1), (11, 3, 0, 1), (12, -1, 0, 1), (i64::MAX, 0, 0, 1), (13, 0, 0, 0)]);
     with(&made::file(How::Plain, &STREAMS, &[packet], false), |recording| {
         let (events, losses) = read(&recording);
         assert_eq!(events, [(10_000, 2, 1, 1), (13_000, 0, 0, 0)]);
@@ -288,17 +357,31 @@ fn events_outside_the_pixels_are_left_out_and_counted() {
 fn colour_and_sixteen_bits_are_read_as_their_types_say() {
     // OpenCV's codes: 2 is 16-bit grey, 16 is 8-bit BGR, 24 is 8-bit BGRA, 18 is 16-bit BGR.
     let values = |code: i8, bytes: &[u8]| {
-        with(&made::file(How::Lz4, &[("FRME", 2, 1)], &[made::frame(0, 0, (5, 6), code, (2, 1), bytes)], false), |recording| {
-            let pictures = recording.pictures().unwrap();
-            let mut values = Vec::new();
-            pictures.read(0, &mut values).unwrap();
-            (values, pictures.about().bits, pictures.about().colour)
-        })
+        with(
+            &made::file(
+                How::Lz4,
+                &[("FRME", 2, 1)],
+                &[made::frame(0, 0, (5, 6), code, (2, 1), bytes)],
+                false,
+            ),
+            |recording| {
+                let pictures = recording.pictures().unwrap();
+                let mut values = Vec::new();
+                pictures.read(0, &mut values).unwrap();
+                (values, pictures.about().bits, pictures.about().colour)
+            },
+        )
     };
     assert_eq!(values(2, &[1, 0, 255, 3]), (vec![1.0, 1023.0], 16, Colour::Mono));
     assert_eq!(values(16, &[1, 2, 3, 11, 12, 13]), (vec![3.0, 2.0, 1.0, 13.0, 12.0, 11.0], 8, Colour::Rgb));
-    assert_eq!(values(24, &[1, 2, 3, 99, 11, 12, 13, 99]), (vec![3.0, 2.0, 1.0, 13.0, 12.0, 11.0], 8, Colour::Rgb));
-    assert_eq!(values(18, &[1, 0, 2, 0, 3, 1, 4, 0, 5, 0, 6, 0]), (vec![259.0, 2.0, 1.0, 6.0, 5.0, 4.0], 16, Colour::Rgb));
+    assert_eq!(
+        values(24, &[1, 2, 3, 99, 11, 12, 13, 99]),
+        (vec![3.0, 2.0, 1.0, 13.0, 12.0, 11.0], 8, Colour::Rgb)
+    );
+    assert_eq!(
+        values(18, &[1, 0, 2, 0, 3, 1, 4, 0, 5, 0, 6, 0]),
+        (vec![259.0, 2.0, 1.0, 6.0, 5.0, 4.0], 16, Colour::Rgb)
+    );
 }
 
 #[test]
@@ -314,26 +397,42 @@ fn frames_that_differ_are_left_out_and_frames_without_exposure_are_not() {
     with(&made::file(How::Plain, &[("FRME", 2, 1)], &pieces, true), |recording| {
         let pictures = recording.pictures().unwrap();
         let about = pictures.about();
-        assert_eq!(about.stamps.iter().map(|stamp| (stamp.at, stamp.exposure)).collect::<Vec<_>>(), [(50_000, None), (60_000, Some((58_000, 62_000)))]);
+        assert_eq!(
+            about.stamps.iter().map(|stamp| (stamp.at, stamp.exposure)).collect::<Vec<_>>(),
+            [(50_000, None), (60_000, Some((58_000, 62_000)))]
+        );
         assert_eq!(about.stamp_role, Some(StampRole::Middle));
         assert_eq!(about.notes, ["1 of 2 frames have no exposure: its end is not after its start"]);
         assert!(recording.events_about().is_none() && recording.events().is_err());
         let whats: Vec<String> = recording.losses().into_iter().map(|loss| loss.what).collect();
         assert_eq!(whats.len(), 4, "{whats:?}");
-        assert!(whats[0].contains("1 x 1 pixels at (0, 0)") && whats[1].contains("16 bits") && whats[2].contains("1 bytes") && whats[3].contains("type 5"));
+        assert!(
+            whats[0].contains("1 x 1 pixels at (0, 0)")
+                && whats[1].contains("16 bits")
+                && whats[2].contains("1 bytes")
+                && whats[3].contains("type 5")
+        );
     });
 }
 
 #[test]
 fn of_several_streams_the_named_one_is_read() {
     let streams = [("EVTS", 3, 2), ("EVTS", 5, 5)];
-    let bytes = made::file(How::Plain, &streams, &[made::events(0, &[(1, 0, 0, 1)]), made::events(1, &[(2, 4, 4, 0)])], true);
+    let bytes = made::file(
+        How::Plain,
+        &streams,
+        &[made::events(0, &[(1, 0, 0, 1)]), made::events(1, &[(2, 4, 4, 0)])],
+        true,
+    );
     with_path(&bytes, |path| {
-        let open = |camera: Option<&str>| Aedat4::open(path, &Declared { camera: camera.map(String::from), ..Declared::default() });
+        let open = |camera: Option<&str>| {
+            Aedat4::open(path, &Declared { camera: camera.map(String::from), ..Declared::default() })
+        };
         assert_eq!(read(&open(None).unwrap()).0, [(1000, 0, 0, 1)]);
         assert_eq!(
             open(None).unwrap().events_about().unwrap().notes,
-            ["events are those of stream 0 EVTS `out0` 3 x 2 of DAVIS346_00000007; not read: 1 EVTS `out1` 5 x 5 of DAVIS346_00000007 (`camera` chooses)"]
+            ["events are those of stream 0 EVTS `out0` 3 x 2 of DAVIS346_00000007; not read: 1 EVTS `out1` \
+              5 x 5 of DAVIS346_00000007 (`camera` chooses)"]
         );
         assert_eq!(read(&open(Some("1")).unwrap()).0, [(2000, 4, 4, 0)]);
         assert_eq!(read(&open(Some("out1")).unwrap()).0, [(2000, 4, 4, 0)]);
@@ -360,7 +459,9 @@ fn other_files_are_refused_with_what_they_begin_with() {
         let error = Aedat4::open(path, &Declared::default()).err().unwrap();
         assert!(error.to_string().contains("begins with `#!AER-DAT2.0`, expected `#!AER-DAT4.0`"), "{error}");
     });
-    with_path(&made::header(How::Plain, -1, &STREAMS), |path| assert!(recognises(&Probe::new(path).unwrap())));
+    with_path(&made::header(How::Plain, -1, &STREAMS), |path| {
+        assert!(recognises(&Probe::new(path).unwrap()))
+    });
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Trigger signals of an AEDAT4 file.
 //!
-//! A packet (`TRIG`) is one vector of tables: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges on the input of the camera, 4 and
-//! 5 edges of its own signal generator; 6 to 9 are begin and end of frames and exposures: signals of the camera about itself, no edges of a line.
+//! A packet (`TRIG`) is one vector of tables: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges
+//! on the input of the camera, 4 and 5 edges of its own signal generator; 6 to 9 are begin and end of frames
+//! and exposures: signals of the camera about itself, no edges of a line.
 
 use super::chain::{Chain, Packet};
 use super::flat::Table;
@@ -63,8 +64,10 @@ impl Triggers {
             return Ok(());
         }
         let content = chain.content();
-        // Pointers to one and the same table would be more triggers than the packet can hold: each takes sixteen bytes.
-        let root = Table::root(content, b"TRIG").filter(|table| table.vector(0, 4).is_some_and(|pointers| 4 * pointers.len() <= content.len()));
+        // Pointers to one and the same table would be more triggers than the packet can hold: each takes
+        // sixteen bytes.
+        let root = Table::root(content, b"TRIG")
+            .filter(|table| table.vector(0, 4).is_some_and(|pointers| 4 * pointers.len() <= content.len()));
         let Some(root) = root.filter(|table| table.tables(0).all(|signal| signal.is_some())) else {
             chain.spoiled(packet, "it is not the table of triggers that it should be", &mut self.losses);
             return Ok(());
@@ -73,7 +76,11 @@ impl Triggers {
             let kind = signal.i8(1);
             let known = usize::try_from(kind).ok().filter(|&kind| kind < KINDS.len());
             let (Some(t), Some(kind)) = (signal.i64(0).checked_mul(1000), known) else {
-                self.losses.add("packets with impossible triggers", || packet.place(), || format!("a trigger of kind {kind} is left out"));
+                self.losses.add(
+                    "packets with impossible triggers",
+                    || packet.place(),
+                    || format!("a trigger of kind {kind} is left out"),
+                );
                 continue;
             };
             self.counts[kind] += 1;
@@ -92,7 +99,13 @@ impl Triggers {
 
     /// For people: "59 begins of frames, 59 ends of frames"; `None` without any.
     pub(super) fn describe(&self) -> Option<String> {
-        let some: Vec<String> = self.counts.iter().zip(KINDS).filter(|(count, _)| **count > 0).map(|(count, kind)| format!("{count} {kind}")).collect();
+        let some: Vec<String> = self
+            .counts
+            .iter()
+            .zip(KINDS)
+            .filter(|(count, _)| **count > 0)
+            .map(|(count, kind)| format!("{count} {kind}"))
+            .collect();
         (!some.is_empty()).then(|| some.join(", "))
     }
 }

@@ -1,7 +1,8 @@
 //! Time to decode events of each format, from bytes in memory.
 //!
-//! Run with `cargo bench -p photocurrent-formats --bench decode`. The words are made up: a million events of a moving edge, sorted by time, about ten in
-//! each microsecond and row; EVT3 has a vector for every third group. `benches/peers.py` compares whole files with other programs.
+//! Run with `cargo bench -p photocurrent-formats --bench decode`. The words are made up: a million events of
+//! a moving edge, sorted by time, about ten in each microsecond and row; EVT3 has a vector for every third
+//! group. `benches/peers.py` compares whole files with other programs.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -52,20 +53,33 @@ fn evt2() -> Vec<u8> {
             high = us >> 6;
             words.push(0x8000_0000 | high);
         }
-        words.push(u32::from(events.on[n]) << 28 | (us & 63) << 22 | u32::from(events.x[n]) << 11 | u32::from(events.y[n]));
+        words.push(
+            u32::from(events.on[n]) << 28
+                | (us & 63) << 22
+                | u32::from(events.x[n]) << 11
+                | u32::from(events.y[n]),
+        );
     }
     words.iter().flat_map(|word| word.to_le_bytes()).collect()
 }
 
 fn evt21() -> Vec<u8> {
     // Each event of EVT2 with a mask of three columns.
-    let words = evt2().as_chunks::<4>().0.iter().map(|word| u64::from(u32::from_le_bytes(*word)) << 32 | 0b1011).collect::<Vec<u64>>();
+    let words = evt2()
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|word| u64::from(u32::from_le_bytes(*word)) << 32 | 0b1011)
+        .collect::<Vec<u64>>();
     words.iter().flat_map(|word| word.to_le_bytes()).collect()
 }
 
 fn dat() -> Vec<u8> {
     let events = events();
-    let record = |n: usize| (events.t[n] / 1000) as u64 | (u64::from(events.on[n]) << 28 | u64::from(events.y[n]) << 14 | u64::from(events.x[n])) << 32;
+    let record = |n: usize| {
+        (events.t[n] / 1000) as u64
+            | (u64::from(events.on[n]) << 28 | u64::from(events.y[n]) << 14 | u64::from(events.x[n])) << 32
+    };
     (0..events.len()).flat_map(|n| record(n).to_le_bytes()).collect()
 }
 

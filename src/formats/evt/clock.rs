@@ -1,13 +1,16 @@
 //! Times of few bits, continued over their wraps.
 //!
-//! EVT3 has 24 bits of microseconds and wraps every 16.777216 s; EVT2 and EVT2.1 have 34 bits (4.8 h), DAT 32 (71 min). A time that steps back is
-//! no wrap in itself: time words of real cameras repeat, and come slightly out of order. So the smallest step is taken, forward or back, through
-//! a wrap or not: 4095, 0, 4095, 0 is one wrap, one step back through it, and one wrap again.
+//! EVT3 has 24 bits of microseconds and wraps every 16.777216 s; EVT2 and EVT2.1 have 34 bits (4.8 h), DAT 32
+//! (71 min). A time that steps back is no wrap in itself: time words of real cameras repeat, and come
+//! slightly out of order. So the smallest step is taken, forward or back, through a wrap or not: 4095, 0,
+//! 4095, 0 is one wrap, one step back through it, and one wrap again.
 //!
-//! The period of EVT3 is so short that a gap may be longer than half of it. There, a step beyond the slack is taken as one forward; and when the
-//! next time word is back where the one before was, that word was damaged (a stray), and the leap is undone: one wrong word must not shift all that follows.
+//! The period of EVT3 is so short that a gap may be longer than half of it. There, a step beyond the slack is
+//! taken as one forward; and when the next time word is back where the one before was, that word was damaged
+//! (a stray), and the leap is undone: one wrong word must not shift all that follows.
 
-/// Times stay within this many ns of zero, whatever a damaged file says, so that their differences are no overflow.
+/// Times stay within this many ns of zero, whatever a damaged file says, so that their differences are no
+/// overflow.
 const FURTHEST_NS: i64 = i64::MAX / 4;
 
 /// Continues a time over its wraps.

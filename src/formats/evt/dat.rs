@@ -1,8 +1,10 @@
-//! DAT: decoded events of Prophesee cameras, records of eight bytes: a time of 32 bits in microseconds, and column, row and polarity in 32 more.
+//! DAT: decoded events of Prophesee cameras, records of eight bytes: a time of 32 bits in microseconds, and
+//! column, row and polarity in 32 more.
 //!
-//! Version 2 has 14 bits of column, 14 of row, and the polarity above them. Version 1 (ATIS) has 9 bits, 8 bits and one.
-//! Source: "DAT File Format" of the Prophesee documentation; for version 1 the loaders that the maker published for Matlab.
-//! The time wraps after 71 minutes; it goes on from one record to the next by the smallest step, forward or back.
+//! Version 2 has 14 bits of column, 14 of row, and the polarity above them. Version 1 (ATIS) has 9 bits, 8
+//! bits and one. Source: "DAT File Format" of the Prophesee documentation; for version 1 the loaders that the
+//! maker published for Matlab. The time wraps after 71 minutes; it goes on from one record to the next by the
+//! smallest step, forward or back.
 
 use super::decoder::Decoder;
 use super::faults::{BURST, Bounds, Buffer, Faults};
@@ -49,7 +51,8 @@ impl DatDecoder {
         &self.faults
     }
 
-    /// Decodes the whole records of `bytes`, appends events (times in ns), and gives the number of bytes that were used.
+    /// Decodes the whole records of `bytes`, appends events (times in ns), and gives the number of bytes that
+    /// were used.
     pub fn decode(&mut self, bytes: &[u8], out: &mut EventChunk) -> usize {
         let (records, _) = bytes.as_chunks::<8>();
         match self.layout {

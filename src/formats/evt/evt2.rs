@@ -1,10 +1,12 @@
 //! EVT2: words of 32 bits, an event each; and EVT2.1: words of 64 bits, up to 32 events of one row each.
 //!
-//! The upper four bits are the kind: 0 and 1 OFF and ON events, 8 the upper 28 bits of the time, 10 a trigger edge, 13, 14 and 15 other data without events. An
-//! event has the lower 6 bits of its time, 11 bits of column and 11 of row. A word of EVT2.1 is such a word and, below it, a mask of the 32 columns
-//! from there on. Source: "EVT 2.0 Format" and "EVT 2.1 Format" of the Prophesee documentation.
+//! The upper four bits are the kind: 0 and 1 OFF and ON events, 8 the upper 28 bits of the time, 10 a trigger
+//! edge, 13, 14 and 15 other data without events. An event has the lower 6 bits of its time, 11 bits of
+//! column and 11 of row. A word of EVT2.1 is such a word and, below it, a mask of the 32 columns from there
+//! on. Source: "EVT 2.0 Format" and "EVT 2.1 Format" of the Prophesee documentation.
 //!
-//! Two orders of the halves of an EVT2.1 word exist: little-endian as a whole, and "legacy" (IMX636), where the half with the kind comes first.
+//! Two orders of the halves of an EVT2.1 word exist: little-endian as a whole, and "legacy" (IMX636), where
+//! the half with the kind comes first.
 
 use super::clock::Clock;
 use super::decoder::{Decoder, trigger};
@@ -46,7 +48,9 @@ impl Core {
                 self.faults.strays += u64::from(self.clock.set(i64::from(word & 0x0FFF_FFFF)));
                 self.high_ns = self.clock.ns();
             }
-            10 if self.clock.is_set() => triggers.push(trigger(self.t(word), word as u16, ((word >> 8) & 0x1F) as u16)),
+            10 if self.clock.is_set() => {
+                triggers.push(trigger(self.t(word), word as u16, ((word >> 8) & 0x1F) as u16))
+            }
             10 => self.faults.early += 1,
             // Inertial sensors, counters, continuations.
             13..=15 => {}
@@ -85,7 +89,8 @@ impl Evt2Decoder {
         &self.core.faults
     }
 
-    /// Decodes the whole words of `bytes`, appends events and trigger edges (times in ns), and gives the number of bytes that were used.
+    /// Decodes the whole words of `bytes`, appends events and trigger edges (times in ns), and gives the
+    /// number of bytes that were used.
     pub fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) -> usize {
         let (words, _) = bytes.as_chunks::<4>();
         let mut rest = words;
@@ -174,7 +179,8 @@ impl Evt21Decoder {
         &self.core.faults
     }
 
-    /// Decodes the whole words of `bytes`, appends events and trigger edges (times in ns), and gives the number of bytes that were used.
+    /// Decodes the whole words of `bytes`, appends events and trigger edges (times in ns), and gives the
+    /// number of bytes that were used.
     pub fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) -> usize {
         let (words, _) = bytes.as_chunks::<8>();
         let Bounds { width, height } = self.core.bounds;
@@ -192,7 +198,8 @@ impl Evt21Decoder {
                     self.core.faults.early += u64::from(set.count_ones());
                     continue;
                 }
-                let (t, first, y) = (self.core.t(upper), ((upper >> 11) & 0x7FF) as u16, (upper & 0x7FF) as u16);
+                let (t, first, y) =
+                    (self.core.t(upper), ((upper >> 11) & 0x7FF) as u16, (upper & 0x7FF) as u16);
                 let row = y < height;
                 while set != 0 {
                     let x = first + set.trailing_zeros() as u16;

@@ -1,11 +1,13 @@
 //! EVT3: words of 16 bits, of which each says only what has changed since the one before.
 //!
-//! The upper four bits are the kind: 0 row, 2 event (column and polarity), 3 column and polarity at which a vector begins, 4 and 5 vectors of 12 and 8
-//! columns, 6 and 8 the lower and upper 12 bits of the time, 10 a trigger edge, 7, 13, 14 and 15 other data that carry no events.
-//! Source: "EVT 3.0 Format" of the Prophesee documentation. Time is 24 bits of microseconds; [`super::clock`] continues it over its wraps.
+//! The upper four bits are the kind: 0 row, 2 event (column and polarity), 3 column and polarity at which a
+//! vector begins, 4 and 5 vectors of 12 and 8 columns, 6 and 8 the lower and upper 12 bits of the time, 10 a
+//! trigger edge, 7, 13, 14 and 15 other data that carry no events. Source: "EVT 3.0 Format" of the Prophesee
+//! documentation. Time is 24 bits of microseconds; [`super::clock`] continues it over its wraps.
 //!
-//! An upper time word that differs from the one before sets the lower bits to zero until the next lower time word, as the maker's own decoder
-//! has it. A lower time word that steps back is not a carry: cameras do write stamps out of order by some microseconds.
+//! An upper time word that differs from the one before sets the lower bits to zero until the next lower time
+//! word, as the maker's own decoder has it. A lower time word that steps back is not a carry: cameras do
+//! write stamps out of order by some microseconds.
 
 use super::clock::Clock;
 use super::decoder::{Decoder, trigger};
@@ -20,8 +22,9 @@ const SLACK: i64 = 64;
 /// Words between two looks at the buffer: each may be a vector of 12 events.
 const STRIDE: usize = BURST / 12;
 
-/// What words have said, in one number of four lanes of 16 bits, so that a word changes it without a branch: the row; column and polarity of a vector's
-/// begin; the lower bits of the time; columns that vectors have gone on since.
+/// What words have said, in one number of four lanes of 16 bits, so that a word changes it without a branch:
+/// the row; column and polarity of a vector's begin; the lower bits of the time; columns that vectors have
+/// gone on since.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Said(u64);
 
@@ -32,7 +35,8 @@ impl Said {
     const LOW: u32 = 32;
     const RUN: u32 = 48;
     /// Which lanes a word of each kind sets: a row its own, a vector's begin two, a lower time word its own.
-    const SETS: [u64; 16] = [0xFFFF, 0, 0, 0xFFFF_0000_FFFF_0000, 0, 0, 0xFFFF_0000_0000, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    const SETS: [u64; 16] =
+        [0xFFFF, 0, 0, 0xFFFF_0000_FFFF_0000, 0, 0, 0xFFFF_0000_0000, 0, 0, 0, 0, 0, 0, 0, 0, 0];
 
     /// After a word.
     #[inline(always)]
@@ -117,7 +121,8 @@ impl Evt3Decoder {
         &self.faults
     }
 
-    /// Decodes the whole words of `bytes`, appends events and trigger edges (times in ns), and gives the number of bytes that were used.
+    /// Decodes the whole words of `bytes`, appends events and trigger edges (times in ns), and gives the
+    /// number of bytes that were used.
     pub fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) -> usize {
         let (words, _) = bytes.as_chunks::<2>();
         let mut rest = words;
@@ -154,7 +159,8 @@ impl Evt3Decoder {
         &[]
     }
 
-    /// The inner loop: what events are made of without a branch on the kind, vectors with one, all else apart.
+    /// The inner loop: what events are made of without a branch on the kind, vectors with one, all else
+    /// apart.
     #[inline]
     fn decode_some(&mut self, words: &[[u8; 2]], buffer: &mut Buffer, triggers: &mut Vec<Trigger>) {
         const PLAIN: u32 = 1 << 0 | 1 << 2 | 1 << 3 | 1 << 6;

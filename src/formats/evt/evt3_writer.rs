@@ -1,10 +1,11 @@
 //! Writes events as an EVT3 RAW file.
 //!
-//! Time words are written for every 4,096 us, also through a gap without events: decoders know a wrap of the 24 bits only by the step from one time
-//! word to the next. Events of one time, row and polarity that stand within 12 columns become a vector where that saves a word.
+//! Time words are written for every 4,096 us, also through a gap without events: decoders know a wrap of the
+//! 24 bits only by the step from one time word to the next. Events of one time, row and polarity that stand
+//! within 12 columns become a vector where that saves a word.
 //!
-//! Limits: stamps are whole microseconds, below 16.777216 s at the first event (what was subtracted is given back by [`Writer::shift_ns`]); columns
-//! and rows below 2048; events in order of time.
+//! Limits: stamps are whole microseconds, below 16.777216 s at the first event (what was subtracted is given
+//! back by [`Writer::shift_ns`]); columns and rows below 2048; events in order of time.
 
 use crate::chunk::{Edge, EventChunk, Trigger};
 use photocurrent_core::Extent;
@@ -42,7 +43,10 @@ impl<W: Write> Writer<W> {
         if width > 2048 || height > 2048 || width == 0 || height == 0 {
             return Err(refused(format!("EVT3 has 2048 x 2048 pixels at most, not {extent}: crop first")));
         }
-        let mut header = format!("% evt 3.0\n% format EVT3;height={height};width={width}\n% geometry {width}x{height}\n");
+        let mut header = format!(
+            "% evt 3.0\n% format EVT3;height={height};width={width}\n% geometry \
+                                  {width}x{height}\n"
+        );
         for (key, value) in fields {
             if key.is_empty() || key.contains(char::is_whitespace) || value.contains(char::is_control) {
                 return Err(refused(format!("`{key} {value}` is no line of a RAW header")));
@@ -54,7 +58,8 @@ impl<W: Write> Writer<W> {
         Ok(Writer { out, extent, words: Vec::new(), shift_us: None, us: 0, has_low: false, y: None })
     }
 
-    /// What was subtracted from all stamps so that the first is below 16.777216 s, ns; zero before the first event.
+    /// What was subtracted from all stamps so that the first is below 16.777216 s, ns; zero before the first
+    /// event.
     pub fn shift_ns(&self) -> i64 {
         self.shift_us.unwrap_or(0) * 1000
     }
@@ -70,7 +75,10 @@ impl<W: Write> Writer<W> {
         while at < n {
             let (t, x, y, on) = (chunk.t[at], xs[at], ys[at], u16::from(ons[at] & 1));
             if u32::from(x) >= self.extent.width || u32::from(y) >= self.extent.height {
-                return Err(refused(format!("an event at column {x}, row {y} lies outside {} pixels", self.extent)));
+                return Err(refused(format!(
+                    "an event at column {x}, row {y} lies outside {} pixels",
+                    self.extent
+                )));
             }
             self.write_time(t)?;
             if self.y != Some(y) {
@@ -142,13 +150,19 @@ impl<W: Write> Writer<W> {
             return Ok(());
         }
         if self.has_low && us < self.us {
-            return Err(refused(format!("an event at {t} ns comes after one at {} ns: sort by time first", (self.us + shift).saturating_mul(1000))));
+            return Err(refused(format!(
+                "an event at {t} ns comes after one at {} ns: sort by time first",
+                (self.us + shift).saturating_mul(1000)
+            )));
         }
         let (from, to) = (self.us >> 12, us >> 12);
         if !self.has_low {
             self.word(8, (to & 0xFFF) as u16);
         } else if us - self.us > LONGEST_GAP_US {
-            return Err(refused(format!("no event for {} hours before {t} ns: EVT3 has no room for so long a gap", (us - self.us) / 3_600_000_000)));
+            return Err(refused(format!(
+                "no event for {} hours before {t} ns: EVT3 has no room for so long a gap",
+                (us - self.us) / 3_600_000_000
+            )));
         }
         let mut high = if self.has_low { from } else { to };
         while high < to {

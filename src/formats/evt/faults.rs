@@ -1,4 +1,5 @@
-//! What a decoder had to leave out, counted; and the small buffer through which all decoders give their events.
+//! What a decoder had to leave out, counted; and the small buffer through which all decoders give their
+//! events.
 
 use crate::chunk::EventChunk;
 use photocurrent_core::Extent;
@@ -6,7 +7,8 @@ use photocurrent_core::Extent;
 /// Words and events that a decoder left out, counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// Events and trigger edges that stand before the first time word (of EVT2, EVT2.1 and EVT3): they have no time.
+    /// Events and trigger edges that stand before the first time word (of EVT2, EVT2.1 and EVT3): they have
+    /// no time.
     pub early: u64,
     /// Events outside the extent, and events of EVT3 before any row was named.
     pub outside: u64,
@@ -34,7 +36,10 @@ impl Bounds {
     /// From an extent; without one, `most` in both directions.
     pub(super) fn new(extent: Option<Extent>, most: u16) -> Bounds {
         let within = |n: u32| u16::try_from(n).unwrap_or(most).min(most);
-        extent.map_or(Bounds { width: most, height: most }, |extent| Bounds { width: within(extent.width), height: within(extent.height) })
+        extent.map_or(Bounds { width: most, height: most }, |extent| Bounds {
+            width: within(extent.width),
+            height: within(extent.height),
+        })
     }
 }
 
@@ -46,8 +51,9 @@ pub(crate) const BURST: usize = 768;
 
 /// Events on their way out.
 ///
-/// Every word writes into it, whether it is an event or not, and only the count decides whether the write stands: a branch on the kind of
-/// a word would be mispredicted about every fifth time. The index is masked, so that no write needs a check of bounds.
+/// Every word writes into it, whether it is an event or not, and only the count decides whether the write
+/// stands: a branch on the kind of a word would be mispredicted about every fifth time. The index is masked,
+/// so that no write needs a check of bounds.
 pub(crate) struct Buffer {
     t: [i64; N],
     x: [u16; N],

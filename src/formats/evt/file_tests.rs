@@ -43,9 +43,22 @@ fn words<T: Copy, const N: usize>(words: &[T], bytes: fn(T) -> [u8; N]) -> Vec<u
 #[test]
 fn each_encoding_is_recognised_and_read() {
     let evt3 = words(&[0x8001_u16, 0x6002, 4, 0x2805, 0xA101], u16::to_le_bytes);
-    let evt2 = words(&[0x8000_0040_u32, 0x1000_0000 | 2 << 22 | 5 << 11 | 4, 0xA000_0101 | 2 << 22], u32::to_le_bytes);
-    let evt21 = words(&[0x8000_0040_u64 << 32, (0x1000_0000 | 2 << 22 | 5 << 11 | 4) << 32 | 1, (0xA000_0101 | 2 << 22) << 32], u64::to_le_bytes);
-    let legacy = words(&[0x8000_0040_u64, 1 << 32 | 0x1000_0000 | 2 << 22 | 5 << 11 | 4, 0xA000_0101 | 2 << 22], u64::to_le_bytes);
+    let evt2 = words(
+        &[0x8000_0040_u32, 0x1000_0000 | 2 << 22 | 5 << 11 | 4, 0xA000_0101 | 2 << 22],
+        u32::to_le_bytes,
+    );
+    let evt21 = words(
+        &[
+            0x8000_0040_u64 << 32,
+            (0x1000_0000 | 2 << 22 | 5 << 11 | 4) << 32 | 1,
+            (0xA000_0101 | 2 << 22) << 32,
+        ],
+        u64::to_le_bytes,
+    );
+    let legacy = words(
+        &[0x8000_0040_u64, 1 << 32 | 0x1000_0000 | 2 << 22 | 5 << 11 | 4, 0xA000_0101 | 2 << 22],
+        u64::to_le_bytes,
+    );
     let cases: [(&str, &str, &[u8]); 6] = [
         ("evt3", "% format EVT3;height=720;width=1280\n% end\n", &evt3),
         ("evt3", "% Date 2020-09-25\n% system_ID 48\n% evt 3.0\n", &evt3),
@@ -58,15 +71,35 @@ fn each_encoding_is_recognised_and_read() {
         let file = file(".raw", &[header.as_bytes(), data]);
         let recording = open(&file, id);
         let about = recording.events_about().expect("events");
-        assert_eq!((about.extent, about.tick_ns), (Some(Extent { width: 1280, height: 720 }), 1000), "{header}");
+        assert_eq!(
+            (about.extent, about.tick_ns),
+            (Some(Extent { width: 1280, height: 720 }), 1000),
+            "{header}"
+        );
         let says = header.contains("width=") || header.contains("geometry");
-        assert_eq!(about.notes.iter().any(|note| note.starts_with("size of the sensor that the header names")), !says, "{header}");
+        assert_eq!(
+            about.notes.iter().any(|note| note.starts_with("size of the sensor that the header names")),
+            !says,
+            "{header}"
+        );
         let mut cursor = recording.events().expect("a cursor");
         let events = read(&mut *cursor);
-        assert_eq!((&events.t[..], events.x[0], events.y[0], events.on[0]), (&[4_098_000_i64][..], 5, 4, 1), "{header}");
+        assert_eq!(
+            (&events.t[..], events.x[0], events.y[0], events.on[0]),
+            (&[4_098_000_i64][..], 5, 4, 1),
+            "{header}"
+        );
         assert!(cursor.losses().is_empty());
         assert_eq!(cursor.position(), (data.len() as u64, data.len() as u64));
-        assert_eq!(recording.triggers().expect("readable").iter().map(|edge| (edge.t, edge.line)).collect::<Vec<_>>(), [(4_098_000, 1)]);
+        assert_eq!(
+            recording
+                .triggers()
+                .expect("readable")
+                .iter()
+                .map(|edge| (edge.t, edge.line))
+                .collect::<Vec<_>>(),
+            [(4_098_000, 1)]
+        );
     }
 }
 
@@ -78,14 +111,22 @@ fn a_dat_file_says_its_version_count_and_size() {
     let second = opened(".dat", &[header, &[12, 8], &data], "dat");
     let about = second.0.events_about().expect("events");
     assert_eq!((about.extent, about.count), (Some(Extent { width: 640, height: 480 }), Some(2)));
-    let first = opened(".dat", &[b"% Version 1\n", &[0, 8], &words(&[record(9, 1 << 17 | 4 << 9 | 5)], u64::to_le_bytes)], "dat");
+    let first = opened(
+        ".dat",
+        &[b"% Version 1\n", &[0, 8], &words(&[record(9, 1 << 17 | 4 << 9 | 5)], u64::to_le_bytes)],
+        "dat",
+    );
     for (recording, _file) in [first, second] {
         let events = read(&mut *recording.events().expect("a cursor"));
         assert_eq!((events.t[0], events.x[0], events.y[0], events.on[0]), (9_000, 5, 4, 1));
     }
     // Without a version, the bits that are used decide.
     for (place, y) in [(1 << 17 | 4 << 9 | 5, 4), (1 << 28 | 17 << 14 | 5, 17)] {
-        let (recording, _file) = opened(".dat", &[b"% Date 2014\n", &[0, 8], &words(&[record(9, place)], u64::to_le_bytes)], "dat");
+        let (recording, _file) = opened(
+            ".dat",
+            &[b"% Date 2014\n", &[0, 8], &words(&[record(9, place)], u64::to_le_bytes)],
+            "dat",
+        );
         let events = read(&mut *recording.events().expect("a cursor"));
         assert_eq!((events.x[0], events.y[0], events.on[0]), (5, y, 1));
     }
@@ -100,7 +141,14 @@ fn what_is_no_dat_of_change_events_is_refused_or_not_recognised() {
     let empty = file(".dat", &[b"% Version 2\n"]);
     let format = recognise(empty.path()).expect("readable").expect("a DAT file");
     assert!((format.open)(empty.path(), &Declared::default()).is_err());
-    for other in [&b"% a paper\n\\documentclass"[..], b"%PDF-1.7\n", b"% format HISTO3D;width=2\n% end\n", b"", b"%", b"%\n"] {
+    for other in [
+        &b"% a paper\n\\documentclass"[..],
+        b"%PDF-1.7\n",
+        b"% format HISTO3D;width=2\n% end\n",
+        b"",
+        b"%",
+        b"%\n",
+    ] {
         assert!(recognise(file(".txt", &[other]).path()).expect("readable").is_none(), "{other:?}");
     }
 }
@@ -134,7 +182,11 @@ fn losses_name_their_place_and_are_bounded_in_number() {
     assert_eq!(losses.len(), 21);
     assert_eq!(losses[1].at, "bytes 131082 to 262154");
     assert!(losses[1].what.starts_with("1 words are of no known kind"));
-    assert!(losses[20].at == "12 more places" && losses[20].what.starts_with("12 more of this kind: words"), "{:?}", losses[20]);
+    assert!(
+        losses[20].at == "12 more places" && losses[20].what.starts_with("12 more of this kind: words"),
+        "{:?}",
+        losses[20]
+    );
 }
 
 /// A file of 14 MB: an event every 8 us, time words between, times that step back by 200 us now and then.
@@ -167,7 +219,11 @@ fn seek_leaves_out_no_event_at_or_after_the_time() {
         assert!(left_out.iter().all(|&before| before < t), "an event at or after {t} was left out");
         // Not more than a stride and a piece too early.
         let first = times.iter().position(|&time| time >= t).unwrap_or(times.len());
-        assert!(first - left_out.len() < 1_200_000, "{} events too early for {t}; at byte {at} of {of}", first - left_out.len());
+        assert!(
+            first - left_out.len() < 1_200_000,
+            "{} events too early for {t}; at byte {at} of {of}",
+            first - left_out.len()
+        );
     }
 }
 
@@ -181,6 +237,9 @@ fn settings_next_to_a_recording_are_facts() {
     let recording = (format.open)(&path, &Declared::default()).expect("opens");
     let facts = recording.facts();
     assert!(facts.contains(&("camera".into(), "serial 00000307".into())), "{facts:?}");
-    assert!(facts.iter().any(|(name, value)| name == "biases" && value.starts_with("bias_diff 300")), "{facts:?}");
+    assert!(
+        facts.iter().any(|(name, value)| name == "biases" && value.starts_with("bias_diff 300")),
+        "{facts:?}"
+    );
     assert_eq!(recording.events_about().expect("events").extent, None, "this header does not say it");
 }

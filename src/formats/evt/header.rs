@@ -1,7 +1,7 @@
 //! The text at the head of RAW and DAT files: lines of `% key value`.
 //!
-//! New files end it with `% end`; in old ones the data begin with the first line that is none. What the file does not say of its
-//! encoding and size may follow from the camera that it names, where that is certain.
+//! New files end it with `% end`; in old ones the data begin with the first line that is none. What the file
+//! does not say of its encoding and size may follow from the camera that it names, where that is certain.
 
 use photocurrent_core::Extent;
 
@@ -44,9 +44,11 @@ impl Header {
         (header.data_at > 0).then_some(header)
     }
 
-    /// The value of a key, in whatever case it is written; the first if there are several, none if it is empty.
+    /// The value of a key, in whatever case it is written; the first if there are several, none if it is
+    /// empty.
     pub(super) fn get(&self, key: &str) -> Option<&str> {
-        let mut values = self.fields.iter().filter(|(k, _)| k.eq_ignore_ascii_case(key)).map(|(_, value)| value.as_str());
+        let mut values =
+            self.fields.iter().filter(|(k, _)| k.eq_ignore_ascii_case(key)).map(|(_, value)| value.as_str());
         values.find(|value| !value.is_empty())
     }
 
@@ -74,13 +76,16 @@ impl Header {
         }
     }
 
-    /// Are the halves of EVT2.1 words swapped? As the header says; where it does not, as the camera that it names is known to write.
+    /// Are the halves of EVT2.1 words swapped? As the header says; where it does not, as the camera that it
+    /// names is known to write.
     pub(super) fn is_legacy(&self) -> bool {
         /// The first of the maker's systems that writes whole words.
         const FIRST_WHOLE: u32 = 0x37;
         match self.option("endianness").or(self.get("endianness")) {
             Some(order) => order.eq_ignore_ascii_case("legacy"),
-            None => self.is_by_maker() && self.number("system_ID").is_some_and(|id| id > 0 && id < FIRST_WHOLE),
+            None => {
+                self.is_by_maker() && self.number("system_ID").is_some_and(|id| id > 0 && id < FIRST_WHOLE)
+            }
         }
     }
 
@@ -94,11 +99,15 @@ impl Header {
         names.iter().filter_map(|name| self.get(name)).all(|name| name.eq_ignore_ascii_case("Prophesee"))
     }
 
-    /// Size of the pixel array: stated, or that of the sensor which the file names; and in the latter case from what it was taken.
+    /// Size of the pixel array: stated, or that of the sensor which the file names; and in the latter case
+    /// from what it was taken.
     pub(super) fn extent(&self) -> Option<(Extent, Option<String>)> {
         let stated = self.stated_extent().map(|extent| (extent, None));
-        stated
-            .or_else(|| self.extent_of_sensor().map(|(extent, key, value)| (extent, Some(format!("size of the sensor that the header names: {key} {value}")))))
+        stated.or_else(|| {
+            self.extent_of_sensor().map(|(extent, key, value)| {
+                (extent, Some(format!("size of the sensor that the header names: {key} {value}")))
+            })
+        })
     }
 
     fn stated_extent(&self) -> Option<Extent> {
@@ -107,7 +116,10 @@ impl Header {
             (1..=1 << 14).contains(&width).then_some(())?;
             (1..=1 << 14).contains(&height).then_some(Extent { width, height })
         };
-        let geometry = self.get("geometry").and_then(|size| size.split_once('x')).and_then(|(width, height)| of(width, height));
+        let geometry = self
+            .get("geometry")
+            .and_then(|size| size.split_once('x'))
+            .and_then(|(width, height)| of(width, height));
         let options = || of(self.option("width")?, self.option("height")?);
         let fields = || of(self.get("Width")?, self.get("Height")?);
         geometry.or_else(options).or_else(fields)
@@ -120,7 +132,8 @@ impl Header {
         const SMALL: Option<Extent> = Some(Extent { width: 320, height: 320 });
         let named = |name: &str| {
             let name = name.to_lowercase();
-            // "gen3" and "gen31", "gen4" and "gen41", as plugins and sensors are called; "genx320" and "saphir" are one sensor.
+            // "gen3" and "gen31", "gen4" and "gen41", as plugins and sensors are called; "genx320" and
+            // "saphir" are one sensor.
             let generation = ["gen3", "gen4"].into_iter().find(|generation| name.contains(generation));
             match generation {
                 _ if name.contains("genx320") || name.contains("saphir") => SMALL,
@@ -141,21 +154,34 @@ impl Header {
             0x3B | 0x40 => SMALL,
             _ => None,
         };
-        let from = |key: &'static str, size: &dyn Fn(&str) -> Option<Extent>| self.get(key).and_then(|value| Some((size(value)?, key, value)));
-        let generation = || from("sensor_generation", &of_generation).or_else(|| from("generation", &of_generation));
-        from("sensor_name", &named).or_else(generation).or_else(|| from("plugin_name", &named)).or_else(|| from("system_ID", &of_system))
+        let from = |key: &'static str, size: &dyn Fn(&str) -> Option<Extent>| {
+            self.get(key).and_then(|value| Some((size(value)?, key, value)))
+        };
+        let generation =
+            || from("sensor_generation", &of_generation).or_else(|| from("generation", &of_generation));
+        from("sensor_name", &named)
+            .or_else(generation)
+            .or_else(|| from("plugin_name", &named))
+            .or_else(|| from("system_ID", &of_system))
     }
 
     /// What the header says, for people.
     pub(super) fn facts(&self) -> Vec<(String, String)> {
         let mut facts = Vec::new();
-        let mut fact = |name: &str, value: Option<String>| facts.extend(value.map(|value| (name.into(), value)));
+        let mut fact =
+            |name: &str, value: Option<String>| facts.extend(value.map(|value| (name.into(), value)));
         let integrator = self.get("camera_integrator_name").or(self.get("integrator_name"));
-        let camera =
-            [integrator.map(str::to_owned), self.get("plugin_name").map(str::to_owned), self.get("serial_number").map(|serial| format!("serial {serial}"))];
+        let camera = [
+            integrator.map(str::to_owned),
+            self.get("plugin_name").map(str::to_owned),
+            self.get("serial_number").map(|serial| format!("serial {serial}")),
+        ];
         let camera: Vec<String> = camera.into_iter().flatten().collect();
         fact("camera", (!camera.is_empty()).then(|| camera.join(" ")));
-        let generation = self.get("sensor_generation").or(self.get("generation")).map(|generation| format!("generation {generation}"));
+        let generation = self
+            .get("sensor_generation")
+            .or(self.get("generation"))
+            .map(|generation| format!("generation {generation}"));
         fact("sensor", self.get("sensor_name").map(str::to_owned).or(generation));
         fact("date", self.get("date").map(str::to_owned));
         fact("firmware", self.get("firmware_version").map(str::to_owned));
@@ -163,7 +189,8 @@ impl Header {
     }
 }
 
-/// The next line of the header, without its end; `None` where data begin. Binary data may begin with `%` too, but hardly with a line of text.
+/// The next line of the header, without its end; `None` where data begin. Binary data may begin with `%` too,
+/// but hardly with a line of text.
 fn line(bytes: &[u8]) -> Option<&str> {
     if bytes.first() != Some(&b'%') {
         return None;
@@ -185,7 +212,8 @@ mod tests {
 
     #[test]
     fn a_new_header_says_format_and_size() {
-        let text = "% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% end\n% not of the header\n";
+        let text = "% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% end\n% not of \
+                    the header\n";
         let header = parse(text);
         assert_eq!(header.encoding(), Some(Encoding::Evt3));
         assert_eq!(header.extent(), Some((Extent { width: 1280, height: 720 }, None)));
@@ -194,7 +222,9 @@ mod tests {
 
     #[test]
     fn an_old_header_ends_where_data_begin() {
-        let mut bytes = b"% Date 2020-09-25 07:48:31\n% plugin_name hal_plugin_gen3_fx3\n% system_ID 21\n% evt 2.0\n".to_vec();
+        let mut bytes =
+            b"% Date 2020-09-25 07:48:31\n% plugin_name hal_plugin_gen3_fx3\n% system_ID 21\n% evt 2.0\n"
+                .to_vec();
         let data_at = bytes.len();
         // Data that begin like a line of the header.
         bytes.extend(b"% \x01\x80\n\x00\x00\x00");
@@ -203,7 +233,13 @@ mod tests {
         let (extent, from) = header.extent().expect("gen3 has 640 x 480 pixels");
         assert_eq!(
             (extent, from.as_deref()),
-            (Extent { width: 640, height: 480 }, Some("size of the sensor that the header names: plugin_name hal_plugin_gen3_fx3"))
+            (
+                Extent { width: 640, height: 480 },
+                Some(
+                    "size of the sensor that the header names: \
+                                                       plugin_name hal_plugin_gen3_fx3"
+                )
+            )
         );
         assert_eq!(header.get("DATE"), Some("2020-09-25 07:48:31"));
     }

@@ -1,7 +1,7 @@
 //! An opened RAW or DAT file: a cursor that decodes piece by piece, and a sparse index for jumps in time.
 //!
-//! The index has the state of the decoder every few megabytes, and the latest stamp before it. It grows on the way, whoever reads; a jump beyond it
-//! decodes from its end. All cursors of a recording share it.
+//! The index has the state of the decoder every few megabytes, and the latest stamp before it. It grows on
+//! the way, whoever reads; a jump beyond it decodes from its end. All cursors of a recording share it.
 
 use super::decoder::Decoder;
 use super::faults::Faults;
@@ -39,7 +39,13 @@ pub(super) fn read_header(path: &Path) -> Result<(Header, u64), FormatError> {
     let head = read_at(path, 0, header::LONGEST)?;
     let bytes = std::fs::metadata(path).map_err(|error| FormatError::io(path, &error))?.len();
     let Some(header) = Header::parse(&head) else {
-        return Err(FormatError::new(path, "no header of `% key value` lines", "name a RAW or DAT file as the camera's software wrote it").at("byte 0"));
+        return Err(FormatError::new(
+            path,
+            "no header of `% key value` lines",
+            "name a RAW or DAT file as \
+                                                            the camera's software wrote it",
+        )
+        .at("byte 0"));
     };
     Ok((header, bytes))
 }
@@ -78,7 +84,13 @@ pub(super) struct About {
 }
 
 /// Opens a file whose header is read.
-pub(super) fn open<D: Decoder>(path: &Path, header: &Header, bytes: u64, known: About, decoder: D) -> Box<dyn Recording> {
+pub(super) fn open<D: Decoder>(
+    path: &Path,
+    header: &Header,
+    bytes: u64,
+    known: About,
+    decoder: D,
+) -> Box<dyn Recording> {
     let data_at = header.data_at as u64;
     let count = known.is_counted.then(|| bytes.saturating_sub(data_at) / D::WORD as u64);
     let extent = known.extent;
@@ -86,20 +98,32 @@ pub(super) fn open<D: Decoder>(path: &Path, header: &Header, bytes: u64, known: 
     // A recording that was begun in midstream begins so: nothing is damaged.
     let early = before_time(path, data_at, decoder.clone()).early;
     if early > 0 {
-        notes.push(format!("{early} events or trigger edges stand before the first time word and have no time; they are left out"));
+        notes.push(format!(
+            "{early} events or trigger edges stand before the first time word and have no \
+                            time; they are left out"
+        ));
     }
     let about = EventsAbout { extent, tick_ns: 1000, count, has_t_in: false, stamps: known.stamps, notes };
     let mut facts = vec![("encoding".to_owned(), known.encoding)];
     facts.extend(header.facts());
     facts.extend(bias::next_to(path));
     let start = Mark { at: data_at, decoder, latest: i64::MIN };
-    Box::new(Raw { path: path.into(), data_at, about, extent, facts, index: Arc::new(Mutex::new(vec![start])) })
+    Box::new(Raw {
+        path: path.into(),
+        data_at,
+        about,
+        extent,
+        facts,
+        index: Arc::new(Mutex::new(vec![start])),
+    })
 }
 
 /// What the beginning of the words lacks; nothing when it cannot be read, which the cursor reports.
 fn before_time<D: Decoder>(path: &Path, data_at: u64, mut decoder: D) -> Faults {
     let mut bytes = Vec::new();
-    let read = File::open(path).and_then(|mut file| file.seek(SeekFrom::Start(data_at)).and_then(|_| file.take(BEGINNING).read_to_end(&mut bytes)));
+    let read = File::open(path).and_then(|mut file| {
+        file.seek(SeekFrom::Start(data_at)).and_then(|_| file.take(BEGINNING).read_to_end(&mut bytes))
+    });
     if read.is_ok() {
         decoder.decode(&bytes, &mut EventChunk::default(), &mut Vec::new());
     }
@@ -210,7 +234,8 @@ impl<D: Decoder> Cursor<D> {
         }
     }
 
-    /// Reports what the decoder left out in the piece before the mark. Events before any time are no damage: a note counts them.
+    /// Reports what the decoder left out in the piece before the mark. Events before any time are no damage:
+    /// a note counts them.
     fn report_faults(&mut self, begin: u64) {
         let now = *self.mark.decoder.faults();
         let known = std::mem::replace(&mut self.known, now);
@@ -219,13 +244,27 @@ impl<D: Decoder> Cursor<D> {
         }
         let at = || format!("bytes {begin} to {}", self.mark.at);
         let outside = now.outside.saturating_sub(known.outside);
-        let array = self.extent.map_or("what the format can have".into(), |extent| format!("{extent} pixels"));
+        let array =
+            self.extent.map_or("what the format can have".into(), |extent| format!("{extent} pixels"));
         let what = || format!("{outside} events lie outside {array}, or have no row; they are left out");
-        self.losses.add_by(Cause::Outside, "events outside the pixel array, or without a row, were left out", outside, at, what);
+        self.losses.add_by(
+            Cause::Outside,
+            "events outside the pixel array, or without a row, were left out",
+            outside,
+            at,
+            what,
+        );
         let unknown = now.unknown.saturating_sub(known.unknown);
-        self.losses.add_items("words of no known kind were left out", unknown, at, || format!("{unknown} words are of no known kind; they are left out"));
+        self.losses.add_items("words of no known kind were left out", unknown, at, || {
+            format!("{unknown} words are of no known kind; they are left out")
+        });
         let strays = now.strays.saturating_sub(known.strays);
-        let what = || format!("{strays} time words leap away and the next one back; they are undone, events between have a wrong stamp");
+        let what = || {
+            format!(
+                "{strays} time words leap away and the next one back; they are undone, events \
+                               between have a wrong stamp"
+            )
+        };
         self.losses.add_items("time words that leap away and back were undone", strays, at, what);
     }
 }
@@ -245,8 +284,20 @@ impl<D: Decoder> EventCursor for Cursor<D> {
         if left > 0 {
             // Only the end of the file is no whole word. Some programs end a file with a line feed.
             if self.piece[used..read] != *b"\n" {
-                let what = || format!("the file ends within a word of {} bytes: it is cut off, and what came after it is lost", D::WORD);
-                self.losses.add_by(Cause::Cut, "words that are cut off", 1, || format!("bytes {} to {}", self.mark.at, self.mark.at + left as u64), what);
+                let what = || {
+                    format!(
+                        "the file ends within a word of {} bytes: it is cut off, and what \
+                                       came after it is lost",
+                        D::WORD
+                    )
+                };
+                self.losses.add_by(
+                    Cause::Cut,
+                    "words that are cut off",
+                    1,
+                    || format!("bytes {} to {}", self.mark.at, self.mark.at + left as u64),
+                    what,
+                );
             }
             self.file.seek(SeekFrom::End(0)).map_err(|error| FormatError::io(&self.path, &error))?;
         }
@@ -267,7 +318,8 @@ impl<D: Decoder> EventCursor for Cursor<D> {
         if !is_last {
             return Ok(());
         }
-        // Beyond the index: it grows until it covers the time, or the file ends. What is left out on the way is reported when it is read.
+        // Beyond the index: it grows until it covers the time, or the file ends. What is left out on the way
+        // is reported when it is read.
         let losses = self.losses.clone();
         let mut chunk = EventChunk::default();
         while self.mark.latest < t_ns && self.next(&mut chunk)? {}

@@ -48,7 +48,8 @@ fn evt3_takes_row_time_and_polarity_from_the_words_before() {
 
 #[test]
 fn evt3_vectors_go_on_where_the_one_before_ended() {
-    // Base 100 OFF; 12 columns with the first and the last set; 12 empty; 8 with bits 0, 1 and 7; the base that was named holds no longer.
+    // Base 100 OFF; 12 columns with the first and the last set; 12 empty; 8 with bits 0, 1 and 7; the base
+    // that was named holds no longer.
     let (events, ..) = decode3(&[0x8000, 0x6000, 7, 0x3064, 0x4801, 0x4000, 0x5083, 0x5001]);
     let columns: Vec<u16> = events.iter().map(|event| event.1).collect();
     assert_eq!(columns, [100, 111, 124, 125, 131, 132]);
@@ -59,7 +60,8 @@ fn evt3_vectors_go_on_where_the_one_before_ended() {
 
 #[test]
 fn evt3_time_goes_on_over_the_wrap_of_24_bits() {
-    let (events, _, faults) = decode3(&[0x8FFF, 0x6FFF, 1, 0x2001, 0x8000, 0x6000, 0x2002, 0x8001, 0x6001, 0x2003]);
+    let (events, _, faults) =
+        decode3(&[0x8FFF, 0x6FFF, 1, 0x2001, 0x8000, 0x6000, 0x2002, 0x8001, 0x6001, 0x2003]);
     let times: Vec<i64> = events.iter().map(|event| event.0).collect();
     assert_eq!(times, [16_777_215, 16_777_216, 16_777_216 + 4097]);
     assert_eq!(faults, Faults::default());
@@ -68,11 +70,23 @@ fn evt3_time_goes_on_over_the_wrap_of_24_bits() {
 #[test]
 fn evt3_time_words_that_repeat_or_step_back_are_no_wrap() {
     // Out of order at the wrap: high 4095, 0, 4095, 0.
-    let words = [0x8FFF, 0x6001, 1, 0x2001, 0x8000, 0x6001, 0x2002, 0x8FFF, 0x6FFE, 0x2003, 0x8000, 0x6002, 0x2004, 0x8000, 0x2005];
+    let words = [
+        0x8FFF, 0x6001, 1, 0x2001, 0x8000, 0x6001, 0x2002, 0x8FFF, 0x6FFE, 0x2003, 0x8000, 0x6002, 0x2004,
+        0x8000, 0x2005,
+    ];
     let times: Vec<i64> = decode3(&words).0.iter().map(|event| event.0).collect();
-    assert_eq!(times, [16_773_121, 16_777_217, 16_777_214, 16_777_218, 16_777_218], "a repeated time word leaves the lower bits");
+    assert_eq!(
+        times,
+        [16_773_121, 16_777_217, 16_777_214, 16_777_218, 16_777_218],
+        "a repeated time word \
+                                                            leaves the lower bits"
+    );
     // A step back of the lower bits is a stamp out of order, not a carry.
-    let times: Vec<i64> = decode3(&[0x8001, 0x600B, 1, 0x2001, 0x6000, 0x2002, 0x8002, 0x2003]).0.iter().map(|event| event.0).collect();
+    let times: Vec<i64> = decode3(&[0x8001, 0x600B, 1, 0x2001, 0x6000, 0x2002, 0x8002, 0x2003])
+        .0
+        .iter()
+        .map(|event| event.0)
+        .collect();
     assert_eq!(times, [4107, 4096, 8192], "a new upper time word sets the lower bits to zero");
 }
 
@@ -84,7 +98,8 @@ fn evt3_counts_many_wraps() {
         words.extend((0..16).map(|step| 0x8000 | step << 8));
         words.extend([0x6000 | period, 0x2000 | period]);
     }
-    let expected: Vec<Event> = (0..50).map(|n| (i64::from(n) * 16_777_216 + 15 * 256 * 4096 + i64::from(n), n, 3, 0)).collect();
+    let expected: Vec<Event> =
+        (0..50).map(|n| (i64::from(n) * 16_777_216 + 15 * 256 * 4096 + i64::from(n), n, 3, 0)).collect();
     assert_eq!(decode3(&words).0, expected);
 }
 
@@ -101,8 +116,10 @@ fn evt3_leaves_out_what_comes_before_time_or_row_and_unknown_words() {
     let (events, _, faults) = decode3(&[9, 0x2001, 0x3010, 0x4003, 0xA101, 0x5080, 0x8000, 0x2805, 0x4001]);
     assert_eq!(events, [(0, 5, 9, 1), (0, 16 + 12 + 8, 9, 0)]);
     assert_eq!(faults, Faults { early: 5, ..Faults::default() });
-    // Without a row; kinds 9, 11 and 12, which do not exist; others, continued and inertial words, which carry no events.
-    let (events, _, faults) = decode3(&[0x8000, 0x2005, 0x9000, 0xB000, 0xC000, 0xE014, 0xF123, 0x7001, 0xD000, 0, 0x2006]);
+    // Without a row; kinds 9, 11 and 12, which do not exist; others, continued and inertial words, which
+    // carry no events.
+    let (events, _, faults) =
+        decode3(&[0x8000, 0x2005, 0x9000, 0xB000, 0xC000, 0xE014, 0xF123, 0x7001, 0xD000, 0, 0x2006]);
     assert_eq!(events, [(0, 6, 0, 0)]);
     assert_eq!(faults, Faults { outside: 1, unknown: 3, ..Faults::default() });
 }
@@ -110,7 +127,13 @@ fn evt3_leaves_out_what_comes_before_time_or_row_and_unknown_words() {
 #[test]
 fn evt3_trigger_words_have_line_and_edge() {
     let (_, triggers, _) = decode3(&[0x8001, 0x6002, 0xA101, 0x6003, 0xA600]);
-    assert_eq!(triggers, [Trigger { t: 4_098_000, line: 1, edge: Edge::Rising }, Trigger { t: 4_099_000, line: 6, edge: Edge::Falling }]);
+    assert_eq!(
+        triggers,
+        [
+            Trigger { t: 4_098_000, line: 1, edge: Edge::Rising },
+            Trigger { t: 4_099_000, line: 6, edge: Edge::Falling }
+        ]
+    );
 }
 
 #[test]
@@ -119,12 +142,20 @@ fn events_outside_the_extent_are_left_out_and_counted() {
     let mut out = EventChunk::default();
     let mut decoder = Evt3Decoder::new().with_extent(extent);
     // Columns 19 and 20 of row 9; a vector from 18 with all of 12; a row 10.
-    decoder.decode(&bytes3(&[0x8000, 0x6000, 9, 0x2013, 0x2014, 0x3012, 0x4FFF, 10, 0x2001, 0x3000, 0x5001]), &mut out, &mut Vec::new());
+    decoder.decode(
+        &bytes3(&[0x8000, 0x6000, 9, 0x2013, 0x2014, 0x3012, 0x4FFF, 10, 0x2001, 0x3000, 0x5001]),
+        &mut out,
+        &mut Vec::new(),
+    );
     assert_eq!(events(&out), [(0, 19, 9, 0), (0, 18, 9, 0), (0, 19, 9, 0)]);
     assert_eq!(decoder.faults().outside, 13);
     let mut out = EventChunk::default();
     let mut decoder = Evt2Decoder::new().with_extent(extent);
-    decoder.decode(&bytes2(&[0x8000_0000, 19 << 11 | 9, 20 << 11 | 9, 19 << 11 | 10]), &mut out, &mut Vec::new());
+    decoder.decode(
+        &bytes2(&[0x8000_0000, 19 << 11 | 9, 20 << 11 | 9, 19 << 11 | 10]),
+        &mut out,
+        &mut Vec::new(),
+    );
     assert_eq!((events(&out), decoder.faults().outside), (vec![(0, 19, 9, 0)], 2));
     let mut out = EventChunk::default();
     let mut decoder = DatDecoder::new(DatLayout::V2).with_extent(extent);
@@ -134,9 +165,17 @@ fn events_outside_the_extent_are_left_out_and_counted() {
 
 #[test]
 fn evt2_words_have_time_column_row_and_polarity() {
-    // An event before any time; high 2; ON with low 63 at 639, 479; OFF with low 1; a falling edge on line 17; counters; an unknown kind.
-    let words =
-        [0x1000_0000, 0x8000_0002, 0x1000_0000 | 63 << 22 | 639 << 11 | 479, 1 << 22 | 5 << 11 | 6, 0xA000_0000 | 3 << 22 | 17 << 8, 0xE000_0000, 0x3000_0000];
+    // An event before any time; high 2; ON with low 63 at 639, 479; OFF with low 1; a falling edge on line
+    // 17; counters; an unknown kind.
+    let words = [
+        0x1000_0000,
+        0x8000_0002,
+        0x1000_0000 | 63 << 22 | 639 << 11 | 479,
+        1 << 22 | 5 << 11 | 6,
+        0xA000_0000 | 3 << 22 | 17 << 8,
+        0xE000_0000,
+        0x3000_0000,
+    ];
     let (events, triggers, faults) = decode2(&words);
     assert_eq!(events, [(191, 639, 479, 1), (129, 5, 6, 0)]);
     assert_eq!(triggers, [Trigger { t: 131_000, line: 17, edge: Edge::Falling }]);
@@ -153,10 +192,16 @@ fn evt2_time_goes_on_over_the_wrap_of_28_bits() {
 
 #[test]
 fn evt21_words_hold_32_columns_in_either_order_of_halves() {
-    let words = [0x8000_0001_u64 << 32, (0x1000_0000 | 2 << 22 | 32 << 11 | 7) << 32 | 0x8000_0005, (3 << 22 | 8) << 32 | 1, (0xA000_0001 | 1 << 8) << 32];
+    let words = [
+        0x8000_0001_u64 << 32,
+        (0x1000_0000 | 2 << 22 | 32 << 11 | 7) << 32 | 0x8000_0005,
+        (3 << 22 | 8) << 32 | 1,
+        (0xA000_0001 | 1 << 8) << 32,
+    ];
     let expected = [(66, 32, 7, 1), (66, 34, 7, 1), (66, 63, 7, 1), (67, 0, 8, 0)];
     for (legacy, words) in [(false, words), (true, words.map(|word| word.rotate_left(32)))] {
-        let (mut out, mut triggers, mut decoder) = (EventChunk::default(), Vec::new(), Evt21Decoder::new().with_legacy(legacy));
+        let (mut out, mut triggers, mut decoder) =
+            (EventChunk::default(), Vec::new(), Evt21Decoder::new().with_legacy(legacy));
         assert_eq!(decoder.decode(&bytes21(&words), &mut out, &mut triggers), 32);
         assert_eq!(events(&out), expected, "legacy: {legacy}");
         assert_eq!(triggers, [Trigger { t: 64_000, line: 1, edge: Edge::Rising }]);
@@ -168,9 +213,15 @@ fn dat_records_of_both_versions_and_the_wrap_of_32_bits() {
     let record = |t: u32, place: u64| place << 32 | u64::from(t);
     let mut out = EventChunk::default();
     let place = 1 << 28 | 479 << 14 | 639;
-    DatDecoder::new(DatLayout::V2).decode(&bytes21(&[record(u32::MAX, place), record(0, 1), record(u32::MAX, 2), record(5, 3)]), &mut out);
+    DatDecoder::new(DatLayout::V2).decode(
+        &bytes21(&[record(u32::MAX, place), record(0, 1), record(u32::MAX, 2), record(5, 3)]),
+        &mut out,
+    );
     let wrap = 1 << 32;
-    assert_eq!(events(&out), [(wrap - 1, 639, 479, 1), (wrap, 1, 0, 0), (wrap - 1, 2, 0, 0), (wrap + 5, 3, 0, 0)]);
+    assert_eq!(
+        events(&out),
+        [(wrap - 1, 639, 479, 1), (wrap, 1, 0, 0), (wrap - 1, 2, 0, 0), (wrap + 5, 3, 0, 0)]
+    );
     let mut out = EventChunk::default();
     DatDecoder::new(DatLayout::V1).decode(&bytes21(&[record(7, 1 << 17 | 239 << 9 | 303)]), &mut out);
     assert_eq!(events(&out), [(7, 303, 239, 1)]);
@@ -189,7 +240,9 @@ fn plain_evt3(words: &[u16]) -> Vec<Event> {
             (6, Some(_), _) => low = value,
             (0, ..) => row = Some(value & 0x7FF),
             (3, ..) => (base, on) = (value & 0x7FF, (value >> 11) as u8),
-            (2, Some(high), Some(row)) => all.push((i64::from(high) * 4096 + i64::from(low), value & 0x7FF, row, (value >> 11) as u8)),
+            (2, Some(high), Some(row)) => {
+                all.push((i64::from(high) * 4096 + i64::from(low), value & 0x7FF, row, (value >> 11) as u8))
+            }
             (4 | 5, ..) => {
                 let columns = if word >> 12 == 4 { 12 } else { 8 };
                 if let (Some(high), Some(row)) = (high, row) {
@@ -205,7 +258,8 @@ fn plain_evt3(words: &[u16]) -> Vec<Event> {
 }
 
 fn tuples() -> impl Strategy<Value = Vec<(i64, u16, u16, bool)>> {
-    // Steps of time of all sizes, zero the most frequent, and columns near each other: vectors, repeats, gaps over several wraps.
+    // Steps of time of all sizes, zero the most frequent, and columns near each other: vectors, repeats, gaps
+    // over several wraps.
     let step = prop_oneof![4 => Just(0_i64), 4 => 1..200_i64, 1 => 1..40_000_000_i64];
     proptest::collection::vec((step, 0..40_u16, 0..4_u16, any::<bool>()), 0..300)
 }
@@ -243,7 +297,8 @@ proptest! {
 
     #[test]
     fn any_bytes_are_a_header_or_none(bytes in proptest::collection::vec(any::<u8>(), 0..300),
-                                         text in "(% (evt|format|geometry|system_ID|Version|endianness) [0-9a-zEVT.=;x -]{0,30}\n){0,4}") {
+                                         text in "(% (evt|format|geometry|system_ID|Version|endianness) \
+                                                  [0-9a-zEVT.=;x -]{0,30}\n){0,4}") {
         let Some(header) = Header::parse(&[text.as_bytes(), &bytes].concat()) else {
             prop_assert!(text.is_empty());
             return Ok(());
@@ -288,7 +343,10 @@ fn the_writer_makes_vectors_and_triggers_after_the_tables() {
     writer.write(&chunk).expect("events in order");
     writer.write_trigger(&Trigger { t: 4_097_000, line: 2, edge: Edge::Rising }).expect("a trigger");
     let file = writer.finish().expect("a file");
-    assert_eq!(file[begin..], bytes3(&[0x8000, 0x6005, 0x0003, 0x380A, 0x5085, 0x8001, 0x6000, 0x2001, 0x6001, 0xA201]));
+    assert_eq!(
+        file[begin..],
+        bytes3(&[0x8000, 0x6005, 0x0003, 0x380A, 0x5085, 0x8001, 0x6000, 0x2001, 0x6001, 0xA201])
+    );
 }
 
 #[test]

@@ -1,7 +1,10 @@
-//! Reads a recording of any format and prints what it gives: counts, first and last stamp, a checksum, and how long it took.
+//! Reads a recording of any format and prints what it gives: counts, first and last stamp, a checksum, and
+//! how long it took.
 //!
-//! Run with `cargo run --release -p photocurrent-formats --example decode -- [--time-unit s|ms|us|ns] FILE...`, or through `benches/peers.py`, which does
-//! the same with other programs. The unit is that of files that do not state it. The checksum does not depend on the order of events of other readers: a sum over events of t (us) + 3 x + 5 y + 7 on, modulo 2^64.
+//! Run with `cargo run --release -p photocurrent-formats --example decode -- [--time-unit s|ms|us|ns]
+//! FILE...`, or through `benches/peers.py`, which does the same with other programs. The unit is that of
+//! files that do not state it. The checksum does not depend on the order of events of other readers: a sum
+//! over events of t (us) + 3 x + 5 y + 7 on, modulo 2^64.
 
 #![allow(clippy::print_stdout)]
 
@@ -23,7 +26,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let name = arguments.next().unwrap_or_default();
         let units = [("s", TimeUnit::S), ("ms", TimeUnit::Ms), ("us", TimeUnit::Us), ("ns", TimeUnit::Ns)];
-        let unit = units.iter().find(|(known, _)| name == *known).ok_or_else(|| format!("--time-unit {name:?}, expected s, ms, us or ns"))?;
+        let unit = units
+            .iter()
+            .find(|(known, _)| name == *known)
+            .ok_or_else(|| format!("--time-unit {name:?}, expected s, ms, us or ns"))?;
         declared.time_unit = Some(unit.1);
     }
     Ok(())
@@ -87,7 +93,13 @@ fn read(path: &Path, declared: &Declared) -> Result<(), Box<dyn Error>> {
     println!("  triggers {}", recording.triggers()?.len());
     if let Some(pictures) = recording.pictures() {
         let about = pictures.about();
-        println!("  frames {} of {}, {:?}, {} bits", about.stamps.len(), about.extent, about.colour, about.bits);
+        println!(
+            "  frames {} of {}, {:?}, {} bits",
+            about.stamps.len(),
+            about.extent,
+            about.colour,
+            about.bits
+        );
         let mut values = Vec::new();
         let (mut sum, mut best) = (0.0, Duration::MAX);
         for run in 0..RUNS {
@@ -102,13 +114,21 @@ fn read(path: &Path, declared: &Declared) -> Result<(), Box<dyn Error>> {
             best = best.min(start.elapsed());
         }
         println!("  frame values sum {sum}");
-        println!("  frame seconds {:.6}, frames/s {:.0}", best.as_secs_f64(), about.stamps.len() as f64 / best.as_secs_f64());
+        println!(
+            "  frame seconds {:.6}, frames/s {:.0}",
+            best.as_secs_f64(),
+            about.stamps.len() as f64 / best.as_secs_f64()
+        );
     }
     Ok(())
 }
 
-/// What the events are, and the shortest time that reading them took: opening, decoding into columns, a piece at a time.
-fn timed(recording: &dyn Recording, open: impl Fn() -> Result<Box<dyn Recording>, FormatError>) -> Result<(Seen, Duration), Box<dyn Error>> {
+/// What the events are, and the shortest time that reading them took: opening, decoding into columns, a piece
+/// at a time.
+fn timed(
+    recording: &dyn Recording,
+    open: impl Fn() -> Result<Box<dyn Recording>, FormatError>,
+) -> Result<(Seen, Duration), Box<dyn Error>> {
     let mut seen = Seen::default();
     let mut cursor = recording.events()?;
     let mut chunk = EventChunk::default();

@@ -1,9 +1,12 @@
-//! Reads changed files of every format for as long as is asked: `cargo run --release -p photocurrent-formats --example fuzz -- [INPUTS] [SEED] [FORMAT]`.
+//! Reads changed files of every format for as long as is asked: `cargo run --release -p photocurrent-formats
+//! --example fuzz -- [INPUTS] [SEED] [FORMAT]`.
 //!
-//! INPUTS are spread over the formats by how fast they read. A panic, more memory than the budget, or more than five seconds is a failure: the input is
-//! written to `fuzz-failures`, and the exit code is 1. An input that does not come back within 20 s ends the run; it stays in the scratch folder.
-//! Memory of libraries in C (HDF5, Zstandard) is not counted. HDF5 1.10 ends the process on about one in 10,000 changed files (a chunk of size 0, a heap
-//! of variable-length text that ends early): a copy of the process finds that out, and the file is refused.
+//! INPUTS are spread over the formats by how fast they read. A panic, more memory than the budget, or more
+//! than five seconds is a failure: the input is written to `fuzz-failures`, and the exit code is 1. An input
+//! that does not come back within 20 s ends the run; it stays in the scratch folder. Memory of libraries in C
+//! (HDF5, Zstandard) is not counted. HDF5 1.10 ends the process on about one in 10,000 changed files (a chunk
+//! of size 0, a heap of variable-length text that ends early): a copy of the process finds that out, and the
+//! file is refused.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 #[path = "../tests/common/mod.rs"]
@@ -18,12 +21,14 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-/// What one input may take at once, beyond what stood before: a chunk of events, a picture, a message, buffers.
+/// What one input may take at once, beyond what stood before: a chunk of events, a picture, a message,
+/// buffers.
 const BUDGET: i64 = 64 << 20;
-/// As much as the TIFF library reserves, without using it, for a list that a few bytes claim (its limits can be set only after that), and as a chunk of a
-/// foreign HDF5 file may have.
+/// As much as the TIFF library reserves, without using it, for a list that a few bytes claim (its limits can
+/// be set only after that), and as a chunk of a foreign HDF5 file may have.
 const BUDGET_CLAIMED: i64 = 272 << 20;
-/// A copy of the process may try an HDF5 file for 1 s of processor time, which is more on the clock of a busy machine.
+/// A copy of the process may try an HDF5 file for 1 s of processor time, which is more on the clock of a busy
+/// machine.
 const SLOW: Duration = Duration::from_secs(5);
 const HUNG_S: u64 = 20;
 
@@ -60,10 +65,13 @@ fn scratch() -> tempfile::TempDir {
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let number = |k: usize, default: u64| arguments.get(k).map_or(default, |text: &String| text.parse().unwrap());
+    let number =
+        |k: usize, default: u64| arguments.get(k).map_or(default, |text: &String| text.parse().unwrap());
     let (inputs, first_seed, only) = (number(0, 100_000), number(1, 1), arguments.get(2));
     let start = Instant::now();
-    std::panic::set_hook(Box::new(|panic| *LAST_PANIC.lock().unwrap() = panic.to_string().replace('\n', " ")));
+    std::panic::set_hook(Box::new(|panic| {
+        *LAST_PANIC.lock().unwrap() = panic.to_string().replace('\n', " ")
+    }));
     std::thread::spawn(move || {
         loop {
             std::thread::sleep(Duration::from_secs(1));
@@ -74,7 +82,8 @@ fn main() {
             }
         }
     });
-    let seeds: Vec<Seed> = seeds::all().into_iter().filter(|seed| only.is_none_or(|only| seed.format == only)).collect();
+    let seeds: Vec<Seed> =
+        seeds::all().into_iter().filter(|seed| only.is_none_or(|only| seed.format == only)).collect();
     // As long for every recording: HDF5 files take some fifty times as long to open as others.
     let rates: Vec<f64> = seeds.iter().map(rate_of).collect();
     let sum: f64 = rates.iter().sum();
@@ -83,7 +92,10 @@ fn main() {
         let share = (inputs as f64 * rate / sum).ceil() as u64;
         let (of_seed, failed) = (Instant::now(), fuzz(seed, share, first_seed + 1000 * index as u64, start));
         let rate = share as f64 / of_seed.elapsed().as_secs_f64();
-        println!("{:18} {:22} {share:9} inputs, {rate:7.0}/s, {failed} failures", seed.format, seed.files[0].0);
+        println!(
+            "{:18} {:22} {share:9} inputs, {rate:7.0}/s, {failed} failures",
+            seed.format, seed.files[0].0
+        );
         done += share;
         failures += failed;
     }

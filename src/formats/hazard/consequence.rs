@@ -1,7 +1,9 @@
 //! What becomes of each finding when a manifest is written: one list, one consequence each.
 //!
-//! `inspect` reports; `photocurrent init` acts. A fault that can be put right in the parameters of a reader is, with a note; what the files leave open becomes a line marked
-//! `FILL:`; what would make every picture wrong, and cannot be put right, is refused with the option that states it or accepts it. Facts have no consequence.
+//! `inspect` reports; `photocurrent init` acts. A fault that can be put right in the parameters of a reader
+//! is, with a note; what the files leave open becomes a line marked `FILL:`; what would make every picture
+//! wrong, and cannot be put right, is refused with the option that states it or accepts it. Facts have no
+//! consequence.
 
 /// What `init` does about a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,7 +14,8 @@ pub enum Consequence {
     Proposes(&'static str),
     /// Writes a line marked `FILL:` that states the finding, for what no parameter holds.
     Marks,
-    /// Refuses, and names the option that states what is true; `--accept` and the finding's id goes on all the same.
+    /// Refuses, and names the option that states what is true; `--accept` and the finding's id goes on all
+    /// the same.
     Refuses(&'static str),
     /// Nothing: no fault, or the reader has dealt with it.
     None,
@@ -117,19 +120,30 @@ mod tests {
     use crate::error::Cause;
     use std::collections::BTreeSet;
 
-    /// Ids in the sources of the detectors: the first literal of each finding, and those of lines, which are chosen between rows and columns.
+    /// Ids in the sources of the detectors: the first literal of each finding, and those of lines, which are
+    /// chosen between rows and columns.
     fn ids() -> BTreeSet<String> {
-        let sources = [include_str!("mod.rs"), include_str!("events.rs"), include_str!("frames.rs"), include_str!("together.rs")];
+        let sources = [
+            include_str!("mod.rs"),
+            include_str!("events.rs"),
+            include_str!("frames.rs"),
+            include_str!("together.rs"),
+        ];
         let mut ids = BTreeSet::new();
         for source in sources {
             for call in source.split("Finding::new(").skip(1) {
                 // The id stands before the severity.
                 let before = call.split("Severity::").next().unwrap_or_default();
-                let literals = before.split('"').skip(1).step_by(2).filter(|text| text.len() > 3 && text.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
+                let literals = before.split('"').skip(1).step_by(2).filter(|text| {
+                    text.len() > 3 && text.chars().all(|c| c.is_ascii_lowercase() || c == '_')
+                });
                 ids.extend(literals.filter(|text| *text != "column").map(String::from));
             }
         }
-        ids.extend([Cause::Damage, Cause::Cut, Cause::Outside, Cause::Polarity, Cause::Stamp].map(|cause| super::super::advice(cause).0.to_owned()));
+        ids.extend(
+            [Cause::Damage, Cause::Cut, Cause::Outside, Cause::Polarity, Cause::Stamp]
+                .map(|cause| super::super::advice(cause).0.to_owned()),
+        );
         ids
     }
 

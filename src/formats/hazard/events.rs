@@ -32,7 +32,13 @@ pub fn judge(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut V
         polarity(events, limits, found);
     }
     for convention in &events.conventions {
-        found.push(Finding::new(convention.id, Severity::Fact, &convention.what, &convention.evidence, &convention.otherwise));
+        found.push(Finding::new(
+            convention.id,
+            Severity::Fact,
+            &convention.what,
+            &convention.evidence,
+            &convention.otherwise,
+        ));
     }
     clock(events, format, limits, found);
     places(events, limits, found);
@@ -74,17 +80,23 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         found.push(Finding::new(
             "unit_too_small",
             Severity::Error,
-            "events come faster than any sensor gives them: the stamps are of a larger unit than they are read in",
+            "events come faster than any sensor gives them: the stamps are of a larger unit than they are \
+             read in",
             evidence,
-            format!("state the unit of the stamps; one that is {times} times larger would make the rate plausible"),
+            format!(
+                "state the unit of the stamps; one that is {times} times larger would make the rate \
+                     plausible"
+            ),
         ));
     } else if rate < limits.slowest_pixel_hz {
         found.push(Finding::new(
             "unit_too_large",
             Severity::Hazard,
-            "events come slower than the noise of any sensor: the stamps may be of a smaller unit than they are read in",
+            "events come slower than the noise of any sensor: the stamps may be of a smaller unit than they \
+             are read in",
             evidence,
-            "state the unit of the stamps; one that is a thousand or more times smaller would make the rate plausible",
+            "state the unit of the stamps; one that is a thousand or more times smaller would make the rate \
+             plausible",
         ));
     }
     if events.stamps.step_ns >= 1_000_000_000 {
@@ -96,13 +108,19 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "state the unit of the stamps",
         ));
     }
-    if let Some(short) = events.places.interval_quantile_ns(0.01).filter(|short| *short < limits.shortest_interval_ns && rate > 0.02 * limits.fastest_pixel_hz)
+    if let Some(short) = events
+        .places
+        .interval_quantile_ns(0.01)
+        .filter(|short| *short < limits.shortest_interval_ns && rate > 0.02 * limits.fastest_pixel_hz)
     {
         found.push(Finding::new(
             "intervals_too_short",
             Severity::Hazard,
             "pixels fire again at once: the stamps may be of a larger unit than they are read in",
-            format!("one in a hundred events follows the one before of its pixel and sign within {}", time(short)),
+            format!(
+                "one in a hundred events follows the one before of its pixel and sign within {}",
+                time(short)
+            ),
             "state the unit of the stamps, or look for pixels that oscillate",
         ));
     }
@@ -115,25 +133,32 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "clock_stands",
             Severity::Error,
             "all events have one and the same stamp",
-            format!("{} events at {}", events.count, events.span_ns.map_or_else(String::new, |span| time(span.0 as f64))),
+            format!(
+                "{} events at {}",
+                events.count,
+                events.span_ns.map_or_else(String::new, |span| time(span.0 as f64))
+            ),
             "check which column or dataset is the time",
         ));
         return;
     }
     // A clock of that step is reported as such.
-    let is_clumped = stamps.equal_share > limits.clump_share && stamps.median_step_ns >= limits.clump_step_ns.max(2 * stamps.step_ns);
+    let is_clumped = stamps.equal_share > limits.clump_share
+        && stamps.median_step_ns >= limits.clump_step_ns.max(2 * stamps.step_ns);
     if is_clumped {
         found.push(Finding::new(
             "clumps",
             Severity::Hazard,
             "events come in clumps of one stamp: their time is known to a clump only",
             format!(
-                "{} of the events have the stamp of the one before, up to {} in a row, and the next clump is {} away",
+                "{} of the events have the stamp of the one before, up to {} in a row, and the next clump \
+                 is {} away",
                 percent(stamps.equal_share),
                 stamps.longest_equal,
                 time(stamps.median_step_ns as f64)
             ),
-            "events of a simulator need finer steps of its video; of a camera, look for a driver that stamps packets",
+            "events of a simulator need finer steps of its video; of a camera, look for a driver that \
+             stamps packets",
         ));
     } else if stamps.equal_share > limits.equal_share {
         found.push(Finding::new(
@@ -161,18 +186,31 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "coarse_stamps",
             if is_bad { Severity::Hazard } else { Severity::Fact },
             "stamps are coarser than their format",
-            format!("all lie on a grid of {}, the format's step is {}{frozen}", time(stamps.step_ns as f64), time(stamps.tick_ns as f64)),
-            "state the step as the resolution of the stamps where a method asks for it; a decoder that drops bits does this too",
+            format!(
+                "all lie on a grid of {}, the format's step is {}{frozen}",
+                time(stamps.step_ns as f64),
+                time(stamps.tick_ns as f64)
+            ),
+            "state the step as the resolution of the stamps where a method asks for it; a decoder that \
+             drops bits does this too",
         ));
     }
-    if stamps.float_tested >= limits.float_fewest && stamps.float_hits as f64 >= limits.float_share * stamps.float_tested as f64 && stamps.step_ns < 1_000_000 {
+    if stamps.float_tested >= limits.float_fewest
+        && stamps.float_hits as f64 >= limits.float_share * stamps.float_tested as f64
+        && stamps.step_ns < 1_000_000
+    {
         let latest = events.span_ns.map_or(0, |span| span.1);
         let step = libm::exp2(libm::floor(libm::log2(latest.max(1) as f64 * 1e-9)) - 23.0) * 1e9;
         found.push(Finding::new(
             "single_precision",
             Severity::Hazard,
             "stamps were single-precision seconds once: their step grows with time",
-            format!("{} of {} late stamps are such numbers; at the end their step is {}", stamps.float_hits, stamps.float_tested, time(step)),
+            format!(
+                "{} of {} late stamps are such numbers; at the end their step is {}",
+                stamps.float_hits,
+                stamps.float_tested,
+                time(step)
+            ),
             "convert again from the source with double precision or whole numbers",
         ));
     }
@@ -206,18 +244,34 @@ fn clock(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<F
     let stamps = &events.stamps;
     if stamps.furthest_back_ns > limits.back_ns {
         let furthest = stamps.back_examples.iter().max_by_key(|step| step.from_ns.saturating_sub(step.to_ns));
-        let place =
-            furthest.map_or_else(String::new, |step| format!(", at event {}: from {} to {}", step.event, time(step.from_ns as f64), time(step.to_ns as f64)));
-        let evidence = format!("time goes back {}, {} at most{place}", count(stamps.backward, "time", "times"), time(stamps.furthest_back_ns as f64));
+        let place = furthest.map_or_else(String::new, |step| {
+            format!(
+                ", at event {}: from {} to {}",
+                step.event,
+                time(step.from_ns as f64),
+                time(step.to_ns as f64)
+            )
+        });
+        let evidence = format!(
+            "time goes back {}, {} at most{place}",
+            count(stamps.backward, "time", "times"),
+            time(stamps.furthest_back_ns as f64)
+        );
         let size = stamps.furthest_back_ns as f64;
-        match Counter::ALL.iter().find(|counter| (size - counter.range_ns() as f64).abs() < limits.wrap_share * counter.range_ns() as f64) {
+        match Counter::ALL.iter().find(|counter| {
+            (size - counter.range_ns() as f64).abs() < limits.wrap_share * counter.range_ns() as f64
+        }) {
             Some(counter) => found.push(Finding::new(
                 "counter_wrap",
                 Severity::Error,
                 "a counter started again, and nobody added its range",
                 format!("{evidence}; {} have that range", counter.name()),
                 if crate::convention::FORMATS.contains(&format) {
-                    format!("state the counter, `counter = \"{}\"`, so that its range is added; or cut the recording there", counter.word())
+                    format!(
+                        "state the counter, `counter = \"{}\"`, so that its range is added; or cut the \
+                             recording there",
+                        counter.word()
+                    )
                 } else {
                     "convert again with a reader that follows the counter, or cut the recording there".into()
                 },
@@ -235,7 +289,12 @@ fn clock(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<F
             "not_in_order",
             Severity::Fact,
             "events are not quite in order of time",
-            format!("{} of {} are earlier than the one before, by {} at most", stamps.backward, events.count, time(stamps.furthest_back_ns as f64)),
+            format!(
+                "{} of {} are earlier than the one before, by {} at most",
+                stamps.backward,
+                events.count,
+                time(stamps.furthest_back_ns as f64)
+            ),
             "nothing: they are sorted when they are read",
         ));
     }
@@ -248,7 +307,12 @@ fn clock(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<F
                 "counter_wrap_followed",
                 Severity::Fact,
                 "the 24-bit counter of EVT3 starts again within the recording, and was followed",
-                format!("{} between {} and {}", count(wraps as u64, "time", "times"), time(first as f64), time(last as f64)),
+                format!(
+                    "{} between {} and {}",
+                    count(wraps as u64, "time", "times"),
+                    time(first as f64),
+                    time(last as f64)
+                ),
                 "nothing; other decoders may give times that are 16.777216 s off",
             ));
         }
@@ -277,9 +341,18 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "extent_unknown",
             Severity::Question,
             "the size of the pixel array is not recorded",
-            format!("events reach column {x} and row {y}{}", if begins_at_one { ", and none lies in column 0 or row 0" } else { "" }),
+            format!(
+                "events reach column {x} and row {y}{}",
+                if begins_at_one {
+                    ", and none lies in column \
+                                                            0 or row 0"
+                } else {
+                    ""
+                }
+            ),
             if begins_at_one {
-                "state the extent; if coordinates begin at 1, as programs of MATLAB write them, state `origin = 1` too"
+                "state the extent; if coordinates begin at 1, as programs of MATLAB write them, state \
+                 `origin = 1` too"
             } else {
                 "state the extent; the largest coordinates are its least size"
             },
@@ -289,10 +362,16 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             Severity::Error,
             "events lie outside of the stated pixel array",
             format!("they reach column {x} and row {y} of {width} x {height} pixels"),
-            if y >= height && x < height { "columns and rows may be swapped" } else { "state the extent, or the scale of the coordinates" },
+            if y >= height && x < height {
+                "columns and rows may be swapped"
+            } else {
+                "state the extent, or \
+                                                            the scale of the coordinates"
+            },
         )),
         Some((width, height)) if events.count >= limits.fewest_events => {
-            let (used_x, used_y) = (f64::from(x + 1) / f64::from(width), f64::from(y + 1) / f64::from(height));
+            let (used_x, used_y) =
+                (f64::from(x + 1) / f64::from(width), f64::from(y + 1) / f64::from(height));
             if used_x <= limits.used_share && used_y <= limits.used_share {
                 found.push(Finding::new(
                     "small_part_used",
@@ -306,26 +385,42 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
                     "swapped",
                     Severity::Hazard,
                     "columns and rows may be swapped",
-                    format!("columns reach {x}, rows {y}, of {width} x {height} pixels: the columns that are no rows are empty"),
-                    "look at a picture of the events; state the columns in the order in which they are stored",
+                    format!(
+                        "columns reach {x}, rows {y}, of {width} x {height} pixels: the columns that \
+                             are no rows are empty"
+                    ),
+                    "look at a picture of the events; state the columns in the order in which they are \
+                     stored",
                 ));
             }
         }
         Some(_) => {}
     }
     if places.hot_pixels > 0 {
-        let first: Vec<String> = places.hottest.iter().take(3).map(|pixel| format!("({}, {}): {}", pixel.x, pixel.y, pixel.events)).collect();
+        let first: Vec<String> = places
+            .hottest
+            .iter()
+            .take(3)
+            .map(|pixel| format!("({}, {}): {}", pixel.x, pixel.y, pixel.events))
+            .collect();
         found.push(Finding::new(
             "hot_pixels",
             if places.hot_share > limits.hot_share { Severity::Hazard } else { Severity::Fact },
             "some pixels fire far more than those around them",
-            format!("{}, {} of the events; {}", count(places.hot_pixels, "pixel", "pixels"), percent(places.hot_share), first.join(", ")),
+            format!(
+                "{}, {} of the events; {}",
+                count(places.hot_pixels, "pixel", "pixels"),
+                percent(places.hot_share),
+                first.join(", ")
+            ),
             "state `hot_pixels` in the description or mask them; a lamp that blinks does this too",
         ));
     }
     lines("row", &places.rows, found);
     lines("column", &places.columns, found);
-    if events.count >= limits.fewest_events && places.duplicates as f64 > limits.duplicate_share * events.count as f64 {
+    if events.count >= limits.fewest_events
+        && places.duplicates as f64 > limits.duplicate_share * events.count as f64
+    {
         found.push(Finding::new(
             "duplicate_events",
             Severity::Hazard,
@@ -362,8 +457,12 @@ fn lines(what: &str, lines: &LinesSurvey, found: &mut Vec<Finding>) {
             if what == "row" { "row_pattern" } else { "column_pattern" },
             Severity::Fact,
             format!("counts of {what}s repeat with a period of {}", pattern.period),
-            format!("{what}s {} + {} n have {:.2} times the events of the others ({:.0} sigma)", pattern.phase, pattern.period, pattern.ratio, pattern.sigma),
-            "thresholds differ between them, or coordinates were rounded; keep it in mind when thresholds are calibrated",
+            format!(
+                "{what}s {} + {} n have {:.2} times the events of the others ({:.0} sigma)",
+                pattern.phase, pattern.period, pattern.ratio, pattern.sigma
+            ),
+            "thresholds differ between them, or coordinates were rounded; keep it in mind when thresholds \
+             are calibrated",
         ));
     }
 }

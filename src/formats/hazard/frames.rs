@@ -27,7 +27,11 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "unreadable_frames",
             Severity::Hazard,
             "frames could not be read",
-            format!("{} of {} that were tried; first: {first}", values.unreadable.len(), values.unreadable.len() + values.read.len()),
+            format!(
+                "{} of {} that were tried; first: {first}",
+                values.unreadable.len(),
+                values.unreadable.len() + values.read.len()
+            ),
             "copy the file again from where it came, or leave those frames out",
         ));
     }
@@ -35,7 +39,9 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         return;
     }
     let all = values.values as f64;
-    let of = |n: u64| format!("{n} of {} values of {}", values.values, count(values.read.len() as u64, "frame", "frames"));
+    let of = |n: u64| {
+        format!("{n} of {} values of {}", values.values, count(values.read.len() as u64, "frame", "frames"))
+    };
     if values.infinite > 0 {
         found.push(Finding::new(
             "infinite_frames",
@@ -76,7 +82,8 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             Severity::Hazard,
             "some values of the frames are negative",
             format!("{}; the least is {}", of(values.negative), values.min),
-            "noise about a black level of zero does this; state `frames.black_level_dn` if one was subtracted",
+            "noise about a black level of zero does this; state `frames.black_level_dn` if one was \
+             subtracted",
         ));
     }
     let (constant, read) = (values.constant.len(), values.read.len());
@@ -86,7 +93,12 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "no_picture",
             Severity::Error,
             what,
-            format!("all values of {} are the same; from {} to {}", count(read as u64, "frame", "frames"), values.min, values.max),
+            format!(
+                "all values of {} are the same; from {} to {}",
+                count(read as u64, "frame", "frames"),
+                values.min,
+                values.max
+            ),
             "check lens, exposure and which stream holds the frames",
         ));
     } else if constant > 0 {
@@ -168,7 +180,8 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
                 gap.frame,
                 time(gap.length_ns as f64)
             ),
-            "nothing, if stamps are right: pictures between are made of events alone. If files were numbered, look for lost ones",
+            "nothing, if stamps are right: pictures between are made of events alone. If files were \
+             numbered, look for lost ones",
         ));
     }
     if frames.empty_exposures > 0 {
@@ -181,7 +194,9 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         ));
     }
     if frames.overlapping > 0 {
-        let longest = frames.exposure.map_or_else(String::new, |exposure| format!("exposures of up to {}, ", time(exposure.max_ns as f64)));
+        let longest = frames.exposure.map_or_else(String::new, |exposure| {
+            format!("exposures of up to {}, ", time(exposure.max_ns as f64))
+        });
         found.push(Finding::new(
             "exposure_over_period",
             Severity::Hazard,
@@ -232,8 +247,9 @@ fn questions(frames: &FramesSurvey, found: &mut Vec<Finding>) {
         }
     } else {
         let exposure = frames.exposure.unwrap_or_default();
-        let share =
-            frames.period.map_or_else(String::new, |period| format!(", {} of the period", percent(exposure.median_ns as f64 / period.median_ns.max(1) as f64)));
+        let share = frames.period.map_or_else(String::new, |period| {
+            format!(", {} of the period", percent(exposure.median_ns as f64 / period.median_ns.max(1) as f64))
+        });
         found.push(Finding::new(
             "exposure_stamps",
             Severity::Fact,

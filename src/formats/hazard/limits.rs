@@ -5,22 +5,26 @@
 pub struct Limits {
     /// With fewer events nothing is said of rates and stamps: shares of a handful mean nothing.
     pub fewest_events: u64,
-    /// Mean rate of a pixel, Hz, from which stamps must be of another unit. The fastest read-out known gives a thousand events a pixel and second with every pixel
-    /// firing; simulators have no read-out, and five times that still has room. Microseconds that are taken for nanoseconds make a thousandfold.
+    /// Mean rate of a pixel, Hz, from which stamps must be of another unit. The fastest read-out known gives
+    /// a thousand events a pixel and second with every pixel firing; simulators have no read-out, and five
+    /// times that still has room. Microseconds that are taken for nanoseconds make a thousandfold.
     pub fastest_pixel_hz: f64,
-    /// Rate of the whole array, events per second, from which stamps must be of another unit: three times the fastest read-out known.
+    /// Rate of the whole array, events per second, from which stamps must be of another unit: three times the
+    /// fastest read-out known.
     pub fastest_array_hz: f64,
-    /// Mean rate of a pixel, Hz, below which stamps may be of another unit: the darkest noise known is a thousandth of a hertz, and a thousandth of that is none.
+    /// Mean rate of a pixel, Hz, below which stamps may be of another unit: the darkest noise known is a
+    /// thousandth of a hertz, and a thousandth of that is none.
     pub slowest_pixel_hz: f64,
-    /// Time from an event of a pixel to its next of the same sign, ns, below which one in a hundred may lie: blind times are tens of nanoseconds at least in fiction, microseconds in
-    /// silicon.
+    /// Time from an event of a pixel to its next of the same sign, ns, below which one in a hundred may lie:
+    /// blind times are tens of nanoseconds at least in fiction, microseconds in silicon.
     pub shortest_interval_ns: f64,
     /// Frames per second that no camera of whole pictures makes with events.
     pub fastest_frames_hz: f64,
     /// Share of ON events above which (or of OFF events) one polarity is as good as missing.
     pub one_polarity: f64,
-    /// Share of equal stamps from which they count as clumps, where also the middle step is `clump_step_ns`. A read-out that gives a row one stamp has nine in ten equal and steps of
-    /// microseconds: that is its resolution. Clumps a tenth of a millisecond apart are a simulator's frames or a poll.
+    /// Share of equal stamps from which they count as clumps, where also the middle step is `clump_step_ns`.
+    /// A read-out that gives a row one stamp has nine in ten equal and steps of microseconds: that is its
+    /// resolution. Clumps a tenth of a millisecond apart are a simulator's frames or a poll.
     pub clump_share: f64,
     /// See `clump_share`, ns.
     pub clump_step_ns: i64,
@@ -28,15 +32,18 @@ pub struct Limits {
     pub equal_share: f64,
     /// Steps of stamps that are reported when this many times the format's own.
     pub coarse_times: i64,
-    /// Time going back further than this, ns, is no jitter of a read-out: packets of a driver are a few milliseconds.
+    /// Time going back further than this, ns, is no jitter of a read-out: packets of a driver are a few
+    /// milliseconds.
     pub back_ns: i64,
     /// A step back within this share of a counter's range is that counter starting again.
     pub wrap_share: f64,
-    /// Share of stamps on the grid of single-precision seconds from which they were such: by chance it is three in eight.
+    /// Share of stamps on the grid of single-precision seconds from which they were such: by chance it is
+    /// three in eight.
     pub float_share: f64,
     /// Stamps that decide that, at least.
     pub float_fewest: u64,
-    /// Share of all events within `stray_span` of the span from which the others are strays: more of them, further away, are a second part of the recording.
+    /// Share of all events within `stray_span` of the span from which the others are strays: more of them,
+    /// further away, are a second part of the recording.
     pub stray_share: f64,
     /// See there.
     pub stray_span: f64,
@@ -48,9 +55,11 @@ pub struct Limits {
     pub early_share: f64,
     /// Coordinates that reach less than this share of the stated width and height are of another size.
     pub used_share: f64,
-    /// Share of values that are not numbers from which frames are useless; fewer may be marked so (NaN = not known).
+    /// Share of values that are not numbers from which frames are useless; fewer may be marked so (NaN = not
+    /// known).
     pub nan_share: f64,
-    /// Share of values below zero from which frames cannot be light: noise about black makes half of a dark frame negative at most.
+    /// Share of values below zero from which frames cannot be light: noise about black makes half of a dark
+    /// frame negative at most.
     pub negative_share: f64,
     /// Share of values below zero that is reported.
     pub some_negative: f64,
@@ -62,38 +71,51 @@ pub struct Limits {
     pub repeated_share: f64,
     /// Shortest overlap of events and frames, as a share of the shorter span, that is no hazard.
     pub overlap_share: f64,
-    /// A peak of the rate at one phase of the frame period, over the mean, that is reported where it is sure: a tenth more is nothing that a method would notice.
+    /// A peak of the rate at one phase of the frame period, over the mean, that is reported where it is sure:
+    /// a tenth more is nothing that a method would notice.
     pub phase_peak: f64,
     /// And one that is a hazard.
     pub phase_strong: f64,
-    /// How sure the peak must be, in standard errors from frame to frame: the best of 64 bins of ten frames is that far off once in a thousand recordings.
+    /// How sure the peak must be, in standard errors from frame to frame: the best of 64 bins of ten frames
+    /// is that far off once in a thousand recordings.
     pub phase_sigma: f64,
-    /// How sure events in step with the readout of the rows must be, in standard errors over eight groups of frames: chance is that far off once in a thousand recordings.
+    /// How sure events in step with the readout of the rows must be, in standard errors over eight groups of
+    /// frames: chance is that far off once in a thousand recordings.
     pub readout_sigma: f64,
     /// Frames that decide that, at least: in three frames much is in step by chance.
     pub phase_fewest: u64,
-    /// Events later than frames by more than this share of the frame period are reported as a hazard: a shift of a twentieth of a period is visible. Simulated recordings without an
-    /// offset, whose row time and front end are stated, stay below it (`pipelines/calibration/inspect.py`, docs/inspect.md).
+    /// Events later than frames by more than this share of the frame period are reported as a hazard: a shift
+    /// of a twentieth of a period is visible. Simulated recordings without an offset, whose row time and
+    /// front end are stated, stay below it (`pipelines/calibration/inspect.py`, docs/inspect.md).
     pub late_share: f64,
-    /// And by more than this, ns, where no front end is stated: front ends in dim light are late by milliseconds, and that is physics which a description states.
+    /// And by more than this, ns, where no front end is stated: front ends in dim light are late by
+    /// milliseconds, and that is physics which a description states.
     pub late_ns: f64,
-    /// And by more than this part of what a stated front end explains: light that steps comes ln 2 of the time constant late, light that rises steadily all of it, and a scene has both.
+    /// And by more than this part of what a stated front end explains: light that steps comes ln 2 of the
+    /// time constant late, light that rises steadily all of it, and a scene has both.
     pub late_explained: f64,
     /// Correlation below which half of the exposure is added to that.
     pub late_correlation: f64,
     /// Correlation of events and frames from which their shift is reported.
     pub correlation: f64,
-    /// Change of the shift over the recording, as a share of the frame period, that is reported (`pipelines/calibration/inspect.py`, docs/inspect.md).
+    /// Change of the shift over the recording, as a share of the frame period, that is reported
+    /// (`pipelines/calibration/inspect.py`, docs/inspect.md).
     pub drift_share: f64,
-    /// And beyond this part of the front end's delay, or of `late_ns` where none is stated: when something dark moves after something bright, events are later by what physics delays.
+    /// And beyond this part of the front end's delay, or of `late_ns` where none is stated: when something
+    /// dark moves after something bright, events are later by what physics delays.
     pub drift_explained: f64,
-    /// Pairs of frames that decide that, at least: with fewer, what moves early and what moves late are other things, with other latencies.
+    /// Pairs of frames that decide that, at least: with fewer, what moves early and what moves late are other
+    /// things, with other latencies.
     pub drift_pairs: usize,
-    /// By how much the correlation with the drift must exceed the one without: of a drift below a twentieth of a period there is no more to gain than chance gains.
+    /// By how much the correlation with the drift must exceed the one without: of a drift below a twentieth
+    /// of a period there is no more to gain than chance gains.
     pub drift_gain: f64,
-    /// Event pixels from which a shift of the frames against the events is a hazard: less is a matter of the middle of a pixel.
+    /// Event pixels from which a shift of the frames against the events is a hazard: less is a matter of the
+    /// middle of a pixel.
     pub displaced_px: f64,
-    /// By how much the correlation there must exceed the one without a shift, each at the offset in time that suits it best, and both at the one that suits no shift (`pipelines/calibration/inspect.py`, docs/inspect.md).
+    /// By how much the correlation there must exceed the one without a shift, each at the offset in time that
+    /// suits it best, and both at the one that suits no shift (`pipelines/calibration/inspect.py`,
+    /// docs/inspect.md).
     pub displaced_gain: f64,
     /// By how much the correlation with a mirrored picture must exceed the one as it is.
     pub mirrored: f64,

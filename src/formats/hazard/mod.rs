@@ -1,14 +1,17 @@
 //! What is wrong with a recording, or not known of it: with evidence, and what to do.
 //!
-//! Every hazard here has cost somebody days: a wrong unit, a clock that wrapped, an offset forgotten or added twice, frames of NaN. A [`Survey`] counts; this judges.
-//! Nothing is guessed and nothing is put right silently: a finding says what was seen, and the user decides.
+//! Every hazard here has cost somebody days: a wrong unit, a clock that wrapped, an offset forgotten or added
+//! twice, frames of NaN. A [`Survey`] counts; this judges. Nothing is guessed and nothing is put right
+//! silently: a finding says what was seen, and the user decides.
 //!
 //! - [`limits`]: from where on something is a finding, each with its reason.
 //! - [`events`], [`frames`], [`together`]: the detectors.
-//! - [`consequence`]: what becomes of each finding when a manifest is written; [`places`]: how the two streams lie on each other, as parameters.
+//! - [`consequence`]: what becomes of each finding when a manifest is written; [`places`]: how the two
+//!   streams lie on each other, as parameters.
 //!
-//! Severities: an [`Severity::Error`] makes results meaningless, so nothing should run on such data; a [`Severity::Hazard`] may, and should be looked at;
-//! a [`Severity::Question`] is a fact that a method needs and the file does not hold; a [`Severity::Fact`] is information and no fault.
+//! Severities: an [`Severity::Error`] makes results meaningless, so nothing should run on such data; a
+//! [`Severity::Hazard`] may, and should be looked at; a [`Severity::Question`] is a fact that a method needs
+//! and the file does not hold; a [`Severity::Fact`] is information and no fault.
 
 pub mod consequence;
 pub mod events;
@@ -78,8 +81,20 @@ pub struct Finding {
 
 impl Finding {
     /// One.
-    pub fn new(id: &'static str, severity: Severity, message: impl Into<String>, evidence: impl Into<String>, what_to_do: impl Into<String>) -> Finding {
-        Finding { id, severity, message: message.into(), evidence: evidence.into(), what_to_do: what_to_do.into() }
+    pub fn new(
+        id: &'static str,
+        severity: Severity,
+        message: impl Into<String>,
+        evidence: impl Into<String>,
+        what_to_do: impl Into<String>,
+    ) -> Finding {
+        Finding {
+            id,
+            severity,
+            message: message.into(),
+            evidence: evidence.into(),
+            what_to_do: what_to_do.into(),
+        }
     }
 }
 
@@ -111,14 +126,24 @@ fn damage(survey: &Survey, found: &mut Vec<Finding>) {
         let Some(first) = of_cause().next() else { continue };
         let (id, message, what_to_do) = advice(cause);
         let places = count(of_cause().map(|loss| loss.places).sum(), "place", "places");
-        found.push(Finding::new(id, Severity::Hazard, message, format!("{places} in all; first {}: {}", first.at, first.what), what_to_do));
+        found.push(Finding::new(
+            id,
+            Severity::Hazard,
+            message,
+            format!("{places} in all; first {}: {}", first.at, first.what),
+            what_to_do,
+        ));
     }
 }
 
 /// Id, message and what to do.
 fn advice(cause: Cause) -> (&'static str, &'static str, &'static str) {
     match cause {
-        Cause::Damage => ("damaged", "parts of the file are damaged and were left out", "copy the file again from where it came; what is whole can be used"),
+        Cause::Damage => (
+            "damaged",
+            "parts of the file are damaged and were left out",
+            "copy the file again from where it came; what is whole can be used",
+        ),
         Cause::Cut => (
             "cut_off",
             "the file ends before its content does; what lies behind is lost",
@@ -127,17 +152,20 @@ fn advice(cause: Cause) -> (&'static str, &'static str, &'static str) {
         Cause::Outside => (
             "events_outside",
             "events lie outside of the pixel array and were left out",
-            "state the array's size as `extent`, or how coordinates are stored: `origin = 1` where they begin at 1, `coordinate_scale` where they count parts of a pixel",
+            "state the array's size as `extent`, or how coordinates are stored: `origin = 1` where they \
+             begin at 1, `coordinate_scale` where they count parts of a pixel",
         ),
         Cause::Polarity => (
             "odd_polarity",
             "some events have a polarity that the others do not have, and were left out",
-            "if these values mean something, state `polarity`: \"counts\" (every value above 0 is ON) or \"one_two\" (1 is OFF, 2 is ON)",
+            "if these values mean something, state `polarity`: \"counts\" (every value above 0 is ON) or \
+             \"one_two\" (1 is OFF, 2 is ON)",
         ),
         Cause::Stamp => (
             "stamps_without_time",
             "some events have a stamp that is no time, and were left out",
-            "check the program that wrote the stamps; if there are many, check which column is the time and its unit (`time_unit`)",
+            "check the program that wrote the stamps; if there are many, check which column is the time and \
+             its unit (`time_unit`)",
         ),
     }
 }
@@ -160,7 +188,9 @@ pub fn time(ns: f64) -> String {
     let digits = if unit == "s" && size >= 1e11 {
         6
     } else {
-        [3, 2, 1, 0][(value.abs() >= 10.0) as usize + (value.abs() >= 100.0) as usize + (value.abs() >= 1000.0) as usize]
+        [3, 2, 1, 0][(value.abs() >= 10.0) as usize
+            + (value.abs() >= 100.0) as usize
+            + (value.abs() >= 1000.0) as usize]
     };
     let text = format!("{value:.digits$}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };

@@ -86,7 +86,8 @@ impl Recording for Made {
     }
 }
 
-/// A grating that moves, and frames of it; everything stated. Events by a reference that steps by a threshold of 0.2.
+/// A grating that moves, and frames of it; everything stated. Events by a reference that steps by a threshold
+/// of 0.2.
 fn sound() -> Made {
     let log_light = |x: u32, y: u32, t: i64| {
         let x = f64::from(x) - 120.0 * t as f64 * 1e-9;
@@ -112,15 +113,27 @@ fn sound() -> Made {
     all.sort_unstable();
     let mut events = EventChunk::default();
     all.iter().for_each(|(t, x, y, on)| events.push(*t, *x, *y, *on == 1));
-    let stamps: Vec<FrameStamp> =
-        (0..FRAMES as i64).map(|l| l * PERIOD + 3 * MS + (l % 3) * 5_000).map(|at| FrameStamp { at, exposure: Some((at, at + 2 * MS)) }).collect();
+    let stamps: Vec<FrameStamp> = (0..FRAMES as i64)
+        .map(|l| l * PERIOD + 3 * MS + (l % 3) * 5_000)
+        .map(|at| FrameStamp { at, exposure: Some((at, at + 2 * MS)) })
+        .collect();
     let picture = |stamp: &FrameStamp| {
         let t = stamp.at + MS;
-        (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))).map(|(x, y)| (libm::exp(log_light(x, y, t))).round() as f32).collect()
+        (0..EXTENT.height)
+            .flat_map(|y| (0..EXTENT.width).map(move |x| (x, y)))
+            .map(|(x, y)| (libm::exp(log_light(x, y, t))).round() as f32)
+            .collect()
     };
     let values = stamps.iter().map(picture).collect();
     Made {
-        about: EventsAbout { extent: Some(EXTENT), tick_ns: 1000, count: None, has_t_in: false, stamps: "by hand".into(), notes: Vec::new() },
+        about: EventsAbout {
+            extent: Some(EXTENT),
+            tick_ns: 1000,
+            count: None,
+            has_t_in: false,
+            stamps: "by hand".into(),
+            notes: Vec::new(),
+        },
         events,
         frames: FramesAbout {
             extent: EXTENT,
@@ -141,7 +154,11 @@ fn sound() -> Made {
 /// Ids of all findings but facts, worst first.
 fn ids_of(made: &Made, format: &str) -> Vec<&'static str> {
     let survey = survey(made, format, &Most::default(), |_| {}).unwrap();
-    findings(&survey, &Limits::default()).into_iter().filter(|finding| finding.severity != Severity::Fact).map(|finding| finding.id).collect()
+    findings(&survey, &Limits::default())
+        .into_iter()
+        .filter(|finding| finding.severity != Severity::Fact)
+        .map(|finding| finding.id)
+        .collect()
 }
 
 fn ids(made: &Made) -> Vec<&'static str> {
@@ -170,7 +187,10 @@ fn microseconds_that_are_read_as_nanoseconds_are_too_fast() {
         });
     });
     assert!(found.contains(&"unit_too_small") && found.contains(&"frames_too_fast"), "{found:?}");
-    assert!(with(|made| made.events.t.iter_mut().for_each(|t| *t = t.saturating_mul(100_000_000))).contains(&"unit_too_large"));
+    assert!(
+        with(|made| made.events.t.iter_mut().for_each(|t| *t = t.saturating_mul(100_000_000)))
+            .contains(&"unit_too_large")
+    );
 }
 
 #[test]
@@ -187,10 +207,12 @@ fn frames_that_no_light_makes_are_errors() {
 fn clocks_that_do_not_meet_are_reported_with_the_offset() {
     let mut made = sound();
     let day = 1_700_000_000_000_000_000;
-    made.frames
-        .stamps
-        .iter_mut()
-        .for_each(|stamp| *stamp = FrameStamp { at: stamp.at + day, exposure: stamp.exposure.map(|(start, end)| (start + day, end + day)) });
+    made.frames.stamps.iter_mut().for_each(|stamp| {
+        *stamp = FrameStamp {
+            at: stamp.at + day,
+            exposure: stamp.exposure.map(|(start, end)| (start + day, end + day)),
+        }
+    });
     let survey = survey(&made, "made", &Most::default(), |_| {}).unwrap();
     let found = findings(&survey, &Limits::default());
     assert_eq!((found[0].id, found[0].severity), ("no_overlap", Severity::Error));
@@ -219,12 +241,21 @@ fn rows_are_compared_at_their_own_time() {
     // References that step by whole thresholds lag behind the light a little, with and without rows.
     let late = |survey: &Survey| survey.lag.as_ref().unwrap().late_ns.unwrap().value;
     let at_once = late(&survey(&sound(), "made", &Most::default(), |_| {}).unwrap());
-    assert!((late(&recorded) - at_once).abs() < 0.2e6 && recorded.lag.as_ref().unwrap().row_time_ns == Some(100_000), "{:?}", recorded.lag);
+    assert!(
+        (late(&recorded) - at_once).abs() < 0.2e6
+            && recorded.lag.as_ref().unwrap().row_time_ns == Some(100_000),
+        "{:?}",
+        recorded.lag
+    );
     let unknown = rolling(None);
     // Half of 48 rows.
     assert!((late(&unknown) - at_once - 2.4e6).abs() < 0.6e6, "{:?}", unknown.lag);
     let found = findings(&unknown, &Limits::default());
-    assert!(found.iter().any(|finding| ["in_time", "events_late"].contains(&finding.id) && finding.evidence.contains("of the middle row")), "{found:?}");
+    assert!(
+        found.iter().any(|finding| ["in_time", "events_late"].contains(&finding.id)
+            && finding.evidence.contains("of the middle row")),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -232,14 +263,22 @@ fn what_a_stated_front_end_delays_is_not_late() {
     let described = |front_end: &str| {
         let mut made = sound();
         made.events.t.iter_mut().for_each(|t| *t += 4 * MS);
-        made.sensor = Some(format!("format = \"photocurrent-sensor/1\"\n[front_end]\n{front_end}\n[frames]\ngain = 100.0\n"));
+        made.sensor = Some(format!(
+            "format = \"photocurrent-sensor/1\"\n[front_end]\n{front_end}\n[frames]\ngain = 100.0\n"
+        ));
         survey(&made, "made", &Most::default(), |_| {}).unwrap()
     };
-    let ids = |survey: &Survey| findings(survey, &Limits::default()).into_iter().map(|finding| finding.id).collect::<Vec<_>>();
+    let ids = |survey: &Survey| {
+        findings(survey, &Limits::default()).into_iter().map(|finding| finding.id).collect::<Vec<_>>()
+    };
     let stated = described("tau_0 = \"4 ms\"\nalpha = \"0 ns\"");
     let lag = stated.lag.clone().unwrap();
-    let without = survey(&sound(), "made", &Most::default(), |_| {}).unwrap().lag.unwrap().late_ns.unwrap().value;
-    assert!((lag.front_end_ns.unwrap() - 4e6).abs() < 1e3 && (lag.late_ns.unwrap().value - without).abs() < 0.2e6, "{lag:?}");
+    let without =
+        survey(&sound(), "made", &Most::default(), |_| {}).unwrap().lag.unwrap().late_ns.unwrap().value;
+    assert!(
+        (lag.front_end_ns.unwrap() - 4e6).abs() < 1e3 && (lag.late_ns.unwrap().value - without).abs() < 0.2e6,
+        "{lag:?}"
+    );
     assert!(ids(&stated).contains(&"in_time"), "{:?}", ids(&stated));
     let fast = described("tau_0 = \"10 us\"\nalpha = \"0 ns\"");
     assert!(ids(&fast).contains(&"events_late"), "{:?}", ids(&fast));
@@ -260,8 +299,11 @@ fn a_drift_is_reported_when_all_of_the_picture_shows_it_and_no_front_end_explain
         drift_over_s: 1.0,
         ..survey.lag.clone().unwrap()
     };
-    let is_reported =
-        |lag: LagSurvey| findings(&Survey { lag: Some(lag), ..survey.clone() }, &Limits::default()).iter().any(|finding| finding.id == "clock_drift");
+    let is_reported = |lag: LagSurvey| {
+        findings(&Survey { lag: Some(lag), ..survey.clone() }, &Limits::default())
+            .iter()
+            .any(|finding| finding.id == "clock_drift")
+    };
     assert!(is_reported(drifting.clone()));
     assert!(is_reported(LagSurvey { front_end_ns: Some(1e6), ..drifting.clone() }));
     let chance = [
@@ -295,7 +337,9 @@ fn a_counter_that_started_again_is_an_error() {
 fn stamps_that_stand_still_or_come_in_clumps_are_reported() {
     assert!(with(|made| made.events.t.fill(30 * MS)).contains(&"clock_stands"));
     // A clock of 5 ms; and clumps at times that a clock of 1 us may well have.
-    assert!(with(|made| made.events.t.iter_mut().for_each(|t| *t -= *t % (5 * MS))).contains(&"coarse_stamps"));
+    assert!(
+        with(|made| made.events.t.iter_mut().for_each(|t| *t -= *t % (5 * MS))).contains(&"coarse_stamps")
+    );
     let place = |k: i64| k * 5 * MS + (k * k % 97) * 1000;
     let clumped = with(|made| made.events.t.iter_mut().for_each(|t| *t = place(*t / (5 * MS))));
     assert!(clumped.contains(&"clumps") && !clumped.contains(&"coarse_stamps"), "{clumped:?}");
@@ -342,7 +386,9 @@ fn missing_and_repeated_frames_and_long_exposures_are_reported() {
     });
     assert_eq!(gap, ["missing_frames"]);
     assert!(with(|made| made.values[6] = made.values[5].clone()).contains(&"repeated_frames"));
-    let long = with(|made| made.frames.stamps.iter_mut().for_each(|stamp| stamp.exposure = Some((stamp.at, stamp.at + 30 * MS))));
+    let long = with(|made| {
+        made.frames.stamps.iter_mut().for_each(|stamp| stamp.exposure = Some((stamp.at, stamp.at + 30 * MS)))
+    });
     assert!(long.contains(&"exposure_over_period"), "{long:?}");
 }
 
@@ -351,7 +397,8 @@ fn bursts_in_step_with_the_frames_are_reported() {
     let found = with(|made| {
         let mut random = Random::new(9, &[]);
         let events = &made.events;
-        let mut all: Vec<(i64, u16, u16, u8)> = (0..events.len()).map(|k| (events.t[k], events.x[k], events.y[k], events.on[k])).collect();
+        let mut all: Vec<(i64, u16, u16, u8)> =
+            (0..events.len()).map(|k| (events.t[k], events.x[k], events.y[k], events.on[k])).collect();
         for stamp in made.frames.stamps.clone() {
             for _ in 0..1500 {
                 let (x, y) = ((random.uniform() * 64.0) as u16, (random.uniform() * 48.0) as u16);

@@ -1,4 +1,5 @@
-//! Files that end too early. What is left of one is compared with the whole of it, which other tests compare with formulas.
+//! Files that end too early. What is left of one is compared with the whole of it, which other tests compare
+//! with formulas.
 #![allow(clippy::unwrap_used)]
 
 use crate::catalog::recognise;
@@ -26,7 +27,9 @@ impl EventCursor for Made {
         chunk.clear();
         let end = self.count.min(self.next + 10_000);
         // Places that no filter shrinks much.
-        let place = |i: i64, sides: i64| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15u64 as i64) >> 33).rem_euclid(sides) as u16;
+        let place = |i: i64, sides: i64| {
+            (i.wrapping_mul(0x9e37_79b9_7f4a_7c15u64 as i64) >> 33).rem_euclid(sides) as u16
+        };
         (self.next..end).for_each(|i| chunk.push(i * 13_000, place(i, 640), place(i + 7, 480), i % 3 == 0));
         self.next = end;
         Ok(!chunk.is_empty())
@@ -66,8 +69,8 @@ fn all(path: &Path, format: &Format) -> Result<(Vec<Row>, Vec<Loss>), FormatErro
     Ok((events, [recording.losses(), cursor.losses()].concat()))
 }
 
-/// Cuts a file at many places: every cut is refused with its byte, or gives events of the whole file in their order and says what is lost. Gives the number
-/// of events after each cut.
+/// Cuts a file at many places: every cut is refused with its byte, or gives events of the whole file in their
+/// order and says what is lost. Gives the number of events after each cut.
 fn cut_everywhere(whole: &Path) -> Vec<usize> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cut.h5");
@@ -83,7 +86,11 @@ fn cut_everywhere(whole: &Path) -> Vec<usize> {
         let (found, losses) = match all(&path, format) {
             Ok((found, losses)) => {
                 assert!(losses[0].what.contains(&byte), "{losses:?}");
-                assert!(found.len() == events.len() || losses.iter().any(|loss| loss.what.contains("its events are lost")), "{losses:?}");
+                assert!(
+                    found.len() == events.len()
+                        || losses.iter().any(|loss| loss.what.contains("its events are lost")),
+                    "{losses:?}"
+                );
                 assert!(losses.len() <= 12, "one loss for each column: {losses:?}");
                 (found, losses)
             }
@@ -93,7 +100,11 @@ fn cut_everywhere(whole: &Path) -> Vec<usize> {
             }
         };
         // Without `t_offset` times count from zero, and a loss says so.
-        let offset = if found.is_empty() || losses.iter().all(|loss| loss.at != "/t_offset") { 0 } else { events[0].0 - found[0].0 };
+        let offset = if found.is_empty() || losses.iter().all(|loss| loss.at != "/t_offset") {
+            0
+        } else {
+            events[0].0 - found[0].0
+        };
         let mut rest = events.iter();
         let in_order = found.iter().all(|&(t, x, y, on)| rest.any(|other| *other == (t + offset, x, y, on)));
         assert!(in_order, "cut {k}: events of the file in their order");
@@ -112,21 +123,46 @@ fn our_own_files_give_what_stands_before_the_cut() {
         Ok(())
     };
     let exposures = (0..20).map(|k| (k * 100_000_000, k * 100_000_000 + 5_000_000)).collect();
-    let frames = StreamedFrames { extent: EXTENT, colour: Colour::Mono, dn: photocurrent_store::DnType::U16, row_time_ns: 0, exposures, read: &read };
-    let content = StreamedRecording { extent: EXTENT, events: Some(false), t_resolution_ns: Some(1000), frames: Some(frames), sensor: None };
+    let frames = StreamedFrames {
+        extent: EXTENT,
+        colour: Colour::Mono,
+        dn: photocurrent_store::DnType::U16,
+        row_time_ns: 0,
+        exposures,
+        read: &read,
+    };
+    let content = StreamedRecording {
+        extent: EXTENT,
+        events: Some(false),
+        t_resolution_ns: Some(1000),
+        frames: Some(frames),
+        sensor: None,
+    };
     super::write::write_recording(&ours, Some(&mut made()), &content).unwrap();
     super::write::write_dsec(&dsec, &mut made(), EXTENT, false).unwrap();
     for path in [ours, dsec] {
         let left = cut_everywhere(&path);
         assert!(left.is_sorted(), "a later cut loses no more: {left:?}");
         // Columns are written by turns, a million events at a time: cuts in the later half leave events.
-        assert!(left[CUTS / 2..].iter().all(|&events| events > 0) && left[CUTS / 2] < 3_000_000, "{}: {left:?}", path.display());
+        assert!(
+            left[CUTS / 2..].iter().all(|&events| events > 0) && left[CUTS / 2] < 3_000_000,
+            "{}: {left:?}",
+            path.display()
+        );
     }
 }
 
 #[test]
 fn files_of_others_give_what_stands_before_the_cut() {
-    for name in ["dsec_blosc_zstd.h5", "mvsec.h5", "prophesee_plain.h5", "prophesee_ecf.h5", "m3ed.h5", "v2e.h5", "event_utils.h5"] {
+    for name in [
+        "dsec_blosc_zstd.h5",
+        "mvsec.h5",
+        "prophesee_plain.h5",
+        "prophesee_ecf.h5",
+        "m3ed.h5",
+        "v2e.h5",
+        "event_utils.h5",
+    ] {
         let left = cut_everywhere(&fixture(name));
         println!("{name}: {left:?}");
         assert!(left[CUTS - 1] > 0, "{name}: {left:?}");

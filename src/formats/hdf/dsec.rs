@@ -1,8 +1,11 @@
-//! DSEC's events: `events/{x,y,t,p}`, times in us from `t_offset` on, `ms_to_idx`; also VECtor and TUM-VIE. A file, or a sequence's folder with images.
+//! DSEC's events: `events/{x,y,t,p}`, times in us from `t_offset` on, `ms_to_idx`; also VECtor and TUM-VIE. A
+//! file, or a sequence's folder with images.
 //!
-//! In a folder are `events/left/events.h5` (or `events.h5`) and, of the frame camera, `images/left/rectified/*.png` (or `distorted`) with
-//! `images/left/exposure_timestamps_left.txt` (start and end of every exposure) or `images/timestamps.txt` (their middle). Frames come
-//! from another camera than the events. The file does not state the sensor's size: `rectify_map.h5` in its folder does, and so do our own files.
+//! In a folder are `events/left/events.h5` (or `events.h5`) and, of the frame camera,
+//! `images/left/rectified/*.png` (or `distorted`) with `images/left/exposure_timestamps_left.txt` (start and
+//! end of every exposure) or `images/timestamps.txt` (their middle). Frames come from another camera than the
+//! events. The file does not state the sensor's size: `rectify_map.h5` in its folder does, and so do our own
+//! files.
 
 use super::table::EventTable;
 use super::{HdfRecording, declared_extent, extent, holds, open_file, optional, others, refused, with_cut};
@@ -18,12 +21,20 @@ use std::sync::Arc;
 mod folder;
 
 /// DSEC.
-pub(crate) static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format {
+    id: "dsec",
+    name: "DSEC HDF5",
+    recognises,
+    open: |path, declared| with_cut(open(path, declared)),
+};
 
 fn recognises(probe: &Probe) -> bool {
     if probe.names.is_some() {
         let events = folder::events_of(&probe.path, None);
-        return events.map_or_else(|| folder::is_sequence(&probe.path), |events| Probe::new(&events).is_ok_and(|probe| recognises(&probe)));
+        return events.map_or_else(
+            || folder::is_sequence(&probe.path),
+            |events| Probe::new(&events).is_ok_and(|probe| recognises(&probe)),
+        );
     }
     holds(probe, &["events/x", "events/y", "events/t", "events/p"])
 }
@@ -55,15 +66,28 @@ fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRec
         table.unit_ns = unit.ns();
     }
     let (mut notes, mut lost) = (Vec::new(), Vec::new());
-    let offset = optional(&file, "t_offset", &mut lost)?.map(|offset| offset.integers()).transpose().map_err(wrap)?;
+    let offset =
+        optional(&file, "t_offset", &mut lost)?.map(|offset| offset.integers()).transpose().map_err(wrap)?;
     if let Some(&us) = offset.as_ref().and_then(|offset| offset.first()) {
-        let wrong = || FormatError::new(events, format!("an offset of {us} us"), "the file is damaged: copy it again").at("/t_offset");
+        let wrong = || {
+            FormatError::new(
+                events,
+                format!("an offset of {us} us"),
+                "the file is damaged: copy \
+                                                            it again",
+            )
+            .at("/t_offset")
+        };
         table.offset_ns = us.checked_mul(table.unit_ns).ok_or_else(wrong)?;
         notes.push(format!("t_offset of {us} us added"));
     } else if file.cut().is_some() {
-        lost.push(Loss::new("/t_offset", "none is left: if there was one, all times are too early by it").by(Cause::Cut));
+        lost.push(
+            Loss::new("/t_offset", "none is left: if there was one, all times are too early by it")
+                .by(Cause::Cut),
+        );
     }
-    table.index = optional(&file, "ms_to_idx", &mut lost)?.filter(|index| index.shape().len() == 1 && table.unit_ns == 1000);
+    table.index = optional(&file, "ms_to_idx", &mut lost)?
+        .filter(|index| index.shape().len() == 1 && table.unit_ns == 1000);
     table.extent = declared_extent(declared, stated_extent(&file));
     notes.extend(table.polarity_note());
     Ok(HdfRecording::new(path, &file, Some(table), notes, lost).recognising(declared))
@@ -71,7 +95,9 @@ fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRec
 
 /// The sensor's size: of attributes as we write them, or of a rectification map in its folder.
 fn stated_extent(file: &ForeignFile) -> Option<Extent> {
-    let side = |name: &str| file.attribute("events", name).ok().flatten().and_then(|value| value.numbers().first().copied());
+    let side = |name: &str| {
+        file.attribute("events", name).ok().flatten().and_then(|value| value.numbers().first().copied())
+    };
     if let (Some(width), Some(height)) = (side("sensor_width"), side("sensor_height")) {
         return extent(width, height);
     }

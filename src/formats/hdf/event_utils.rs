@@ -1,7 +1,9 @@
-//! event_utils' HDF5 (also of its many descendants): `events/{xs,ys,ts,ps}` with times in seconds, `images/image000000000` with attributes `timestamp`
-//! and `type`, and the attribute `sensor_resolution` (height, width).
+//! event_utils' HDF5 (also of its many descendants): `events/{xs,ys,ts,ps}` with times in seconds,
+//! `images/image000000000` with attributes `timestamp` and `type`, and the attribute `sensor_resolution`
+//! (height, width).
 //!
-//! Pictures of type `color_bgr` have blue first. Some writers add start and end of the exposure as `timestamp_start` and `timestamp_end`.
+//! Pictures of type `color_bgr` have blue first. Some writers add start and end of the exposure as
+//! `timestamp_start` and `timestamp_end`.
 
 use super::stack::{Order, Stack, about, shape_of};
 use super::table::{EventTable, nanoseconds};
@@ -15,8 +17,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// event_utils' HDF5.
-pub(crate) static FORMAT: Format =
-    Format { id: "event_utils_hdf5", name: "event_utils HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format {
+    id: "event_utils_hdf5",
+    name: "event_utils HDF5",
+    recognises,
+    open: |path, declared| with_cut(open(path, declared)),
+};
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["events/xs", "events/ys", "events/ts", "events/ps"])
@@ -24,7 +30,8 @@ fn recognises(probe: &Probe) -> bool {
 
 fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let file = open_file(path)?;
-    let mut table = EventTable::of_columns(&file, ["events/xs", "events/ys", "events/ts", "events/ps"], None)?;
+    let mut table =
+        EventTable::of_columns(&file, ["events/xs", "events/ys", "events/ts", "events/ps"], None)?;
     table.unit_ns = declared.time_unit.unwrap_or(TimeUnit::S).ns();
     let resolution = file.attribute("", "sensor_resolution").map_err(|error| refused(path, error))?;
     let found = resolution.and_then(|value| match *value.numbers() {
@@ -42,7 +49,11 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
 fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss>), FormatError> {
     let wrap = |error| refused(file.path(), error);
     let names = file.names("images").map_err(wrap)?;
-    let mut names: Vec<String> = names.into_iter().filter(|name| name.starts_with("image")).map(|name| format!("images/{name}")).collect();
+    let mut names: Vec<String> = names
+        .into_iter()
+        .filter(|name| name.starts_with("image"))
+        .map(|name| format!("images/{name}"))
+        .collect();
     // Nine digits sort as they count; more would not.
     names.sort_by_key(|name| (name.len(), name.clone()));
     let (mut kept, mut stamps, mut without, mut odd, mut lost) = (Vec::new(), Vec::new(), 0, 0, 0);
@@ -75,7 +86,9 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
             odd += 1;
             continue;
         }
-        if kept.is_empty() && file.attribute(&name, "type").map_err(wrap)? == Some(Value::Text("color_bgr".into())) {
+        if kept.is_empty()
+            && file.attribute(&name, "type").map_err(wrap)? == Some(Value::Text("color_bgr".into()))
+        {
             order = Order::Bgr;
         }
         let exposure = time("timestamp_start")?.zip(time("timestamp_end")?);
@@ -84,10 +97,18 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
     }
     let mut losses = Vec::new();
     if lost > 0 {
-        losses.push(Loss::new("/images", format!("{lost} pictures lie behind the cut; they are lost")).by(Cause::Cut));
+        losses.push(
+            Loss::new("/images", format!("{lost} pictures lie behind the cut; they are lost")).by(Cause::Cut),
+        );
     }
     if odd > 0 {
-        losses.push(Loss::new("/images", format!("{odd} pictures have another shape than the first and were left out")));
+        losses.push(Loss::new(
+            "/images",
+            format!(
+                "{odd} pictures have another shape than the first and were \
+                                                  left out"
+            ),
+        ));
     }
     let (Some((extent, colour)), Some((_, field))) = (first, kept.first()) else { return Ok((None, losses)) };
     let mut about = about(extent, colour, *field, stamps);

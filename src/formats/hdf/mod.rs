@@ -1,6 +1,7 @@
 //! Event cameras' data in HDF5: one reader of columns for all layouts, and one small module for each layout.
 //!
-//! A file is recognised by the datasets that are in it, never by its name. All layouts are read through `photocurrent_store::foreign`, which trusts nothing.
+//! A file is recognised by the datasets that are in it, never by its name. All layouts are read through
+//! `photocurrent_store::foreign`, which trusts nothing.
 //!
 //! | module | events | stamps | frames |
 //! | --- | --- | --- | --- |
@@ -46,10 +47,16 @@ fn open_file(path: &Path) -> Result<ForeignFile, FormatError> {
 }
 
 /// A dataset that a layout may lack. In a cut file its header may be lost: that is a loss.
-fn optional(file: &ForeignFile, name: &str, losses: &mut Vec<Loss>) -> Result<Option<ForeignDataset>, FormatError> {
+fn optional(
+    file: &ForeignFile,
+    name: &str,
+    losses: &mut Vec<Loss>,
+) -> Result<Option<ForeignDataset>, FormatError> {
     match file.dataset(name) {
         Err(_) if file.cut().is_some() => {
-            losses.push(Loss::new(format!("/{name}"), "its header lies behind the cut; it is lost").by(Cause::Cut));
+            losses.push(
+                Loss::new(format!("/{name}"), "its header lies behind the cut; it is lost").by(Cause::Cut),
+            );
             Ok(None)
         }
         found => found.map_err(|error| refused(file.path(), error)),
@@ -59,7 +66,10 @@ fn optional(file: &ForeignFile, name: &str, losses: &mut Vec<Loss>) -> Result<Op
 /// What opening gave; a refusal of a cut file says so first.
 fn with_cut(opened: Result<Box<dyn Recording>, FormatError>) -> Result<Box<dyn Recording>, FormatError> {
     opened.map_err(|error| match ForeignFile::open(&error.path).ok().and_then(|file| file.cut()) {
-        Some(cut) => FormatError { found: format!("{cut}, and what is needed lies behind the cut: {}", error.found), ..error },
+        Some(cut) => FormatError {
+            found: format!("{cut}, and what is needed lies behind the cut: {}", error.found),
+            ..error
+        },
         None => error,
     })
 }
@@ -70,14 +80,19 @@ fn with_cut(opened: Result<Box<dyn Recording>, FormatError>) -> Result<Box<dyn R
 /// When it cannot be opened, or is cut so early that its layout is lost.
 pub(crate) fn readable(path: &Path) -> Result<(), FormatError> {
     match open_file(path)?.cut() {
-        Some(cut) => Err(FormatError::new(path, format!("{cut}, and no layout can be recognised in what is left"), COPY)),
+        Some(cut) => Err(FormatError::new(
+            path,
+            format!("{cut}, and no layout can be recognised in what is left"),
+            COPY,
+        )),
         None => Ok(()),
     }
 }
 
 /// Does an HDF5 file hold all these datasets or groups?
 fn holds(probe: &Probe, names: &[&str]) -> bool {
-    probe.is_hdf5() && ForeignFile::open(&probe.path).is_ok_and(|file| names.iter().all(|name| file.has(name)))
+    probe.is_hdf5()
+        && ForeignFile::open(&probe.path).is_ok_and(|file| names.iter().all(|name| file.has(name)))
 }
 
 /// An extent of two sides that make sense.
@@ -86,10 +101,19 @@ fn extent(width: f64, height: f64) -> Option<Extent> {
     Some(Extent { width: side(width)?, height: side(height)? })
 }
 
-/// One camera of a file with several: `declared.camera`, or the first that is there. Errors name those that are there.
-fn chosen<'a>(path: &Path, wanted: Option<&str>, there: &[&'a str], what: &str, field: &'static str) -> Result<&'a str, FormatError> {
+/// One camera of a file with several: `declared.camera`, or the first that is there. Errors name those that
+/// are there.
+fn chosen<'a>(
+    path: &Path,
+    wanted: Option<&str>,
+    there: &[&'a str],
+    what: &str,
+    field: &'static str,
+) -> Result<&'a str, FormatError> {
     match wanted {
-        None => there.first().copied().ok_or_else(|| FormatError::new(path, format!("there is no {what}"), "is this the file that you meant?")),
+        None => there.first().copied().ok_or_else(|| {
+            FormatError::new(path, format!("there is no {what}"), "is this the file that you meant?")
+        }),
         Some(wanted) => there.iter().copied().find(|name| *name == wanted).ok_or_else(|| {
             let found = format!("there is no {what} `{wanted}`");
             FormatError::new(path, found, format!("choose one of: {}", there.join(", "))).undeclared(field)
@@ -120,9 +144,17 @@ struct HdfRecording {
 }
 
 impl HdfRecording {
-    /// Of a file, or of a folder and its file, with or without events. What was lost while it was opened stands behind the cut that caused it.
-    fn new(path: &Path, file: &ForeignFile, table: Option<EventTable>, notes: Vec<String>, lost: Vec<Loss>) -> HdfRecording {
-        let whole = |cut: String| Loss::new("the file", format!("{cut}; what lies behind is lost")).by(Cause::Cut);
+    /// Of a file, or of a folder and its file, with or without events. What was lost while it was opened
+    /// stands behind the cut that caused it.
+    fn new(
+        path: &Path,
+        file: &ForeignFile,
+        table: Option<EventTable>,
+        notes: Vec<String>,
+        lost: Vec<Loss>,
+    ) -> HdfRecording {
+        let whole =
+            |cut: String| Loss::new("the file", format!("{cut}; what lies behind is lost")).by(Cause::Cut);
         let about = table.as_ref().map(|table| table.about(notes));
         HdfRecording {
             path: path.into(),
@@ -172,8 +204,13 @@ impl Recording for HdfRecording {
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        let table = self.table.clone().ok_or_else(|| FormatError::new(&self.path, "there are no events", "name a file with events"))?;
-        let Some(settled) = self.settled().transpose()? else { return Ok(Box::new(TableCursor::new(table, Rules::default()))) };
+        let table = self
+            .table
+            .clone()
+            .ok_or_else(|| FormatError::new(&self.path, "there are no events", "name a file with events"))?;
+        let Some(settled) = self.settled().transpose()? else {
+            return Ok(Box::new(TableCursor::new(table, Rules::default())));
+        };
         Ok(settled.followed(Box::new(TableCursor::new(table, settled.rules))))
     }
 

@@ -1,4 +1,5 @@
-//! MVSEC's `*_data.hdf5`: `davis/{left,right}/events` N x 4 f64 (x, y, t in s, p of -1 and 1), `image_raw`, `image_raw_ts`.
+//! MVSEC's `*_data.hdf5`: `davis/{left,right}/events` N x 4 f64 (x, y, t in s, p of -1 and 1), `image_raw`,
+//! `image_raw_ts`.
 //!
 //! Stamps of images are the DAVIS driver's; what they mean is not recorded, nor is the exposure.
 
@@ -13,7 +14,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// MVSEC.
-pub(crate) static FORMAT: Format = Format { id: "mvsec", name: "MVSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format {
+    id: "mvsec",
+    name: "MVSEC HDF5",
+    recognises,
+    open: |path, declared| with_cut(open(path, declared)),
+};
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["davis/left/events"]) || holds(probe, &["davis/right/events"])
@@ -21,7 +27,8 @@ fn recognises(probe: &Probe) -> bool {
 
 fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let file = open_file(path)?;
-    let there: Vec<&str> = ["left", "right"].into_iter().filter(|side| file.has(&format!("davis/{side}/events"))).collect();
+    let there: Vec<&str> =
+        ["left", "right"].into_iter().filter(|side| file.has(&format!("davis/{side}/events"))).collect();
     let camera = chosen(path, declared.camera.as_deref(), &there, "camera", "camera")?;
     let name = |name: &str| format!("davis/{camera}/{name}");
     let mut table = EventTable::of_rows(&file, &name("events"), [0, 1, 2, 3])?;
@@ -34,14 +41,22 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     if let (Some(images), Some(stamps)) = (images, stamps) {
         let stamps = stamps.floats().map_err(wrap)?;
         let at = |s: f64| nanoseconds(s, TimeUnit::S.ns()).map(|at| FrameStamp { at, exposure: None });
-        let bad = || FormatError::new(path, "a stamp that is no time", "the file is damaged: copy it again").at(format!("/{}", name("image_raw_ts")));
+        let bad = || {
+            FormatError::new(path, "a stamp that is no time", "the file is damaged: copy it again")
+                .at(format!("/{}", name("image_raw_ts")))
+        };
         let stamps = stamps.into_iter().map(|s| at(s).ok_or_else(bad)).collect::<Result<Vec<_>, _>>()?;
-        let mut stack = Stack::of_dataset(path, images, stamps, Order::Rgb, file.cut().is_none().then_some(declared))?;
+        let mut stack =
+            Stack::of_dataset(path, images, stamps, Order::Rgb, file.cut().is_none().then_some(declared))?;
         lost.extend(stack.lost.take());
         pictures = Some(stack);
     }
     table.extent = declared_extent(declared, pictures.as_ref().map(|pictures| pictures.about().extent));
-    let notes = table.polarity_note().into_iter().chain(others(declared.camera.as_deref(), camera, &there, "events and frames", "camera")).collect();
+    let notes = table
+        .polarity_note()
+        .into_iter()
+        .chain(others(declared.camera.as_deref(), camera, &there, "events and frames", "camera"))
+        .collect();
     let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost).recognising(declared);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
     recording.facts = vec![("camera".into(), format!("davis/{camera} (of {})", there.join(", ")))];

@@ -1,4 +1,5 @@
-//! This project's own recordings, `photocurrent-recording/1`: events in file order with their in-pixel times, linear frames, the sensor's description.
+//! This project's own recordings, `photocurrent-recording/1`: events in file order with their in-pixel times,
+//! linear frames, the sensor's description.
 
 use super::stack::{Order, Stack};
 use super::table::EventTable;
@@ -14,11 +15,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Our own recordings.
-pub(crate) static FORMAT: Format =
-    Format { id: "recording", name: "photocurrent recording", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format {
+    id: "recording",
+    name: "photocurrent recording",
+    recognises,
+    open: |path, declared| with_cut(open(path, declared)),
+};
 
 fn recognises(probe: &Probe) -> bool {
-    let says_so = |value: Option<Value>| value.is_some_and(|value| value.text() == Some("photocurrent-recording/1"));
+    let says_so =
+        |value: Option<Value>| value.is_some_and(|value| value.text() == Some("photocurrent-recording/1"));
     (holds(probe, &["events/t"]) || holds(probe, &["frames/dn"]) || probe.is_hdf5())
         && ForeignFile::open(&probe.path).is_ok_and(|file| file.attribute("", "format").is_ok_and(says_so))
 }
@@ -33,17 +39,26 @@ fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let mut table = None;
     if let Some(meta) = stored.events_meta() {
         let t_in = meta.has_t_in.then_some("events/t_in");
-        let mut events = EventTable::of_columns(&file, ["events/x", "events/y", "events/t", "events/p"], t_in)?;
+        let mut events =
+            EventTable::of_columns(&file, ["events/x", "events/y", "events/t", "events/p"], t_in)?;
         events.unit_ns = TimeUnit::Ns.ns();
         events.extent = Some(stored.extent());
         table = Some(events);
     }
     let mut recording = HdfRecording::new(path, &file, table, Vec::new(), Vec::new());
-    if let (Some(about), Some(step)) = (&mut recording.about, stored.events_meta().and_then(|meta| meta.t_resolution_ns)) {
+    if let (Some(about), Some(step)) =
+        (&mut recording.about, stored.events_meta().and_then(|meta| meta.t_resolution_ns))
+    {
         about.tick_ns = step.max(1);
     }
-    if let (Some(meta), Some(source)) = (stored.frames_meta(stored.row_time_ns().unwrap_or(0)), stored.frames_source()) {
-        let bits = file.dataset("frames/dn").map_err(wrap)?.and_then(|dn| dn.numbers()).map_or(32, super::stack::bits);
+    if let (Some(meta), Some(source)) =
+        (stored.frames_meta(stored.row_time_ns().unwrap_or(0)), stored.frames_source())
+    {
+        let bits = file
+            .dataset("frames/dn")
+            .map_err(wrap)?
+            .and_then(|dn| dn.numbers())
+            .map_or(32, super::stack::bits);
         let about = FramesAbout { row_time_ns: stored.row_time_ns(), bits, ..about(&meta) };
         recording.pictures = Some(Arc::new(Frames { path: path.into(), about, source }) as Arc<dyn Pictures>);
     }
@@ -57,18 +72,36 @@ fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
 /// What is left of a recording that ends before its stated end: the strict reader of recordings refuses it.
 fn open_cut(path: &Path, file: &ForeignFile) -> Result<Box<dyn Recording>, FormatError> {
     let wrap = |error| refused(path, error);
-    let integer = |of: &str, name: &str| file.attribute(of, name).ok().flatten().and_then(|value| value.numbers().first().map(|&number| number as i64));
+    let integer = |of: &str, name: &str| {
+        file.attribute(of, name)
+            .ok()
+            .flatten()
+            .and_then(|value| value.numbers().first().map(|&number| number as i64))
+    };
     let (mut table, mut lost) = (None, Vec::new());
     if file.has("events/t") {
         let t_in = file.has("events/t_in").then_some("events/t_in");
-        let mut events = EventTable::of_columns(file, ["events/x", "events/y", "events/t", "events/p"], t_in)?;
+        let mut events =
+            EventTable::of_columns(file, ["events/x", "events/y", "events/t", "events/p"], t_in)?;
         events.unit_ns = TimeUnit::Ns.ns();
-        events.extent = integer("", "width").zip(integer("", "height")).and_then(|(width, height)| extent(width as f64, height as f64));
+        events.extent = integer("", "width")
+            .zip(integer("", "height"))
+            .and_then(|(width, height)| extent(width as f64, height as f64));
         table = Some(events);
     }
-    let mut column = |name: &str| optional(file, name, &mut lost)?.map(|column| column.integers()).transpose().map_err(wrap).map(Option::unwrap_or_default);
+    let mut column = |name: &str| {
+        optional(file, name, &mut lost)?
+            .map(|column| column.integers())
+            .transpose()
+            .map_err(wrap)
+            .map(Option::unwrap_or_default)
+    };
     let (starts, ends) = (column("frames/exposure_start")?, column("frames/exposure_end")?);
-    let stamps = starts.iter().zip(&ends).map(|(&start, &end)| FrameStamp { at: start, exposure: Some((start, end)) }).collect();
+    let stamps = starts
+        .iter()
+        .zip(&ends)
+        .map(|(&start, &end)| FrameStamp { at: start, exposure: Some((start, end)) })
+        .collect();
     let mut pictures = None;
     if let Some(dn) = optional(file, "frames/dn", &mut lost)? {
         let mut stack = Stack::of_dataset(path, dn, stamps, Order::Rgb, None)?;
@@ -94,7 +127,10 @@ fn open_cut(path: &Path, file: &ForeignFile) -> Result<Box<dyn Recording>, Forma
 }
 
 fn about(meta: &FramesMeta) -> FramesAbout {
-    let stamp = |exposure: &photocurrent_core::Exposure| FrameStamp { at: exposure.start.0, exposure: Some((exposure.start.0, exposure.end.0)) };
+    let stamp = |exposure: &photocurrent_core::Exposure| FrameStamp {
+        at: exposure.start.0,
+        exposure: Some((exposure.start.0, exposure.end.0)),
+    };
     FramesAbout {
         extent: meta.extent,
         colour: meta.colour,
@@ -119,11 +155,21 @@ impl Pictures for Frames {
     }
 
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
-        let wrong = |found: String| FormatError::new(&self.path, found, "the file changed or is damaged: copy or record it again");
+        let wrong = |found: String| {
+            FormatError::new(
+                &self.path,
+                found,
+                "the file changed or is damaged: \
+                                                            copy or record it again",
+            )
+        };
         if frame >= self.about.stamps.len() {
             return Err(wrong(format!("there is no frame {frame}")));
         }
-        let block = self.source.read(frame..frame + 1, self.about.extent.rows()).map_err(|error| wrong(error.message))?;
+        let block = self
+            .source
+            .read(frame..frame + 1, self.about.extent.rows())
+            .map_err(|error| wrong(error.message))?;
         *values = block.dn;
         Ok(())
     }

@@ -16,7 +16,8 @@ pub(super) enum Order {
     Bgr,
 }
 
-/// What a frame's shape says: extent and colour; `None` when it is none of [h, w], [h, w, 1], [h, w, 3], [1, h, w].
+/// What a frame's shape says: extent and colour; `None` when it is none of [h, w], [h, w, 1], [h, w, 3],
+/// [1, h, w].
 pub(super) fn shape_of(shape: &[usize]) -> Option<(Extent, Colour)> {
     let (height, width, colour) = match *shape {
         [height, width] | [height, width, 1] => (height, width, Colour::Mono),
@@ -34,7 +35,16 @@ pub(super) fn bits(field: Field) -> u32 {
 
 /// A description with what a file of this kind leaves open.
 pub(super) fn about(extent: Extent, colour: Colour, field: Field, stamps: Vec<FrameStamp>) -> FramesAbout {
-    FramesAbout { extent, colour, bits: bits(field), stamps, stamp_role: None, row_time_ns: None, transfer: None, notes: Vec::new() }
+    FramesAbout {
+        extent,
+        colour,
+        bits: bits(field),
+        stamps,
+        stamp_role: None,
+        row_time_ns: None,
+        transfer: None,
+        notes: Vec::new(),
+    }
 }
 
 /// Frames of one dataset, or of one each.
@@ -54,8 +64,9 @@ enum From {
 }
 
 impl Stack {
-    /// A dataset whose first dimension counts frames, and their stamps. Where these are others in number they are paired as `declared` states, or by gaps between them;
-    /// in order without `declared`, as those of a file that is cut off. Frames and stamps without a partner are left out with a note.
+    /// A dataset whose first dimension counts frames, and their stamps. Where these are others in number they
+    /// are paired as `declared` states, or by gaps between them; in order without `declared`, as those of a
+    /// file that is cut off. Frames and stamps without a partner are left out with a note.
     ///
     /// # Errors
     /// When the dataset holds no frames, or it stays open which stamp belongs to which.
@@ -68,16 +79,37 @@ impl Stack {
     ) -> Result<Stack, FormatError> {
         let wrong = || {
             let expected = "[frames, height, width], with 1 or 3 channels last";
-            FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected(expected)
+            FormatError::new(
+                path,
+                format!("the shape {:?}", dataset.shape()),
+                "is this the file that you \
+                                                            meant?",
+            )
+            .at(dataset.at())
+            .expected(expected)
         };
         let (extent, colour) = dataset.shape().get(1..).and_then(shape_of).ok_or_else(wrong)?;
         let field = dataset.numbers().ok_or_else(wrong)?;
-        let (frames, whole, stamped) = (dataset.rows(), dataset.rows_before_the_cut().map_err(|error| refused(path, error))?, stamps.len());
-        let lost =
-            (whole < frames).then(|| Loss::new(dataset.at(), format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1)).by(Cause::Cut));
+        let (frames, whole, stamped) = (
+            dataset.rows(),
+            dataset.rows_before_the_cut().map_err(|error| refused(path, error))?,
+            stamps.len(),
+        );
+        let lost = (whole < frames).then(|| {
+            Loss::new(
+                dataset.at(),
+                format!(
+                    "frames {whole} to {} lie behind the \
+                                                            cut; they are lost",
+                    frames - 1
+                ),
+            )
+            .by(Cause::Cut)
+        });
         let at: Vec<i64> = stamps.iter().map(|stamp| stamp.at).collect();
         let in_order = || ((0..frames.min(stamped)).map(|n| (n, n)).collect(), None);
-        let (mut pairs, note) = declared.map_or_else(|| Ok(in_order()), |declared| of_array(path, frames, &at, declared))?;
+        let (mut pairs, note) =
+            declared.map_or_else(|| Ok(in_order()), |declared| of_array(path, frames, &at, declared))?;
         pairs.retain(|(frame, _)| *frame < whole);
         let mut about = about(extent, colour, field, pairs.iter().map(|(_, stamp)| stamps[*stamp]).collect());
         about.notes.extend(note);
@@ -106,7 +138,13 @@ impl Pictures for Stack {
     }
 
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
-        let missing = || FormatError::new(&self.path, format!("there is no frame {frame}"), "the file changed while it was read");
+        let missing = || {
+            FormatError::new(
+                &self.path,
+                format!("there is no frame {frame}"),
+                "the file changed while it was read",
+            )
+        };
         if frame >= self.about.stamps.len() {
             return Err(missing());
         }
@@ -116,12 +154,17 @@ impl Pictures for Stack {
                 (dataset.clone(), row..row + 1)
             }
             From::Each(file, names) => {
-                let dataset = file.dataset(names.get(frame).ok_or_else(missing)?).map_err(|error| refused(&self.path, error))?.ok_or_else(missing)?;
+                let dataset = file
+                    .dataset(names.get(frame).ok_or_else(missing)?)
+                    .map_err(|error| refused(&self.path, error))?
+                    .ok_or_else(missing)?;
                 let rows = 0..dataset.rows();
                 if shape_of(dataset.shape()) != Some((self.about.extent, self.about.colour)) {
                     let expected = format!("{} pixels, as the first picture has", self.about.extent);
                     let found = format!("the shape {:?}", dataset.shape());
-                    return Err(FormatError::new(&self.path, found, "split the file by size").at(dataset.at()).expected(expected));
+                    return Err(FormatError::new(&self.path, found, "split the file by size")
+                        .at(dataset.at())
+                        .expected(expected));
                 }
                 (dataset, rows)
             }
@@ -129,7 +172,12 @@ impl Pictures for Stack {
         let field = dataset.numbers().ok_or_else(missing)?;
         let block = dataset.rows_at(rows).map_err(|error| refused(&self.path, error))?;
         if let Some(gap) = block.gaps().first() {
-            return Err(FormatError::new(&self.path, format!("frame {frame} is damaged: {}", gap.why), "copy or record the file again").at(dataset.at()));
+            return Err(FormatError::new(
+                &self.path,
+                format!("frame {frame} is damaged: {}", gap.why),
+                "copy or record the file again",
+            )
+            .at(dataset.at()));
         }
         let mut numbers = Vec::new();
         block.all(field, &mut numbers);

@@ -1,7 +1,9 @@
-//! Events as columns of HDF5 datasets: columns of their own, members of a compound, or columns of an N x 4 table; walked through in pieces.
+//! Events as columns of HDF5 datasets: columns of their own, members of a compound, or columns of an N x 4
+//! table; walked through in pieces.
 //!
-//! A piece is read and unpacked at a time, a few chunks in parallel. Numbers of any type are accepted; what the reader made of them is said in notes.
-//! Seeking halves the time column, a row at a time, and goes back a little further so that small disorder leaves nothing out.
+//! A piece is read and unpacked at a time, a few chunks in parallel. Numbers of any type are accepted; what
+//! the reader made of them is said in notes. Seeking halves the time column, a row at a time, and goes back a
+//! little further so that small disorder leaves nothing out.
 
 use super::refusal::refused;
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
@@ -51,15 +53,28 @@ pub(super) struct EventTable {
 
 impl EventTable {
     /// Of columns of their own: x, y, t, p, and t_in where it exists.
-    pub(super) fn of_columns(file: &ForeignFile, names: [&str; 4], t_in: Option<&str>) -> Result<EventTable, FormatError> {
+    pub(super) fn of_columns(
+        file: &ForeignFile,
+        names: [&str; 4],
+        t_in: Option<&str>,
+    ) -> Result<EventTable, FormatError> {
         let path = file.path();
         let mut sources = Vec::new();
         let mut column = |name: &str| {
             let dataset = dataset(file, name)?;
-            let wrong =
-                || FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("a column");
+            let wrong = || {
+                FormatError::new(
+                    path,
+                    format!("the shape {:?}", dataset.shape()),
+                    "is this the file \
+                                                            that you meant?",
+                )
+                .at(dataset.at())
+                .expected("a column")
+            };
             // A column may also be written as [N, 1].
-            let field = dataset.column(0).filter(|_| matches!(dataset.shape(), [_] | [_, 1])).ok_or_else(wrong)?;
+            let field =
+                dataset.column(0).filter(|_| matches!(dataset.shape(), [_] | [_, 1])).ok_or_else(wrong)?;
             sources.push(dataset);
             Ok::<Column, FormatError>(Column { source: sources.len() - 1, field })
         };
@@ -72,7 +87,14 @@ impl EventTable {
     pub(super) fn of_compound(file: &ForeignFile, name: &str) -> Result<EventTable, FormatError> {
         let dataset = dataset(file, name)?;
         let member = |member: &str| {
-            let missing = || FormatError::new(file.path(), format!("there is no member `{member}`"), "is this the file that you meant?").at(dataset.at());
+            let missing = || {
+                FormatError::new(
+                    file.path(),
+                    format!("there is no member `{member}`"),
+                    "is this the file that you meant?",
+                )
+                .at(dataset.at())
+            };
             dataset.member(member).map(|field| Column { source: 0, field }).ok_or_else(missing)
         };
         let columns = [member("x")?, member("y")?, member("t")?, member("p")?];
@@ -80,23 +102,64 @@ impl EventTable {
     }
 
     /// Of a table [N, 4]; at which of its columns x, y, t, p stand.
-    pub(super) fn of_rows(file: &ForeignFile, name: &str, order: [usize; 4]) -> Result<EventTable, FormatError> {
+    pub(super) fn of_rows(
+        file: &ForeignFile,
+        name: &str,
+        order: [usize; 4],
+    ) -> Result<EventTable, FormatError> {
         let dataset = dataset(file, name)?;
         let wrong = || {
-            FormatError::new(file.path(), format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("[N, 4]")
+            FormatError::new(
+                file.path(),
+                format!("the shape {:?}", dataset.shape()),
+                "is this the file \
+                                                            that you meant?",
+            )
+            .at(dataset.at())
+            .expected("[N, 4]")
         };
-        let column = |at: usize| dataset.column(at).filter(|_| matches!(dataset.shape(), [_, 4])).map(|field| Column { source: 0, field }).ok_or_else(wrong);
+        let column = |at: usize| {
+            dataset
+                .column(at)
+                .filter(|_| matches!(dataset.shape(), [_, 4]))
+                .map(|field| Column { source: 0, field })
+                .ok_or_else(wrong)
+        };
         let columns = [column(order[0])?, column(order[1])?, column(order[2])?, column(order[3])?];
         EventTable::new(file.path(), vec![dataset], columns, None)
     }
 
-    fn new(path: &Path, sources: Vec<ForeignDataset>, [x, y, t, p]: [Column; 4], t_in: Option<Column>) -> Result<EventTable, FormatError> {
+    fn new(
+        path: &Path,
+        sources: Vec<ForeignDataset>,
+        [x, y, t, p]: [Column; 4],
+        t_in: Option<Column>,
+    ) -> Result<EventTable, FormatError> {
         let count = sources.first().map_or(0, ForeignDataset::rows);
         if let Some(other) = sources.iter().find(|other| other.rows() != count) {
             let found = format!("{} numbers, but {} in {}", other.rows(), count, sources[0].at());
-            return Err(FormatError::new(path, found, "the writer stopped early or the file is damaged: copy or record it again").at(other.at()));
+            return Err(FormatError::new(
+                path,
+                found,
+                "the writer stopped early or the file is damaged: copy \
+                                                      or record it again",
+            )
+            .at(other.at()));
         }
-        Ok(EventTable { path: path.into(), sources, x, y, t, p, t_in, count, unit_ns: 1000, offset_ns: 0, extent: None, index: None })
+        Ok(EventTable {
+            path: path.into(),
+            sources,
+            x,
+            y,
+            t,
+            p,
+            t_in,
+            count,
+            unit_ns: 1000,
+            offset_ns: 0,
+            extent: None,
+            index: None,
+        })
     }
 
     /// What is known before reading, with notes on unusual types.
@@ -145,9 +208,12 @@ impl EventTable {
         }
     }
 
-    /// The first column and row outside; those that a coordinate of 16 bits cannot name when the extent is not known.
+    /// The first column and row outside; those that a coordinate of 16 bits cannot name when the extent is
+    /// not known.
     fn sides(&self) -> (i64, i64) {
-        self.extent.map_or((65_536, 65_536), |extent| (i64::from(extent.width).min(65_536), i64::from(extent.height).min(65_536)))
+        self.extent.map_or((65_536, 65_536), |extent| {
+            (i64::from(extent.width).min(65_536), i64::from(extent.height).min(65_536))
+        })
     }
 
     /// One stamp in nanoseconds; `None` when it is no time.
@@ -199,7 +265,15 @@ impl EventTable {
 }
 
 fn dataset(file: &ForeignFile, name: &str) -> Result<ForeignDataset, FormatError> {
-    let missing = || FormatError::new(file.path(), "there is no such dataset", "the file is cut short, or has another layout").at(format!("/{name}"));
+    let missing = || {
+        FormatError::new(
+            file.path(),
+            "there is no such dataset",
+            "the file is cut short, or \
+                                                            has another layout",
+        )
+        .at(format!("/{name}"))
+    };
     file.dataset(name).map_err(|error| refused(file.path(), error))?.ok_or_else(missing)
 }
 
@@ -214,7 +288,11 @@ impl Stamps {
     fn read(&mut self, table: &EventTable, block: &RowBlock) {
         self.integers.clear();
         self.floats.clear();
-        if table.t.field.number().is_float() { block.floats(table.t.field, &mut self.floats) } else { block.integers(table.t.field, &mut self.integers) }
+        if table.t.field.number().is_float() {
+            block.floats(table.t.field, &mut self.floats)
+        } else {
+            block.integers(table.t.field, &mut self.integers)
+        }
     }
 
     /// In nanoseconds of the file's clock; `None` when it is no time.
@@ -227,7 +305,8 @@ impl Stamps {
     }
 }
 
-/// A floating-point stamp in nanoseconds: whole units and the fraction apart, so that nothing is lost beyond what f64 has lost already.
+/// A floating-point stamp in nanoseconds: whole units and the fraction apart, so that nothing is lost beyond
+/// what f64 has lost already.
 pub(super) fn nanoseconds(stored: f64, unit_ns: i64) -> Option<i64> {
     let (whole, fraction) = (stored.trunc(), stored.fract());
     if !whole.is_finite() || whole.abs() > i64::MAX as f64 / unit_ns as f64 / 2.0 {
@@ -264,14 +343,19 @@ impl EventTable {
         let (mut x, mut y, mut p, mut t) = (Vec::new(), Vec::new(), Vec::new(), Stamps::default());
         for first in (0..self.count).step_by(PIECE) {
             let rows = first..self.count.min(first + PIECE);
-            let blocks = self.sources.iter().map(|source| source.rows_at(rows.clone()).map_err(|error| refused(&self.path, error)));
+            let blocks = self
+                .sources
+                .iter()
+                .map(|source| source.rows_at(rows.clone()).map_err(|error| refused(&self.path, error)));
             let blocks = blocks.collect::<Result<Vec<_>, _>>()?;
             for (column, values) in [(self.x, &mut x), (self.y, &mut y), (self.p, &mut p)] {
                 values.clear();
                 blocks[column.source].integers(column.field, values);
             }
             t.read(self, &blocks[self.t.source]);
-            let is_lost = |row: usize| blocks.iter().any(|block| block.gaps().iter().any(|gap| gap.rows.contains(&row)));
+            let is_lost = |row: usize| {
+                blocks.iter().any(|block| block.gaps().iter().any(|gap| gap.rows.contains(&row)))
+            };
             let is_whole = blocks.iter().all(|block| block.gaps().is_empty());
             for i in (0..rows.len()).filter(|i| is_whole || !is_lost(first + i)) {
                 tally.add(t.get(self, i).unwrap_or(NONE), x[i], y[i], p[i]);
@@ -331,7 +415,9 @@ impl TableCursor {
         let mut blocks = Vec::new();
         for source in &table.sources {
             let block = source.rows_at(rows.clone()).map_err(|error| refused(&table.path, error))?;
-            damaged.extend(block.gaps().iter().map(|gap| (gap.rows.clone(), format!("{}: {}", source.at(), gap.why))));
+            damaged.extend(
+                block.gaps().iter().map(|gap| (gap.rows.clone(), format!("{}: {}", source.at(), gap.why))),
+            );
             blocks.push(block);
         }
         self.x.read(table.x, &blocks[table.x.source]);
@@ -344,7 +430,11 @@ impl TableCursor {
             blocks[column.source].integers(column.field, &mut self.t_in);
         }
         for (lost, why) in &damaged {
-            match self.damaged.iter_mut().find(|(open, other)| (open.start..=open.end).contains(&lost.start) && other == why) {
+            match self
+                .damaged
+                .iter_mut()
+                .find(|(open, other)| (open.start..=open.end).contains(&lost.start) && other == why)
+            {
                 Some((open, _)) => open.end = open.end.max(lost.end),
                 None => self.damaged.push((lost.clone(), why.clone())),
             }
@@ -352,12 +442,19 @@ impl TableCursor {
         let mut from = rows.start;
         while from < rows.end {
             // Whole rows up to the next damaged piece.
-            let inside = damaged.iter().filter(|(lost, _)| lost.contains(&from)).map(|(lost, _)| lost.end).max();
+            let inside =
+                damaged.iter().filter(|(lost, _)| lost.contains(&from)).map(|(lost, _)| lost.end).max();
             if let Some(end) = inside {
                 from = end.min(rows.end);
                 continue;
             }
-            let to = damaged.iter().map(|(lost, _)| lost.start).filter(|&start| start > from).min().unwrap_or(rows.end).min(rows.end);
+            let to = damaged
+                .iter()
+                .map(|(lost, _)| lost.start)
+                .filter(|&start| start > from)
+                .min()
+                .unwrap_or(rows.end)
+                .min(rows.end);
             for batch in (from - rows.start..to - rows.start).step_by(BATCH) {
                 let batch = batch..(batch + BATCH).min(to - rows.start);
                 if !self.take_sound(&table, batch.clone()) {
@@ -369,19 +466,29 @@ impl TableCursor {
         Ok(())
     }
 
-    /// Puts events into `ready`, whole columns at a time, if none of them has to be left out and all are stored as integers; else does nothing.
+    /// Puts events into `ready`, whole columns at a time, if none of them has to be left out and all are
+    /// stored as integers; else does nothing.
     fn take_sound(&mut self, table: &EventTable, batch: std::ops::Range<usize>) -> bool {
-        if !(self.x.floats.is_empty() && self.y.floats.is_empty() && self.t.floats.is_empty() && table.t_in.is_none()) {
+        if !(self.x.floats.is_empty()
+            && self.y.floats.is_empty()
+            && self.t.floats.is_empty()
+            && table.t_in.is_none())
+        {
             return false;
         }
         let (x, y) = (&self.x.integers[batch.clone()], &self.y.integers[batch.clone()]);
         let (t, p) = (&self.t.integers[batch.clone()], &self.p[batch]);
         let (width, height) = table.sides();
         // Without branches, so that the compiler works on several events at once.
-        let places = x.iter().zip(y).fold(true, |sound, (&x, &y)| sound & (0..width).contains(&x) & (0..height).contains(&y));
-        let polarities = self.rules.is_usual() && p.iter().fold(true, |sound, &p| sound & (-1..=1).contains(&p));
+        let places = x
+            .iter()
+            .zip(y)
+            .fold(true, |sound, (&x, &y)| sound & (0..width).contains(&x) & (0..height).contains(&y));
+        let polarities =
+            self.rules.is_usual() && p.iter().fold(true, |sound, &p| sound & (-1..=1).contains(&p));
         let (low, high) = t.iter().fold((i64::MAX, i64::MIN), |(low, high), &t| (low.min(t), high.max(t)));
-        let fits = |t: i64| t.checked_mul(table.unit_ns).and_then(|ns| ns.checked_add(table.offset_ns)).is_some();
+        let fits =
+            |t: i64| t.checked_mul(table.unit_ns).and_then(|ns| ns.checked_add(table.offset_ns)).is_some();
         if !(places && polarities && fits(low) && fits(high)) {
             return false;
         }
@@ -395,13 +502,19 @@ impl TableCursor {
     /// Checks one event and puts it into `ready`.
     #[inline]
     fn take(&mut self, table: &EventTable, index: usize, i: usize) {
-        let (x, y, p) = (self.rules.pixel(self.x.integers[i]), self.rules.pixel(self.y.integers[i]), self.p[i]);
+        let (x, y, p) =
+            (self.rules.pixel(self.x.integers[i]), self.rules.pixel(self.y.integers[i]), self.p[i]);
         let event = || format!("event {index}");
         let Some(t) = self.t.get(table, i) else {
-            let stored = || self.t.floats.get(i).map_or_else(|| self.t.integers[i].to_string(), f64::to_string);
-            return self.losses.add_by(Cause::Stamp, "events without a sound stamp were left out", 1, event, || {
-                format!("its stamp {} is no time; it was left out", stored())
-            });
+            let stored =
+                || self.t.floats.get(i).map_or_else(|| self.t.integers[i].to_string(), f64::to_string);
+            return self.losses.add_by(
+                Cause::Stamp,
+                "events without a sound stamp were left out",
+                1,
+                event,
+                || format!("its stamp {} is no time; it was left out", stored()),
+            );
         };
         if !(self.x.is_whole(i) && self.y.is_whole(i)) {
             let at = |of: &Coordinates| of.floats.get(i).copied().unwrap_or(of.integers[i] as f64);
@@ -411,12 +524,25 @@ impl TableCursor {
         }
         let (width, height) = table.sides();
         if !((0..width).contains(&x) && (0..height).contains(&y)) {
-            let what = || format!("its pixel x = {x}, y = {y} lies outside {width} x {height}; it was left out");
-            return self.losses.add_by(Cause::Outside, "events outside the pixel array were left out", 1, event, what);
+            let what =
+                || format!("its pixel x = {x}, y = {y} lies outside {width} x {height}; it was left out");
+            return self.losses.add_by(
+                Cause::Outside,
+                "events outside the pixel array were left out",
+                1,
+                event,
+                what,
+            );
         }
         let Some(on) = self.rules.on(p) else {
             let what = || format!("its polarity {p} is none of 0, 1, -1; it was left out");
-            return self.losses.add_by(Cause::Polarity, "events whose polarity is none of 0, 1, -1 were left out", 1, event, what);
+            return self.losses.add_by(
+                Cause::Polarity,
+                "events whose polarity is none of 0, 1, -1 were left out",
+                1,
+                event,
+                what,
+            );
         };
         self.ready.push(t, x as u16, y as u16, on);
         if let (Some(column), Some(&t_in)) = (&mut self.ready.t_in, self.t_in.get(i)) {

@@ -23,9 +23,16 @@ pub struct Written {
 /// Writes events in the layout of DSEC. `extent` is the sensor's size.
 ///
 /// # Errors
-/// When the events cannot be read, are not in the order of time, lie outside the sensor, or last longer than the layout can say.
-pub fn write_dsec(path: &Path, cursor: &mut dyn EventCursor, extent: Extent, has_t_in: bool) -> Result<Written, FormatError> {
-    let written = photocurrent_store::stream::write_dsec(path, extent, |sink| pour(cursor, sink)).map_err(|error| refused(path, error))?;
+/// When the events cannot be read, are not in the order of time, lie outside the sensor, or last longer than
+/// the layout can say.
+pub fn write_dsec(
+    path: &Path,
+    cursor: &mut dyn EventCursor,
+    extent: Extent,
+    has_t_in: bool,
+) -> Result<Written, FormatError> {
+    let written = photocurrent_store::stream::write_dsec(path, extent, |sink| pour(cursor, sink))
+        .map_err(|error| refused(path, error))?;
     let mut notes = Vec::new();
     if written.rounded > 0 {
         notes.push(format!("{} stamps were rounded to whole microseconds", written.rounded));
@@ -39,8 +46,13 @@ pub fn write_dsec(path: &Path, cursor: &mut dyn EventCursor, extent: Extent, has
 /// Writes our own recording: events, when `content` says that there are any, and what else it says.
 ///
 /// # Errors
-/// When the events cannot be read, are not in the order of time, or lie outside the sensor; when a frame cannot be read.
-pub fn write_recording(path: &Path, cursor: Option<&mut dyn EventCursor>, content: &StreamedRecording) -> Result<Written, FormatError> {
+/// When the events cannot be read, are not in the order of time, or lie outside the sensor; when a frame
+/// cannot be read.
+pub fn write_recording(
+    path: &Path,
+    cursor: Option<&mut dyn EventCursor>,
+    content: &StreamedRecording,
+) -> Result<Written, FormatError> {
     let mut losses = Vec::new();
     let fill = |sink: &mut EventSink| match cursor {
         None => Ok(()),
@@ -57,7 +69,13 @@ pub fn write_recording(path: &Path, cursor: Option<&mut dyn EventCursor>, conten
 fn pour(cursor: &mut dyn EventCursor, sink: &mut EventSink) -> Result<(), StoreError> {
     let mut chunk = EventChunk::default();
     while cursor.next(&mut chunk).map_err(|error| StoreError::Source(DataError::from(error)))? {
-        sink.append(EventPiece { t: &chunk.t, x: &chunk.x, y: &chunk.y, on: &chunk.on, t_in: chunk.t_in.as_deref() })?;
+        sink.append(EventPiece {
+            t: &chunk.t,
+            x: &chunk.x,
+            y: &chunk.y,
+            on: &chunk.on,
+            t_in: chunk.t_in.as_deref(),
+        })?;
     }
     Ok(())
 }

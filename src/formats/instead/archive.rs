@@ -8,8 +8,10 @@ use std::io::{BufReader, Read};
 /// Names of members that are listed.
 const LISTED: usize = 6;
 /// Ends of names that recordings and what belongs to them have.
-const READ: [&str; 19] =
-    ["raw", "dat", "hdf5", "h5", "aedat", "aedat4", "es", "bag", "mcap", "npz", "npy", "txt", "csv", "png", "tif", "tiff", "y4m", "bias", "yaml"];
+const READ: [&str; 19] = [
+    "raw", "dat", "hdf5", "h5", "aedat", "aedat4", "es", "bag", "mcap", "npz", "npy", "txt", "csv", "png",
+    "tif", "tiff", "y4m", "bias", "yaml",
+];
 
 /// An archive or a compressed file, by its first bytes.
 pub(super) fn archive(probe: &Probe) -> Option<Instead> {
@@ -19,7 +21,10 @@ pub(super) fn archive(probe: &Probe) -> Option<Instead> {
         return Some(zip(probe));
     }
     if head.get(257..262) == Some(b"ustar") {
-        return Some(Instead::new(format!("an archive (tar){}", first_of_tar(head)), format!("unpack it: `tar xf {name}`, then name what it holds")));
+        return Some(Instead::new(
+            format!("an archive (tar){}", first_of_tar(head)),
+            format!("unpack it: `tar xf {name}`, then name what it holds"),
+        ));
     }
     if head.starts_with(b"\x1f\x8b") {
         return Some(gzip(probe));
@@ -36,9 +41,19 @@ pub(super) fn archive(probe: &Probe) -> Option<Instead> {
     ];
     let (_, kind, command) = others.into_iter().find(|(magic, ..)| head.starts_with(magic))?;
     if probe.extension() == "tar" || unpacked.extension().is_some_and(|extension| extension == "tar") {
-        return Some(Instead::new(format!("an archive (tar, packed by {kind})"), format!("unpack it: `tar xf {name}`, then name what it holds")));
+        return Some(Instead::new(
+            format!("an archive (tar, packed by {kind})"),
+            format!(
+                "unpack it: `tar xf \
+                                                            {name}`, then name what it holds"
+            ),
+        ));
     }
-    let what = if matches!(kind, "7z" | "RAR") { format!("an archive ({kind})") } else { format!("a file packed by {kind}") };
+    let what = if matches!(kind, "7z" | "RAR") {
+        format!("an archive ({kind})")
+    } else {
+        format!("a file packed by {kind}")
+    };
     Some(Instead::new(what, format!("unpack it: `{command} {name}`, then name what comes out")))
 }
 
@@ -57,14 +72,24 @@ fn zip(probe: &Probe) -> Instead {
             "load it with torch and save events for numpy: `numpy.savez(\"events.npz\", t=t, x=x, y=y, p=p)`",
         );
     }
-    let end = |member: &String| member.rsplit_once('.').map(|(_, end)| end.to_lowercase()).unwrap_or_default();
+    let end =
+        |member: &String| member.rsplit_once('.').map(|(_, end)| end.to_lowercase()).unwrap_or_default();
     let read: Vec<&String> = members.iter().filter(|member| READ.contains(&end(member).as_str())).collect();
     let holds = match (members.is_empty(), read.is_empty()) {
         (true, _) => "it is empty".to_string(),
-        (false, true) => format!("it holds {}, none of which looks like a recording", list(&members.iter().collect::<Vec<_>>())),
+        (false, true) => format!(
+            "it holds {}, none of which looks like a recording",
+            list(&members.iter().collect::<Vec<_>>())
+        ),
         (false, false) => format!("it holds {}", list(&read)),
     };
-    Instead::new(format!("an archive (zip); {holds}"), format!("unpack it: `unzip {name}`, then name the recording that it holds"))
+    Instead::new(
+        format!("an archive (zip); {holds}"),
+        format!(
+            "unpack it: `unzip {name}`, then name the \
+                                                            recording that it holds"
+        ),
+    )
 }
 
 /// Names of files in a zip archive, 4096 at most; `None` without a directory.
@@ -82,7 +107,8 @@ fn members(probe: &Probe) -> Option<Vec<String>> {
 }
 
 fn list(names: &[&String]) -> String {
-    let shown = names.iter().take(LISTED).map(|name| name.escape_debug().to_string()).collect::<Vec<_>>().join(", ");
+    let shown =
+        names.iter().take(LISTED).map(|name| name.escape_debug().to_string()).collect::<Vec<_>>().join(", ");
     if names.len() > LISTED { format!("{shown} and {} more", names.len() - LISTED) } else { shown }
 }
 
@@ -90,7 +116,8 @@ fn list(names: &[&String]) -> String {
 fn gzip(probe: &Probe) -> Instead {
     let path = probe.path.display();
     let mut head = Vec::new();
-    let unpacked = File::open(&probe.path).map(|file| flate2::read::GzDecoder::new(BufReader::new(file)).take(4096).read_to_end(&mut head));
+    let unpacked = File::open(&probe.path)
+        .map(|file| flate2::read::GzDecoder::new(BufReader::new(file)).take(4096).read_to_end(&mut head));
     if matches!(unpacked, Ok(Ok(_))) && head.get(257..262) == Some(b"ustar") {
         return Instead::new(
             format!("an archive (tar, packed by gzip){}", first_of_tar(&head)),
@@ -100,13 +127,24 @@ fn gzip(probe: &Probe) -> Instead {
     let stem = probe.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let inner = Probe { path: probe.path.with_extension(""), bytes: head.len() as u64, head, names: None };
     // Signatures need no more than the beginning; a text is recognised by it too.
-    let format = crate::FORMATS.iter().take_while(|format| format.id != "recording").chain(crate::FORMATS.last()).find(|format| (format.recognises)(&inner));
+    let format = crate::FORMATS
+        .iter()
+        .take_while(|format| format.id != "recording")
+        .chain(crate::FORMATS.last())
+        .find(|format| (format.recognises)(&inner));
     let holds = format.map_or_else(|| stem.clone(), |format| format!("{stem}, {}", format.name));
-    Instead::new(format!("a file packed by gzip; it holds {holds}"), format!("unpack it: `gunzip -k {path}`, then name {stem}"))
+    Instead::new(
+        format!("a file packed by gzip; it holds {holds}"),
+        format!(
+            "unpack it: `gunzip -k \
+                                                            {path}`, then name {stem}"
+        ),
+    )
 }
 
 /// The first name of a tar archive.
 fn first_of_tar(head: &[u8]) -> String {
-    let name: String = head.iter().take(100).take_while(|byte| **byte != 0).map(|byte| *byte as char).collect();
+    let name: String =
+        head.iter().take(100).take_while(|byte| **byte != 0).map(|byte| *byte as char).collect();
     if name.is_empty() { String::new() } else { format!("; its first entry is {}", name.escape_debug()) }
 }

@@ -1,7 +1,8 @@
 //! Files of MATLAB: which variables they hold, and how to save these for others.
 //!
-//! Version 5 (also 6 and 7): a head of 128 bytes, then elements of a tag and content; a variable is an element of type 14, packed by zlib in one of type 15. Version 7.3
-//! is HDF5 behind a head of 512 bytes. Source: MAT-File Format, The MathWorks. Limits: names and sizes are read, values are not.
+//! Version 5 (also 6 and 7): a head of 128 bytes, then elements of a tag and content; a variable is an
+//! element of type 14, packed by zlib in one of type 15. Version 7.3 is HDF5 behind a head of 512 bytes.
+//! Source: MAT-File Format, The MathWorks. Limits: names and sizes are read, values are not.
 
 use super::{Instead, inside};
 use crate::format::Probe;
@@ -28,7 +29,8 @@ pub(super) fn matlab(probe: &Probe) -> Option<Instead> {
         _ => format!("it holds {}", variables.join(", ")),
     };
     let todo = "save it as text from MATLAB, `writematrix([t(:) x(:) y(:) p(:)], \"events.csv\")`, or as npz from Python: `m = scipy.io.loadmat(...)` (h5py for version 7.3), \
-                `numpy.savez(\"events.npz\", t=..., x=..., y=..., p=...)`; coordinates of MATLAB often begin at 1: state `origin = 1` then";
+                `numpy.savez(\"events.npz\", t=..., x=..., y=..., p=...)`; coordinates of MATLAB often \
+                               begin at 1: state `origin = 1` then";
     Some(Instead::new(format!("a file of MATLAB ({version}); {holds}"), todo))
 }
 
@@ -47,9 +49,10 @@ fn variables(probe: &Probe) -> Vec<String> {
         let (kind, size) = (number(&tag, 0, big), u64::from(number(&tag, 4, big)));
         let mut head = Vec::new();
         let read = match kind {
-            15 => {
-                flate2::read::ZlibDecoder::new(file.by_ref().take(size)).take(HEAD).read_to_end(&mut head).map(|_| head.get(8..).unwrap_or_default().to_vec())
-            }
+            15 => flate2::read::ZlibDecoder::new(file.by_ref().take(size))
+                .take(HEAD)
+                .read_to_end(&mut head)
+                .map(|_| head.get(8..).unwrap_or_default().to_vec()),
             14 => file.by_ref().take(size.min(HEAD)).read_to_end(&mut head).map(|_| head.clone()),
             _ => break,
         };
@@ -65,7 +68,8 @@ fn number(bytes: &[u8], at: usize, big: bool) -> u32 {
     if big { u32::from_be_bytes(four) } else { u32::from_le_bytes(four) }
 }
 
-/// The content of an element within a variable, and where the next begins. Short content stands within the tag.
+/// The content of an element within a variable, and where the next begins. Short content stands within the
+/// tag.
 fn element(bytes: &[u8], at: usize, big: bool) -> Option<(&[u8], usize)> {
     let tag = number(bytes, at, big);
     if tag >> 16 != 0 {
@@ -99,7 +103,8 @@ fn variable(bytes: &[u8], big: bool) -> Option<String> {
         _ => "of an unknown class",
     };
     let (sides, next) = element(bytes, next, big)?;
-    let sides: Vec<String> = (0..sides.len() / 4).map(|side| number(sides, 4 * side, big).to_string()).collect();
+    let sides: Vec<String> =
+        (0..sides.len() / 4).map(|side| number(sides, 4 * side, big).to_string()).collect();
     let (name, _) = element(bytes, next, big)?;
     let name = String::from_utf8_lossy(name);
     (!name.is_empty()).then(|| format!("{} {} {class}", name.escape_debug(), sides.join(" x ")))

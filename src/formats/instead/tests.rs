@@ -15,40 +15,64 @@ fn probe(name: &str, bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
 fn said(name: &str, bytes: &[u8]) -> (String, String) {
     let (_folder, path) = probe(name, bytes);
     assert!(recognise(&path).unwrap().is_none(), "{name}");
-    let instead = what_it_is(&Probe::new(&path).unwrap()).unwrap_or_else(|| panic!("{name}: nothing is known of it"));
+    let instead = what_it_is(&Probe::new(&path).unwrap()).unwrap_or_else(|| {
+        panic!(
+            "{name}: nothing is \
+                                                            known of it"
+        )
+    });
     (instead.what, instead.todo)
 }
 
-/// NVIDIA/aerial-framework#4, wassname/satellite_leak_detection#1, aiqm/torchani#168: a file of HDF5 that is "ASCII text" of three lines.
+/// NVIDIA/aerial-framework#4, wassname/satellite_leak_detection#1, aiqm/torchani#168: a file of HDF5 that is
+/// "ASCII text" of three lines.
 #[test]
 fn a_pointer_of_git_lfs_is_named_whatever_it_is_called() {
-    let pointer = format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 123456789\n", "0123456789abcdef".repeat(4));
+    let pointer = format!(
+        "version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 123456789\n",
+        "0123456789abcdef".repeat(4)
+    );
     for name in ["pointer.raw", "pointer.h5", "pointer.aedat4", "pointer.npz", "events.txt"] {
         let (what, todo) = said(name, pointer.as_bytes());
         assert_eq!(what, "a Git LFS pointer to a file of 123456789 bytes, not the file itself");
         assert!(todo.contains("git lfs pull"), "{todo}");
         let (_folder, path) = probe(name, pointer.as_bytes());
-        assert!(!may_be_stamps(&Probe::new(&path).unwrap()) || what_it_is(&Probe::new(&path).unwrap()).is_some());
+        assert!(
+            !may_be_stamps(&Probe::new(&path).unwrap()) || what_it_is(&Probe::new(&path).unwrap()).is_some()
+        );
     }
     assert!(said("a.raw", b"../../.git/annex/objects/Xk/9z/SHA256E-s10--00.raw").0.contains("git-annex"));
 }
 
 #[test]
 fn pages_and_messages_of_servers_and_empty_files_are_named() {
-    let (what, todo) = said("page.raw", b"<!DOCTYPE html><html><head><title>Sign in</title></head><body>Please sign in.</body></html>\n");
+    let (what, todo) = said(
+        "page.raw",
+        b"<!DOCTYPE html><html><head><title>Sign in</title></head><body>Please sign in.</body></html>\n",
+    );
     assert_eq!(what, "a web page (`Sign in`)");
     assert!(todo.contains("log in") && todo.contains("download again"), "{todo}");
-    assert!(said("e.h5", b"<?xml version=\"1.0\"?><Error><Code>AccessDenied</Code></Error>").0.contains("server's error message"));
+    assert!(
+        said("e.h5", b"<?xml version=\"1.0\"?><Error><Code>AccessDenied</Code></Error>")
+            .0
+            .contains("server's error message")
+    );
     assert!(said("e.npz", b"{\"message\": \"Not Found\"}").0.contains("Not Found"));
     assert!(said("empty.raw", b"").0.contains("0 bytes"));
 }
 
 #[test]
 fn archives_say_what_they_hold_and_how_to_unpack_them() {
-    let (what, todo) = said("packed.zip", &stored(&[("readme.md", b"x".to_vec()), ("run/events.raw", b"% evt 3.0\n".to_vec())]));
+    let (what, todo) = said(
+        "packed.zip",
+        &stored(&[("readme.md", b"x".to_vec()), ("run/events.raw", b"% evt 3.0\n".to_vec())]),
+    );
     assert_eq!(what, "an archive (zip); it holds run/events.raw");
     assert!(todo.contains("unzip"), "{todo}");
-    assert!(said("p.zip", &stored(&[("notes.md", b"x".to_vec())])).0.contains("none of which looks like a recording"));
+    assert!(said("p.zip", &stored(&[("notes.md", b"x".to_vec())])).0.contains(
+        "none of which looks like a \
+                                                            recording"
+    ));
     assert!(said("model.pt", &stored(&[("archive/data.pkl", b"x".to_vec())])).0.contains("PyTorch"));
     assert!(said("cut.zip", &stored(&[("run/events.raw", vec![7; 400])])[..200]).0.contains("broke off"));
     let gzip = |bytes: &[u8]| {
@@ -56,7 +80,10 @@ fn archives_say_what_they_hold_and_how_to_unpack_them() {
         std::io::Write::write_all(&mut encoder, bytes).unwrap();
         encoder.finish().unwrap()
     };
-    let (what, todo) = said("packed.raw.gz", &gzip(b"% evt 3.0\n% format EVT3;height=720;width=1280\n% end\n\x00\x80\x00\x60"));
+    let (what, todo) = said(
+        "packed.raw.gz",
+        &gzip(b"% evt 3.0\n% format EVT3;height=720;width=1280\n% end\n\x00\x80\x00\x60"),
+    );
     assert_eq!(what, "a file packed by gzip; it holds packed.raw, Prophesee RAW, EVT3");
     assert!(todo.contains("gunzip"), "{todo}");
     let mut tar = vec![0; 1024];
@@ -96,7 +123,8 @@ fn matlab_variable(name: &str, class: u8, sides: [u32; 2]) -> Vec<u8> {
 
 #[test]
 fn variables_of_matlab_are_listed_packed_or_not() {
-    let mut file = format!("{:<124}", "MATLAB 5.0 MAT-file Platform: posix, Created on: Thu Nov 26 2026").into_bytes();
+    let mut file =
+        format!("{:<124}", "MATLAB 5.0 MAT-file Platform: posix, Created on: Thu Nov 26 2026").into_bytes();
     file.extend([0, 1, b'I', b'M']);
     file.extend(matlab_variable("events", 6, [18_436, 4]));
     let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -107,7 +135,10 @@ fn variables_of_matlab_are_listed_packed_or_not() {
     file.extend(packed);
     let (what, todo) = said("events.mat", &file);
     assert_eq!(what, "a file of MATLAB (version 5 to 7); it holds events 18436 x 4 double, TD 1 x 1 struct");
-    assert!(todo.contains("writematrix") && todo.contains("numpy.savez") && todo.contains("origin = 1"), "{todo}");
+    assert!(
+        todo.contains("writematrix") && todo.contains("numpy.savez") && todo.contains("origin = 1"),
+        "{todo}"
+    );
     for length in 0..file.len() {
         let (_folder, path) = probe("cut.mat", &file[..length]);
         let _ = matlab::matlab(&Probe::new(&path).unwrap());
@@ -118,7 +149,12 @@ fn variables_of_matlab_are_listed_packed_or_not() {
 fn words_without_a_header_show_their_encoding() {
     let mut evt3: Vec<u16> = Vec::new();
     for k in 0..400_u16 {
-        evt3.extend([0x8000 | (0x200 + k / 100), 0x6000 | (k * 9 % 0xfff), k % 72, 0x2000 | (k % 2) << 11 | (k % 96)]);
+        evt3.extend([
+            0x8000 | (0x200 + k / 100),
+            0x6000 | (k * 9 % 0xfff),
+            k % 72,
+            0x2000 | (k % 2) << 11 | (k % 96),
+        ]);
     }
     let bytes: Vec<u8> = evt3.iter().flat_map(|word| word.to_le_bytes()).collect();
     let (what, todo) = said("headless.raw", &bytes);
@@ -128,11 +164,15 @@ fn words_without_a_header_show_their_encoding() {
     let header = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% end\n";
     let (_folder, path) = probe("with_header.raw", &[&header[..], &bytes].concat());
     assert_eq!(recognise(&path).unwrap().map(|format| format.id), Some("evt3"));
-    let evt2: Vec<u8> =
-        (0..400_u32).flat_map(|k| [0x8000_0000 | (1000 + k), (k % 2) << 28 | (k % 64) << 22 | (k % 96) << 11 | (k % 72)]).flat_map(u32::to_le_bytes).collect();
+    let evt2: Vec<u8> = (0..400_u32)
+        .flat_map(|k| [0x8000_0000 | (1000 + k), (k % 2) << 28 | (k % 64) << 22 | (k % 96) << 11 | (k % 72)])
+        .flat_map(u32::to_le_bytes)
+        .collect();
     assert_eq!(said("headless.raw", &evt2).0, "a file without a header that looks like EVT2 words");
     let evt21: Vec<u8> = (0..400_u64)
-        .flat_map(|k| [8 << 60 | (1000 + k) << 32, (k % 2) << 60 | (k % 64) << 54 | (k % 3) << 43 | (k % 72) << 32 | 5])
+        .flat_map(|k| {
+            [8 << 60 | (1000 + k) << 32, (k % 2) << 60 | (k % 64) << 54 | (k % 3) << 43 | (k % 72) << 32 | 5]
+        })
         .flat_map(u64::to_le_bytes)
         .collect();
     assert_eq!(said("headless.raw", &evt21).0, "a file without a header that looks like EVT2.1 words");
@@ -160,7 +200,12 @@ fn films_tables_pictures_and_objects_say_what_to_do() {
         ("a.pkl", b"\x80\x04\x95\x10", "pickled Python objects", "numpy.savez"),
         ("a.png", b"\x89PNG\r\n\x1a\n", "one picture (PNG)", "the folder"),
         ("a.jpg", b"\xff\xd8\xff\xe0", "one picture (JPEG)", "mogrify"),
-        ("a.toml", b"format = \"photocurrent-sensor/1\"\n[comparator]\n", "a sensor description", "read/sensor"),
+        (
+            "a.toml",
+            b"format = \"photocurrent-sensor/1\"\n[comparator]\n",
+            "a sensor description",
+            "read/sensor",
+        ),
     ];
     for (name, bytes, expected, next) in cases {
         let (what, todo) = said(name, bytes);
@@ -174,8 +219,12 @@ fn hdf5_of_another_layout_lists_its_datasets() {
     let instead = what_it_is(&Probe::new(&path).unwrap()).unwrap();
     assert!(instead.what.contains("/compound [300]") && instead.what.contains("more"), "{}", instead.what);
     assert!(instead.todo.contains("/events/t"), "{}", instead.todo);
-    let all = |names: &[&str]| names.iter().map(|name| (name.to_string(), " [3]".to_string())).collect::<Vec<_>>();
-    assert_eq!(inside::columns(&all(&["p", "t", "x", "y"])), Some((String::new(), ["t", "x", "y", "p"].map(String::from))));
+    let all =
+        |names: &[&str]| names.iter().map(|name| (name.to_string(), " [3]".to_string())).collect::<Vec<_>>();
+    assert_eq!(
+        inside::columns(&all(&["p", "t", "x", "y"])),
+        Some((String::new(), ["t", "x", "y", "p"].map(String::from)))
+    );
     assert_eq!(inside::columns(&all(&["cam/ts", "cam/X", "cam/y", "cam/pol"])).unwrap().0, "cam");
     assert_eq!(inside::columns(&all(&["cam/t", "x", "y", "p"])), None);
 }
@@ -191,7 +240,11 @@ fn folders_say_which_recordings_lie_in_them() {
     std::fs::write(folder.path().join("notes.md"), "x").unwrap();
     assert!(said().what.contains("1 entries: notes.md"), "{}", said().what);
     std::fs::write(folder.path().join("events.csv"), "t_us,x,y,p\n1,2,3,1\n").unwrap();
-    assert!(said().what.contains("events.csv") && said().todo.contains("one of the recordings"), "{}", said().what);
+    assert!(
+        said().what.contains("events.csv") && said().todo.contains("one of the recordings"),
+        "{}",
+        said().what
+    );
 }
 
 #[test]
@@ -200,7 +253,13 @@ fn texts_of_stamps_are_lines_of_numbers() {
         let (_folder, path) = probe("t.txt", text.as_bytes());
         may_be_stamps(&Probe::new(&path).unwrap())
     };
-    assert!(is("2000\n22000\n42000\n") && is("# t_us\n2000\n") && is("t_us\n2000\n22000\n") && is("a.png 0.1\nb.png 0.2\n") && is("1,2\n3,4\n"));
+    assert!(
+        is("2000\n22000\n42000\n")
+            && is("# t_us\n2000\n")
+            && is("t_us\n2000\n22000\n")
+            && is("a.png 0.1\nb.png 0.2\n")
+            && is("1,2\n3,4\n")
+    );
     assert!(!is("Dear reader,\nthis is prose.\nIt goes on.\nAnd on.\n") && !is("a b c\n"));
 }
 
@@ -218,7 +277,9 @@ fn what_is_missing_of_pictures_is_no_other_kind_of_file() {
     let missing = FormatError::new(&arrays, "no array for `x`", "save it");
     assert_eq!(explained(missing.clone(), &Declared::default()), missing);
     std::fs::write(&arrays, "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n").unwrap();
-    assert!(explained(missing, &Declared::default()).found.contains("a Git LFS pointer to a file of 9 bytes"));
+    assert!(
+        explained(missing, &Declared::default()).found.contains("a Git LFS pointer to a file of 9 bytes")
+    );
     let stamps = folder.path().join("t.txt");
     std::fs::write(&stamps, "2000\n22000\n").unwrap();
     let error = FormatError::new(&stamps, "the unit is not stated", "state it").undeclared("time_unit");

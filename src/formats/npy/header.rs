@@ -1,7 +1,7 @@
 //! The header of an npy array: a Python dictionary that names type, order and shape.
 //!
-//! Nothing is taken from it on trust: it is at most 64 KiB long, its numbers are checked before they are multiplied, and whoever reads the array compares
-//! its size with the file's.
+//! Nothing is taken from it on trust: it is at most 64 KiB long, its numbers are checked before they are
+//! multiplied, and whoever reads the array compares its size with the file's.
 
 use std::io::{Read, Result as IoResult};
 
@@ -37,7 +37,11 @@ impl Scalar {
             Kind::Float => "f",
             Kind::Void => "V",
         };
-        format!("{letter}{}{}", self.bytes * 8, if self.big_endian && self.bytes > 1 { ", big-endian" } else { "" })
+        format!(
+            "{letter}{}{}",
+            self.bytes * 8,
+            if self.big_endian && self.bytes > 1 { ", big-endian" } else { "" }
+        )
     }
 }
 
@@ -207,14 +211,36 @@ impl Parser<'_> {
 
 fn parse(text: &[u8], start: u64) -> Result<Header, String> {
     let shown = || String::from_utf8_lossy(&text[..text.len().min(120)]).trim().escape_debug().to_string();
-    let Some(Literal::Dictionary(pairs)) = Parser { rest: text }.literal(6) else { return Err(format!("its header is no dictionary: {}", shown())) };
+    let Some(Literal::Dictionary(pairs)) = Parser { rest: text }.literal(6) else {
+        return Err(format!("its header is no dictionary: {}", shown()));
+    };
     let get = |name: &str| pairs.iter().find(|(key, _)| key == name).map(|(_, value)| value);
     let element = element(get("descr").ok_or_else(|| format!("its header names no `descr`: {}", shown()))?)?;
-    let Some(Literal::Bool(fortran)) = get("fortran_order") else { return Err(format!("its header has no `fortran_order`: {}", shown())) };
-    let Some(Literal::Several(sides)) = get("shape") else { return Err(format!("its header has no `shape`: {}", shown())) };
-    let shape: Option<Vec<u64>> = sides.iter().map(|side| if let Literal::Whole(side) = side { Some(*side) } else { None }).collect();
-    let header = Header { element, fortran: *fortran, shape: shape.ok_or("its shape is not made of whole numbers")?, start };
-    header.elements().and_then(|all| all.checked_mul(header.element.bytes() as u64)).ok_or("its shape claims more bytes than there are numbers for")?;
+    let Some(Literal::Bool(fortran)) = get("fortran_order") else {
+        return Err(format!(
+            "its header has no \
+                                                            `fortran_order`: {}",
+            shown()
+        ));
+    };
+    let Some(Literal::Several(sides)) = get("shape") else {
+        return Err(format!("its header has no `shape`: {}", shown()));
+    };
+    let shape: Option<Vec<u64>> =
+        sides.iter().map(|side| if let Literal::Whole(side) = side { Some(*side) } else { None }).collect();
+    let header = Header {
+        element,
+        fortran: *fortran,
+        shape: shape.ok_or(
+            "its shape is not made of whole \
+                                                            numbers",
+        )?,
+        start,
+    };
+    header
+        .elements()
+        .and_then(|all| all.checked_mul(header.element.bytes() as u64))
+        .ok_or("its shape claims more bytes than there are numbers for")?;
     Ok(header)
 }
 
@@ -228,28 +254,49 @@ fn element(descr: &Literal) -> Result<Element, String> {
             let mut read = Vec::new();
             let mut at = 0_usize;
             for field in fields {
-                let Literal::Several(parts) = field else { return Err("a field of its record is no tuple".into()) };
+                let Literal::Several(parts) = field else {
+                    return Err("a field of its record is no tuple".into());
+                };
                 // A title may stand with the name: ('title', 'name').
                 let name = match parts.first() {
                     Some(Literal::Several(both)) => both.get(1),
                     name => name,
                 };
-                let Some(Literal::Text(name)) = name else { return Err("a field of its record has no name".into()) };
+                let Some(Literal::Text(name)) = name else {
+                    return Err("a field of its record has no name".into());
+                };
                 let name = name.clone();
-                let Some(Literal::Text(code)) = parts.get(1) else { return Err(format!("the field `{name}` of its record is a record itself")) };
+                let Some(Literal::Text(code)) = parts.get(1) else {
+                    return Err(format!(
+                        "the field `{name}` \
+                                                            of its record is a record itself"
+                    ));
+                };
                 let number = scalar(code)?;
                 let repeat = match parts.get(2) {
                     None => 1,
                     Some(Literal::Several(sides)) => sides
                         .iter()
-                        .try_fold(1_usize, |all, side| if let Literal::Whole(side) = side { all.checked_mul(usize::try_from(*side).ok()?) } else { None })
+                        .try_fold(1_usize, |all, side| {
+                            if let Literal::Whole(side) = side {
+                                all.checked_mul(usize::try_from(*side).ok()?)
+                            } else {
+                                None
+                            }
+                        })
                         .ok_or_else(|| format!("the field `{name}` of its record has no plausible shape"))?,
-                    Some(_) => return Err(format!("the field `{name}` of its record has no plausible shape")),
+                    Some(_) => {
+                        return Err(format!("the field `{name}` of its record has no plausible shape"));
+                    }
                 };
                 if repeat == 1 && number.kind != Kind::Void {
                     read.push((name, number, at));
                 }
-                at = number.bytes.checked_mul(repeat).and_then(|bytes| at.checked_add(bytes)).ok_or("its record is too large")?;
+                at = number
+                    .bytes
+                    .checked_mul(repeat)
+                    .and_then(|bytes| at.checked_add(bytes))
+                    .ok_or("its record is too large")?;
             }
             if at == 0 || at > 1 << 16 {
                 return Err(format!("its record has {at} bytes"));
@@ -276,10 +323,15 @@ fn scalar(code: &str) -> Result<Scalar, String> {
         Some('u') => Kind::Uint,
         Some('f') => Kind::Float,
         Some('V' | 'S' | 'U') => Kind::Void,
-        Some('O') => return Err("it holds pickled Python objects, which are programs and are not read; save it again as plain numbers".into()),
+        Some('O') => {
+            return Err("it holds pickled Python objects, which are programs and are not read; save \
+                                 it again as plain numbers"
+                .into());
+        }
         _ => return Err(format!("elements of type `{}` are no real numbers", code.escape_debug())),
     };
-    let size: usize = letters.as_str().parse().map_err(|_| format!("the type `{}` has no size", code.escape_debug()))?;
+    let size: usize =
+        letters.as_str().parse().map_err(|_| format!("the type `{}` has no size", code.escape_debug()))?;
     let size = if rest.starts_with('U') { size.saturating_mul(4) } else { size };
     let fits = match kind {
         Kind::Bool => size == 1,
@@ -309,7 +361,11 @@ pub(crate) fn each(scalar: Scalar, rows: &[u8], stride: usize, at: usize, mut ta
         ($type:ty, $size:literal, $make:expr) => {{
             for row in rows.chunks_exact(stride) {
                 let Some(Ok(bytes)) = row.get(at..at + $size).map(<[u8; $size]>::try_from) else { return };
-                let value = if scalar.big_endian { <$type>::from_be_bytes(bytes) } else { <$type>::from_le_bytes(bytes) };
+                let value = if scalar.big_endian {
+                    <$type>::from_be_bytes(bytes)
+                } else {
+                    <$type>::from_le_bytes(bytes)
+                };
                 take($make(value));
             }
         }};

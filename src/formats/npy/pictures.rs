@@ -23,13 +23,23 @@ pub(crate) struct NpyPictures {
 }
 
 impl NpyPictures {
-    /// Opens the array; the stamps are those of its frames, in order. Where these are others in number they are paired as `declared` states, or by gaps between them.
-    pub(crate) fn open(path: &Path, stamps: &[i64], declared: &Declared) -> Result<(NpyPictures, Vec<Loss>), FormatError> {
+    /// Opens the array; the stamps are those of its frames, in order. Where these are others in number they
+    /// are paired as `declared` states, or by gaps between them.
+    pub(crate) fn open(
+        path: &Path,
+        stamps: &[i64],
+        declared: &Declared,
+    ) -> Result<(NpyPictures, Vec<Loss>), FormatError> {
         let place = Place { path: path.into(), member: None };
         let header = place.header()?;
         let wrong = |expected: &str| {
-            FormatError::new(path, format!("an array of shape {:?}", header.shape), "save frames as one array of n x height x width")
-                .expected(expected.to_string())
+            FormatError::new(
+                path,
+                format!("an array of shape {:?}", header.shape),
+                "save frames as one \
+                                                            array of n x height x width",
+            )
+            .expected(expected.to_string())
         };
         let (&frames, &height, &width, channels) = match header.shape.as_slice() {
             [frames, height, width] => (frames, height, width, 1),
@@ -38,7 +48,9 @@ impl NpyPictures {
         };
         let Element::Number(scalar) = header.element else { return Err(wrong("numbers")) };
         let side = |side: u64| u32::try_from(side).ok().filter(|side| (1..=1 << 16).contains(side));
-        let (Some(width), Some(height)) = (side(width), side(height)) else { return Err(wrong("frames of 1 to 65,536 pixels a side")) };
+        let (Some(width), Some(height)) = (side(width), side(height)) else {
+            return Err(wrong("frames of 1 to 65,536 pixels a side"));
+        };
         if header.fortran {
             return Err(wrong("the order of C (frames one after another)"));
         }
@@ -46,7 +58,16 @@ impl NpyPictures {
         let room = place.bytes()?.saturating_sub(header.start) / bytes;
         let mut losses = Vec::new();
         if frames > room {
-            losses.push(Loss::new(place.name(), format!("its header claims {frames} frames and {room} are there; the rest is lost")).by(Cause::Cut));
+            losses.push(
+                Loss::new(
+                    place.name(),
+                    format!(
+                        "its header claims {frames} frames and {room} are \
+                                                         there; the rest is lost"
+                    ),
+                )
+                .by(Cause::Cut),
+            );
         }
         let whole = usize::try_from(frames.min(room)).unwrap_or(usize::MAX);
         // Those that are cut off count as they were written; a header may claim any number.
@@ -55,7 +76,10 @@ impl NpyPictures {
         let (mut pairs, note) = of_array(path, claimed, stamps, declared)?;
         pairs.retain(|(frame, _)| *frame < whole);
         let notes = note.into_iter().collect();
-        let (rows, stamps) = pairs.iter().map(|&(frame, stamp)| (frame, FrameStamp { at: stamps[stamp], exposure: None })).unzip();
+        let (rows, stamps) = pairs
+            .iter()
+            .map(|&(frame, stamp)| (frame, FrameStamp { at: stamps[stamp], exposure: None }))
+            .unzip();
         let about = FramesAbout {
             extent: Extent { width, height },
             colour: if channels == 3 { Colour::Rgb } else { Colour::Mono },
@@ -79,11 +103,17 @@ impl Pictures for NpyPictures {
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         values.clear();
         let Some(&row) = self.rows.get(frame) else {
-            return Err(FormatError::new(&self.place.path, format!("there is no frame {frame}"), "ask for one of the frames that have a stamp"));
+            return Err(FormatError::new(
+                &self.place.path,
+                format!("there is no frame {frame}"),
+                "ask for one of the frames that have a stamp",
+            ));
         };
         let mut stored = vec![0; self.bytes];
         let mut bytes = self.place.open(self.start + row as u64 * self.bytes as u64)?;
-        bytes.read_exact(&mut stored).map_err(|error| FormatError::io(&self.place.path, &error).at(format!("frame {frame}")))?;
+        bytes
+            .read_exact(&mut stored)
+            .map_err(|error| FormatError::io(&self.place.path, &error).at(format!("frame {frame}")))?;
         values.reserve(self.bytes / self.scalar.bytes);
         each(self.scalar, &stored, self.scalar.bytes, 0, |number| {
             values.push(match number {

@@ -1,7 +1,8 @@
 //! Where an array lies: a file of its own, or a member of an npz archive, stored or deflated.
 //!
-//! The archive's directory is read by the `zip` crate; the member's bytes are read here, straight from the file, so that several members can be read side by
-//! side. The checksum that the directory states is compared when a deflated or stored member has been read from its first to its last byte.
+//! The archive's directory is read by the `zip` crate; the member's bytes are read here, straight from the
+//! file, so that several members can be read side by side. The checksum that the directory states is compared
+//! when a deflated or stored member has been read from its first to its last byte.
 
 use super::header::{self, Header};
 use crate::error::FormatError;
@@ -44,7 +45,9 @@ impl Place {
     pub(crate) fn bytes(&self) -> Result<u64, FormatError> {
         match &self.member {
             Some(member) => Ok(member.bytes),
-            None => Ok(std::fs::metadata(&self.path).map_err(|error| FormatError::io(&self.path, &error))?.len()),
+            None => {
+                Ok(std::fs::metadata(&self.path).map_err(|error| FormatError::io(&self.path, &error))?.len())
+            }
         }
     }
 
@@ -82,7 +85,9 @@ impl Place {
     /// The array's header.
     pub(crate) fn header(&self) -> Result<Header, FormatError> {
         let wrong = |what: String| {
-            FormatError::new(&self.path, what, "save the array again with numpy.save or numpy.savez").at(self.name()).expected("a numpy array of numbers")
+            FormatError::new(&self.path, what, "save the array again with numpy.save or numpy.savez")
+                .at(self.name())
+                .expected("a numpy array of numbers")
         };
         let read = header::read(&mut self.open(0)?);
         read.map_err(|error| wrong(format!("it cannot be unpacked: {error}")))?.map_err(wrong)
@@ -125,23 +130,41 @@ pub(crate) fn archive(path: &Path) -> Result<Vec<(String, Place)>, FormatError> 
     let file = File::open(path).map_err(|error| FormatError::io(path, &error))?;
     let bytes = file.metadata().map_err(|error| FormatError::io(path, &error))?.len();
     let damaged = |error: &dyn std::fmt::Display| {
-        FormatError::new(path, format!("the archive cannot be read: {error}"), "a copy that broke off has no directory at its end; copy it again")
-            .expected("an npz file (a zip archive of numpy arrays)")
+        FormatError::new(
+            path,
+            format!("the archive cannot be read: {error}"),
+            "a copy that broke off has \
+                                                            no directory at its end; copy it again",
+        )
+        .expected("an npz file (a zip archive of numpy arrays)")
     };
     let mut archive = zip::ZipArchive::new(BufReader::new(file)).map_err(|error| damaged(&error))?;
     let mut arrays = Vec::new();
     for index in 0..archive.len().min(4096) {
         let entry = archive.by_index_raw(index).map_err(|error| damaged(&error))?;
-        let Some(name) = entry.name().map_err(|error| damaged(&error))?.strip_suffix(".npy").map(String::from) else { continue };
+        let Some(name) =
+            entry.name().map_err(|error| damaged(&error))?.strip_suffix(".npy").map(String::from)
+        else {
+            continue;
+        };
         let deflated = match entry.compression() {
             zip::CompressionMethod::Stored => false,
             other if other.to_string().eq_ignore_ascii_case("deflated") => true,
-            other => return Err(damaged(&format!("`{name}` is packed by {other}, which numpy does not use"))),
+            other => {
+                return Err(damaged(&format!("`{name}` is packed by {other}, which numpy does not use")));
+            }
         };
         let start = entry.data_start().ok_or_else(|| damaged(&format!("`{name}` has no data")))?;
         // What the directory claims is no more than the file has.
         let packed = entry.compressed_size().min(bytes.saturating_sub(start));
-        let member = Member { name: format!("{name}.npy"), start, packed, deflated, bytes: entry.size(), crc: entry.crc32() };
+        let member = Member {
+            name: format!("{name}.npy"),
+            start,
+            packed,
+            deflated,
+            bytes: entry.size(),
+            crc: entry.crc32(),
+        };
         arrays.push((name, Place { path: path.into(), member: Some(member) }));
     }
     Ok(arrays)

@@ -1,6 +1,8 @@
-//! Events whose columns are numpy arrays: one array a column, an array of N x 4, an array of records, or a mix.
+//! Events whose columns are numpy arrays: one array a column, an array of N x 4, an array of records, or a
+//! mix.
 //!
-//! Arrays that lie side by side are read side by side, a piece at a time, so that memory does not grow with the file.
+//! Arrays that lie side by side are read side by side, a piece at a time, so that memory does not grow with
+//! the file.
 
 use super::header::{Element, Header, Number, Scalar, each};
 use super::place::{Bytes, Place};
@@ -41,7 +43,8 @@ pub(crate) struct Table {
 pub(crate) struct Reading {
     pub(crate) unit: TimeUnit,
     pub(crate) scale: u32,
-    /// Coordinates of 16 bits that are this large or larger are negative: 65,536 was added when they were stored.
+    /// Coordinates of 16 bits that are this large or larger are negative: 65,536 was added when they were
+    /// stored.
     pub(crate) wraps_at: Option<(i64, i64)>,
     pub(crate) extent: Option<Extent>,
     pub(crate) has_t_in: bool,
@@ -63,22 +66,44 @@ pub(crate) fn column_named(name: &str) -> Option<Column> {
 
 impl Table {
     /// Adds an array that holds one column, N or N x 1 or 1 x N.
-    pub(crate) fn add_column(&mut self, column: Column, place: Place, header: &Header) -> Result<(), FormatError> {
-        let Element::Number(number) = &header.element else { return Err(shape_error(&place, header, "one number an event")) };
+    pub(crate) fn add_column(
+        &mut self,
+        column: Column,
+        place: Place,
+        header: &Header,
+    ) -> Result<(), FormatError> {
+        let Element::Number(number) = &header.element else {
+            return Err(shape_error(&place, header, "one number an event"));
+        };
         let sides: Vec<u64> = header.shape.iter().copied().filter(|side| *side != 1).collect();
         let rows = match sides.as_slice() {
             [] => header.elements().unwrap_or(0).min(1),
             [rows] => *rows,
             _ => return Err(shape_error(&place, header, "one number an event")),
         };
-        self.push(Source { place, start: header.start, stride: number.bytes, fields: vec![(column, *number, 0)], rows });
+        self.push(Source {
+            place,
+            start: header.start,
+            stride: number.bytes,
+            fields: vec![(column, *number, 0)],
+            rows,
+        });
         Ok(())
     }
 
     /// Adds an array of several columns, N x k: what they hold, from the left.
-    pub(crate) fn add_columns(&mut self, columns: &[Column], place: Place, header: &Header) -> Result<(), FormatError> {
-        let Element::Number(number) = &header.element else { return Err(shape_error(&place, header, "rows of numbers")) };
-        let (Some(&rows), Some(&width), true) = (header.shape.first(), header.shape.get(1), header.shape.len() == 2) else {
+    pub(crate) fn add_columns(
+        &mut self,
+        columns: &[Column],
+        place: Place,
+        header: &Header,
+    ) -> Result<(), FormatError> {
+        let Element::Number(number) = &header.element else {
+            return Err(shape_error(&place, header, "rows of numbers"));
+        };
+        let (Some(&rows), Some(&width), true) =
+            (header.shape.first(), header.shape.get(1), header.shape.len() == 2)
+        else {
             return Err(shape_error(&place, header, "rows of numbers"));
         };
         if width < columns.len() as u64 || width > (WIDEST / number.bytes) as u64 {
@@ -88,22 +113,39 @@ impl Table {
         if header.fortran {
             for (index, column) in used {
                 let start = header.start + index as u64 * rows * number.bytes as u64;
-                self.push(Source { place: place.clone(), start, stride: number.bytes, fields: vec![(*column, *number, 0)], rows });
+                self.push(Source {
+                    place: place.clone(),
+                    start,
+                    stride: number.bytes,
+                    fields: vec![(*column, *number, 0)],
+                    rows,
+                });
             }
         } else {
             let fields = used.map(|(index, column)| (*column, *number, index * number.bytes)).collect();
-            self.push(Source { place, start: header.start, stride: number.bytes * width as usize, fields, rows });
+            self.push(Source {
+                place,
+                start: header.start,
+                stride: number.bytes * width as usize,
+                fields,
+                rows,
+            });
         }
         Ok(())
     }
 
     /// Adds an array of records, by the names of their fields.
     pub(crate) fn add_records(&mut self, place: Place, header: &Header) -> Result<(), FormatError> {
-        let Element::Record(named, bytes) = &header.element else { return Err(shape_error(&place, header, "records")) };
+        let Element::Record(named, bytes) = &header.element else {
+            return Err(shape_error(&place, header, "records"));
+        };
         if *bytes > WIDEST || header.shape.len() != 1 {
             return Err(shape_error(&place, header, "one record an event"));
         }
-        let fields = named.iter().filter_map(|(name, scalar, at)| column_named(name).map(|column| (column, *scalar, *at))).collect();
+        let fields = named
+            .iter()
+            .filter_map(|(name, scalar, at)| column_named(name).map(|column| (column, *scalar, *at)))
+            .collect();
         self.push(Source { place, start: header.start, stride: *bytes, fields, rows: header.shape[0] });
         Ok(())
     }
@@ -120,29 +162,49 @@ impl Table {
 
     /// How a column is stored.
     pub(crate) fn scalar(&self, column: Column) -> Option<Scalar> {
-        self.sources.iter().flat_map(|source| &source.fields).find(|field| field.0 == column).map(|field| field.1)
+        self.sources
+            .iter()
+            .flat_map(|source| &source.fields)
+            .find(|field| field.0 == column)
+            .map(|field| field.1)
     }
 
     /// Says what is missing, or twice there.
     pub(crate) fn check(&self, path: &Path, names: &str) -> Result<(), FormatError> {
         for (column, name) in [(Column::T, "t"), (Column::X, "x"), (Column::Y, "y"), (Column::P, "p")] {
-            let count = self.sources.iter().flat_map(|source| &source.fields).filter(|field| field.0 == column).count();
+            let count = self
+                .sources
+                .iter()
+                .flat_map(|source| &source.fields)
+                .filter(|field| field.0 == column)
+                .count();
             if count != 1 {
                 let what = if count == 0 { "no" } else { "more than one" };
-                return Err(FormatError::new(path, format!("{what} array for `{name}`; it holds {names}"), "save events with the keys t, x, y and p")
-                    .expected("arrays t, x, y, p (or timestamp, polarity), records with these fields, or one array of N x 4"));
+                return Err(FormatError::new(
+                    path,
+                    format!("{what} array for `{name}`; it holds {names}"),
+                    "save events with the keys t, x, y and p",
+                )
+                .expected(
+                    "arrays t, x, y, p (or timestamp, polarity), records with these fields, or \
+                               one array of N x 4",
+                ));
             }
         }
         Ok(())
     }
 
-    /// What the sources disagree about: losses to be reported when opening. A plain file's rows are cut to what it has.
+    /// What the sources disagree about: losses to be reported when opening. A plain file's rows are cut to
+    /// what it has.
     pub(crate) fn compare(&mut self) -> Result<Vec<Loss>, FormatError> {
         let mut losses = Vec::new();
         for source in &mut self.sources {
             let room = source.place.bytes()?.saturating_sub(source.start) / source.stride.max(1) as u64;
             if source.rows > room {
-                let what = format!("its header claims {} rows and {room} are there; the file is cut off", source.rows);
+                let what = format!(
+                    "its header claims {} rows and {room} are there; the file is cut off",
+                    source.rows
+                );
                 losses.push(Loss::new(source.place.name(), what).by(Cause::Cut));
                 source.rows = room;
             }
@@ -150,18 +212,28 @@ impl Table {
         self.rows = self.sources.iter().map(|source| source.rows).min().unwrap_or(0);
         for source in &self.sources {
             if source.rows > self.rows && losses.is_empty() {
-                let what = format!("it has {} rows and another array only {}; the rest belongs to no event", source.rows, self.rows);
+                let what = format!(
+                    "it has {} rows and another array only {}; the rest belongs to no event",
+                    source.rows, self.rows
+                );
                 losses.push(Loss::new(source.place.name(), what));
             }
         }
         Ok(losses)
     }
 
-    /// Some rows of a column, spread over the array where that is cheap: the first of them, and the last of an array that is not deflated.
+    /// Some rows of a column, spread over the array where that is cheap: the first of them, and the last of
+    /// an array that is not deflated.
     pub(crate) fn sample(&self, column: Column, most: usize) -> Result<Vec<f64>, FormatError> {
         let mut values = Vec::new();
-        let Some(source) = self.sources.iter().find(|source| source.fields.iter().any(|field| field.0 == column)) else { return Ok(values) };
-        let Some((_, scalar, at)) = source.fields.iter().find(|field| field.0 == column).copied() else { return Ok(values) };
+        let Some(source) =
+            self.sources.iter().find(|source| source.fields.iter().any(|field| field.0 == column))
+        else {
+            return Ok(values);
+        };
+        let Some((_, scalar, at)) = source.fields.iter().find(|field| field.0 == column).copied() else {
+            return Ok(values);
+        };
         let most = most.min(usize::try_from(self.rows).unwrap_or(usize::MAX));
         let mut firsts = vec![0];
         if self.rows > 2 * most as u64 && source.place.member.is_none() {
@@ -186,11 +258,18 @@ impl Table {
 fn shape_error(place: &Place, header: &Header, expected: &str) -> FormatError {
     let element = match &header.element {
         Element::Number(number) => number.name(),
-        Element::Record(fields, _) => format!("records of {}", fields.iter().map(|field| field.0.as_str()).collect::<Vec<_>>().join(", ")),
+        Element::Record(fields, _) => format!(
+            "records of {}",
+            fields.iter().map(|field| field.0.as_str()).collect::<Vec<_>>().join(", ")
+        ),
     };
-    FormatError::new(&place.path, format!("an array of shape {:?} of {element}", header.shape), "save events as arrays t, x, y, p of one length")
-        .at(place.name())
-        .expected(expected.to_string())
+    FormatError::new(
+        &place.path,
+        format!("an array of shape {:?} of {element}", header.shape),
+        "save events as arrays t, x, y, p of one length",
+    )
+    .at(place.name())
+    .expected(expected.to_string())
 }
 
 /// Fills the buffer as far as the data go; what cannot be unpacked ends them.
@@ -202,7 +281,13 @@ fn fill(bytes: &mut Bytes, buffer: &mut [u8], place: &Place) -> Result<usize, Fo
             Ok(read) => filled += read,
             Err(error) if error.kind() == ErrorKind::Interrupted => {}
             // A damaged member, not a disk that fails.
-            Err(error) if place.member.is_some() && matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::UnexpectedEof) => {
+            Err(error)
+                if place.member.is_some()
+                    && matches!(
+                        error.kind(),
+                        ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::UnexpectedEof
+                    ) =>
+            {
                 break;
             }
             Err(error) => return Err(FormatError::io(&place.path, &error)),
@@ -238,8 +323,17 @@ fn slot(column: Column) -> usize {
 impl TableCursor {
     /// Opens all sources at their first row.
     pub(crate) fn open(table: Arc<Table>, reading: Reading) -> Result<TableCursor, FormatError> {
-        let streams = table.sources.iter().map(|source| source.place.open(source.start)).collect::<Result<_, _>>()?;
-        Ok(TableCursor { table, reading, streams, row: 0, rows: Vec::new(), columns: Default::default(), losses: Losses::default() })
+        let streams =
+            table.sources.iter().map(|source| source.place.open(source.start)).collect::<Result<_, _>>()?;
+        Ok(TableCursor {
+            table,
+            reading,
+            streams,
+            row: 0,
+            rows: Vec::new(),
+            columns: Default::default(),
+            losses: Losses::default(),
+        })
     }
 
     /// Hands over what was left out.
@@ -247,9 +341,11 @@ impl TableCursor {
         self.losses
     }
 
-    /// Reads the next rows of all columns as they are stored: how many were wanted, and how many there are. `None` at the end.
+    /// Reads the next rows of all columns as they are stored: how many were wanted, and how many there are.
+    /// `None` at the end.
     fn load(&mut self) -> Result<Option<(usize, usize)>, FormatError> {
-        let wanted = usize::try_from(self.table.rows.saturating_sub(self.row)).unwrap_or(usize::MAX).min(CHUNK_EVENTS);
+        let wanted =
+            usize::try_from(self.table.rows.saturating_sub(self.row)).unwrap_or(usize::MAX).min(CHUNK_EVENTS);
         if wanted == 0 {
             return Ok(None);
         }
@@ -260,16 +356,23 @@ impl TableCursor {
         let table = self.table.clone();
         for (source, stream) in table.sources.iter().zip(&mut self.streams) {
             self.rows.resize(wanted * source.stride, 0);
-            let whole = fill(stream, &mut self.rows[..wanted * source.stride], &source.place)? / source.stride;
+            let whole =
+                fill(stream, &mut self.rows[..wanted * source.stride], &source.place)? / source.stride;
             got = got.min(whole);
             for &(column, scalar, at) in &source.fields {
                 let into = &mut self.columns[slot(column)];
                 let rows = &self.rows[..whole * source.stride];
                 let Reading { unit, scale, wraps_at, .. } = self.reading;
                 match column {
-                    Column::T | Column::TIn => each(scalar, rows, source.stride, at, |number| into.push(time(number, unit))),
-                    Column::X => each(scalar, rows, source.stride, at, |number| into.push(pixel(number, scale, wraps_at.map(|(x, _)| x)))),
-                    Column::Y => each(scalar, rows, source.stride, at, |number| into.push(pixel(number, scale, wraps_at.map(|(_, y)| y)))),
+                    Column::T | Column::TIn => {
+                        each(scalar, rows, source.stride, at, |number| into.push(time(number, unit)))
+                    }
+                    Column::X => each(scalar, rows, source.stride, at, |number| {
+                        into.push(pixel(number, scale, wraps_at.map(|(x, _)| x)))
+                    }),
+                    Column::Y => each(scalar, rows, source.stride, at, |number| {
+                        into.push(pixel(number, scale, wraps_at.map(|(_, y)| y)))
+                    }),
                     Column::P => each(scalar, rows, source.stride, at, |number| into.push(polarity(number))),
                     Column::Skip => {}
                 }
@@ -290,10 +393,14 @@ impl TableCursor {
 
     fn take(&mut self, chunk: &mut EventChunk, rows: usize) {
         let [t, x, y, p, t_in] = &self.columns;
-        let (width, height) = self.reading.extent.map_or((1 << 16, 1 << 16), |extent| (i64::from(extent.width), i64::from(extent.height)));
+        let (width, height) = self
+            .reading
+            .extent
+            .map_or((1 << 16, 1 << 16), |extent| (i64::from(extent.width), i64::from(extent.height)));
         let first = self.row;
         for k in 0..rows {
-            let (inside_x, inside_y) = ((0..width.min(1 << 16)).contains(&x[k]), (0..height.min(1 << 16)).contains(&y[k]));
+            let (inside_x, inside_y) =
+                ((0..width.min(1 << 16)).contains(&x[k]), (0..height.min(1 << 16)).contains(&y[k]));
             let has_t_in = !self.reading.has_t_in || t_in[k] != NONE;
             let on = self.reading.rules.on(p[k]);
             if let Some(on) = on.filter(|_| inside_x && inside_y && t[k] != NONE && has_t_in) {
@@ -305,18 +412,34 @@ impl TableCursor {
             }
             let at = || format!("event {}", first + k as u64);
             if t[k] == NONE || !has_t_in {
-                self.losses.add_by(Cause::Stamp, "events without a finite stamp were left out", 1, at, || {
-                    "its stamp is not finite, or beyond 292 years; it was left out".into()
-                });
+                self.losses.add_by(
+                    Cause::Stamp,
+                    "events without a finite stamp were left out",
+                    1,
+                    at,
+                    || "its stamp is not finite, or beyond 292 years; it was left out".into(),
+                );
             } else if on.is_none() {
                 let what = || "its polarity is none of 0, 1, -1; it was left out".into();
-                self.losses.add_by(Cause::Polarity, "events whose polarity is none of 0, 1, -1 were left out", 1, at, what);
+                self.losses.add_by(
+                    Cause::Polarity,
+                    "events whose polarity is none of 0, 1, -1 were left out",
+                    1,
+                    at,
+                    what,
+                );
             } else {
                 let what = || match self.reading.extent {
                     Some(extent) => format!("its pixel lies outside {extent}; it was left out"),
                     None => "its pixel is negative, not finite or beyond 65,535; it was left out".into(),
                 };
-                self.losses.add_by(Cause::Outside, "events outside the pixel array were left out", 1, at, what);
+                self.losses.add_by(
+                    Cause::Outside,
+                    "events outside the pixel array were left out",
+                    1,
+                    at,
+                    what,
+                );
             }
         }
     }
@@ -385,14 +508,25 @@ impl EventCursor for TableCursor {
         self.row += got as u64;
         if got < wanted {
             let (row, rows) = (self.row, self.table.rows);
-            let what = || format!("the data end or cannot be unpacked after {row} of {rows} events; the rest is lost");
+            let what = || {
+                format!(
+                    "the data end or cannot be unpacked after {row} of {rows} events; the \
+                                   rest is lost"
+                )
+            };
             self.losses.add_by(Cause::Cut, "arrays that end early", 1, || format!("event {row}"), what);
             self.row = rows;
         }
         if self.row >= self.table.rows {
-            for (source, stream) in table.sources.iter().zip(&self.streams).filter(|(_, stream)| stream.is_damaged()) {
+            for (source, stream) in
+                table.sources.iter().zip(&self.streams).filter(|(_, stream)| stream.is_damaged())
+            {
                 let _ = stream;
-                let what = || "its checksum is not the one that the archive states: some of its numbers are damaged, and which ones is not known".into();
+                let what = || {
+                    "its checksum is not the one that the archive states: some of its numbers are \
+                               damaged, and which ones is not known"
+                        .into()
+                };
                 self.losses.add("arrays whose checksum is wrong", || source.place.name(), what);
             }
         }

@@ -14,7 +14,8 @@ use photocurrent_core::Extent;
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// `numpy.savez_compressed(t=[5, 7, 9] as i64, x=[1, 2, 3] as u16, y=[4, 5, 6] as u16, p=[True, False, True])`.
+/// `numpy.savez_compressed(t=[5, 7, 9] as i64, x=[1, 2, 3] as u16, y=[4, 5, 6] as u16, p=[True, False,
+/// True])`.
 const COMPRESSED: &str = "\
 504b03042d0000000800000021003dceca0cffffffffffffffff05001400742e6e70790100100098000000000000004d000000000000009bec17ea1b10c9c850c650ad9e925a9c5ca46ea5\
 a06e9369a1aea3a09e965f54529498179f5f94920a12774bcc294e058a17672416a402f91ac63a9a3a0ab50a14002e5606086087d29c501a00504b03042d00000008000000210057ca31ab\
@@ -62,7 +63,8 @@ fn column<const N: usize>(code: &str, values: &[[u8; N]]) -> Vec<u8> {
     npy(&format!("'{code}'"), &format!("({},)", values.len()), values.as_flattened())
 }
 
-/// A zip archive of stored members, written by hand after the format's note (APPNOTE): local headers, directory, end.
+/// A zip archive of stored members, written by hand after the format's note (APPNOTE): local headers,
+/// directory, end.
 pub(crate) fn stored(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let (mut file, mut directory) = (Vec::new(), Vec::new());
     for (name, data) in members {
@@ -121,7 +123,10 @@ fn an_archive_of_numpy_gives_its_events() {
     assert_eq!(npz.events_about().unwrap().count, Some(3));
     assert_eq!(npz.events_about().unwrap().stamps, "i64 us");
     let (events, losses) = collect(&npz);
-    assert_eq!((events.t, events.x, events.y, events.on), (vec![5000, 7000, 9000], vec![1, 2, 3], vec![4, 5, 6], vec![1, 0, 1]));
+    assert_eq!(
+        (events.t, events.x, events.y, events.on),
+        (vec![5000, 7000, 9000], vec![1, 2, 3], vec![4, 5, 6], vec![1, 0, 1])
+    );
     assert_eq!(losses, []);
 }
 
@@ -130,14 +135,24 @@ fn records_and_fortran_order_are_read() {
     let (_folder, path) = file("records.npy", &bytes(RECORDS));
     assert_eq!(recognised(&path), Some("npz"));
     let (events, _) = collect(&Npz::open(&path, &us()).unwrap());
-    assert_eq!((events.t, events.x, events.y, events.on), (vec![4000, 6000], vec![10, 20], vec![3, 5], vec![0, 1]));
+    assert_eq!(
+        (events.t, events.x, events.y, events.on),
+        (vec![4000, 6000], vec![10, 20], vec![3, 5], vec![0, 1])
+    );
     let (_folder, path) = file("fortran.npy", &bytes(FORTRAN));
-    let error = Npz::open(&path, &Declared { time_unit: Some(TimeUnit::S), ..Declared::default() }).err().unwrap();
+    let error =
+        Npz::open(&path, &Declared { time_unit: Some(TimeUnit::S), ..Declared::default() }).err().unwrap();
     assert_eq!(error.undeclared, Some("columns"));
     assert!(error.hint.contains(r#"["t", "x", "y", "p"]"#), "{error}");
     let columns = Some(vec![Column::T, Column::X, Column::Y, Column::P]);
-    let (events, _) = collect(&Npz::open(&path, &Declared { columns, time_unit: Some(TimeUnit::S), ..Declared::default() }).unwrap());
-    assert_eq!((events.t, events.x, events.y, events.on), (vec![500_000_000, 750_000_000], vec![1, 3], vec![2, 4], vec![1, 0]));
+    let (events, _) = collect(
+        &Npz::open(&path, &Declared { columns, time_unit: Some(TimeUnit::S), ..Declared::default() })
+            .unwrap(),
+    );
+    assert_eq!(
+        (events.t, events.x, events.y, events.on),
+        (vec![500_000_000, 750_000_000], vec![1, 3], vec![2, 4], vec![1, 0])
+    );
 }
 
 #[test]
@@ -146,7 +161,8 @@ fn a_damaged_archive_says_what_is_lost() {
     let (_folder, path) = file("cut.npz", &whole[..whole.len() - 100]);
     let error = Npz::open(&path, &us()).err().unwrap();
     assert!(error.hint.contains("copy it again"), "{error}");
-    // A bit of a value: only the checksum knows. Members stored without deflate are not summed, so that this is one in a deflated array.
+    // A bit of a value: only the checksum knows. Members stored without deflate are not summed, so that this
+    // is one in a deflated array.
     let mut seen = 0;
     for at in 0..whole.len() {
         let mut broken = whole.clone();
@@ -181,20 +197,35 @@ fn events_that_cannot_be_are_counted_by_kind() {
     let x = column("<i2", &[1_i16, 1, 1, 1, -1, 1].map(i16::to_le_bytes));
     let y = column("<i2", &[1_i16; 6].map(i16::to_le_bytes));
     let p = column("|u1", &[1_u8, 1, 1, 1, 1, 7].map(u8::to_le_bytes));
-    let (_folder, path) = file("odd.npz", &stored(&[("timestamp.npy", t), ("x.npy", x), ("y.npy", y), ("polarity.npy", p)]));
+    let (_folder, path) =
+        file("odd.npz", &stored(&[("timestamp.npy", t), ("x.npy", x), ("y.npy", y), ("polarity.npy", p)]));
     let (events, losses) = collect(&Npz::open(&path, &us()).unwrap());
     assert_eq!(events.t, [500]);
     assert_eq!(losses.iter().filter(|loss| loss.what.contains("its stamp is not finite")).count(), 3);
-    assert_eq!(losses.iter().map(|loss| loss.at.as_str()).collect::<Vec<_>>(), ["event 1", "event 2", "event 3", "event 4", "event 5"]);
+    assert_eq!(
+        losses.iter().map(|loss| loss.at.as_str()).collect::<Vec<_>>(),
+        ["event 1", "event 2", "event 3", "event 4", "event 5"]
+    );
 }
 
 #[test]
 fn missing_keys_and_pickled_objects_are_named() {
-    let (_folder, path) = file("few.npz", &stored(&[("t.npy", column("<u4", &[1_u32.to_le_bytes()])), ("x.npy", column("<u2", &[1_u16.to_le_bytes()]))]));
+    let (_folder, path) = file(
+        "few.npz",
+        &stored(&[
+            ("t.npy", column("<u4", &[1_u32.to_le_bytes()])),
+            ("x.npy", column("<u2", &[1_u16.to_le_bytes()])),
+        ]),
+    );
     let error = Npz::open(&path, &us()).err().unwrap();
     assert!(error.found.contains("no array for `y`; it holds t, x"), "{error}");
-    let (_folder, path) =
-        file("other.npz", &stored(&[("frames.npy", npy("'|u1'", "(1, 2, 2)", &[0; 4])), ("times.npy", column("<u4", &[1_u32.to_le_bytes()]))]));
+    let (_folder, path) = file(
+        "other.npz",
+        &stored(&[
+            ("frames.npy", npy("'|u1'", "(1, 2, 2)", &[0; 4])),
+            ("times.npy", column("<u4", &[1_u32.to_le_bytes()])),
+        ]),
+    );
     let error = Npz::open(&path, &us()).err().unwrap();
     assert!(error.found.contains("it holds frames, times"), "{error}");
     let (_folder, path) = file("objects.npy", &npy("'|O'", "(3,)", b"\x80\x04"));
@@ -208,9 +239,14 @@ fn headers_are_read_after_nep_1() {
     assert_eq!((header.shape.as_slice(), header.fortran), (&[2, 3][..], false));
     let Element::Number(scalar) = header.element else { panic!() };
     assert_eq!((scalar.kind, scalar.bytes), (Kind::Float, 4));
-    for (descr, shape) in
-        [("'<f4'", "(99999999999999999999,)"), ("'<f8'", "(4294967296, 4294967296)"), ("'<c8'", "(1,)"), ("'<u3'", "(1,)"), ("[]", "(1,)"), ("'<u2'", "3")]
-    {
+    for (descr, shape) in [
+        ("'<f4'", "(99999999999999999999,)"),
+        ("'<f8'", "(4294967296, 4294967296)"),
+        ("'<c8'", "(1,)"),
+        ("'<u3'", "(1,)"),
+        ("[]", "(1,)"),
+        ("'<u2'", "3"),
+    ] {
         assert!(read(&npy(descr, shape, &[])).is_err(), "{descr} {shape}");
     }
     let mut long = b"\x93NUMPY\x02\x00".to_vec();
@@ -219,12 +255,24 @@ fn headers_are_read_after_nep_1() {
 }
 
 fn memmap(folder: &Path) {
-    std::fs::write(folder.join("events_ts.npy"), column("<f8", &[0.000_001, 0.25, 0.5].map(f64::to_le_bytes))).unwrap();
-    std::fs::write(folder.join("events_xy.npy"), npy("'<u2'", "(3, 2)", [1_u16, 2, 3, 4, 5, 5].map(u16::to_le_bytes).as_flattened())).unwrap();
+    std::fs::write(
+        folder.join("events_ts.npy"),
+        column("<f8", &[0.000_001, 0.25, 0.5].map(f64::to_le_bytes)),
+    )
+    .unwrap();
+    std::fs::write(
+        folder.join("events_xy.npy"),
+        npy("'<u2'", "(3, 2)", [1_u16, 2, 3, 4, 5, 5].map(u16::to_le_bytes).as_flattened()),
+    )
+    .unwrap();
     std::fs::write(folder.join("events_p.npy"), npy("'|u1'", "(3, 1)", &[1, 0, 1])).unwrap();
     let images: Vec<u8> = (0..2 * 8 * 6).collect();
     std::fs::write(folder.join("images.npy"), npy("'|u1'", "(2, 6, 8, 1)", &images)).unwrap();
-    std::fs::write(folder.join("images_ts.npy"), npy("'<f8'", "(2, 1)", [0.1_f64, 0.2].map(f64::to_le_bytes).as_flattened())).unwrap();
+    std::fs::write(
+        folder.join("images_ts.npy"),
+        npy("'<f8'", "(2, 1)", [0.1_f64, 0.2].map(f64::to_le_bytes).as_flattened()),
+    )
+    .unwrap();
     std::fs::write(folder.join("metadata.json"), r#"{"sensor_resolution": [6, 8]}"#).unwrap();
 }
 
@@ -234,12 +282,22 @@ fn a_memmap_folder_gives_events_and_frames() {
     memmap(folder.path());
     assert_eq!(recognised(folder.path()), Some("memmap"));
     let recording = Memmap::open(folder.path(), &Declared::default()).unwrap();
-    assert_eq!(recording.events_about().unwrap().extent, Some(Extent { width: 8, height: 6 }), "height comes first in the file");
+    assert_eq!(
+        recording.events_about().unwrap().extent,
+        Some(Extent { width: 8, height: 6 }),
+        "height comes first in the file"
+    );
     let (events, losses) = collect(&recording);
-    assert_eq!((events.t, events.x, events.y), (vec![1000, 250_000_000, 500_000_000], vec![1, 3, 5], vec![2, 4, 5]));
+    assert_eq!(
+        (events.t, events.x, events.y),
+        (vec![1000, 250_000_000, 500_000_000], vec![1, 3, 5], vec![2, 4, 5])
+    );
     assert_eq!(losses.len(), 0);
     let frames = recording.pictures().unwrap();
-    assert_eq!(frames.about().stamps.iter().map(|stamp| stamp.at).collect::<Vec<_>>(), [100_000_000, 200_000_000]);
+    assert_eq!(
+        frames.about().stamps.iter().map(|stamp| stamp.at).collect::<Vec<_>>(),
+        [100_000_000, 200_000_000]
+    );
     assert_eq!((frames.about().bits, frames.about().stamp_role, frames.about().transfer), (8, None, None));
     let mut values = Vec::new();
     frames.read(1, &mut values).unwrap();
@@ -252,12 +310,20 @@ fn a_memmap_folder_gives_events_and_frames() {
 fn whole_stamps_of_a_memmap_need_a_unit_and_a_cut_array_is_a_loss() {
     let folder = tempfile::tempdir().unwrap();
     memmap(folder.path());
-    std::fs::write(folder.path().join("events_ts.npy"), column("<i8", &[1_i64, 2, 3].map(i64::to_le_bytes))).unwrap();
-    assert_eq!(Memmap::open(folder.path(), &Declared::default()).err().unwrap().undeclared, Some("time_unit"));
+    std::fs::write(folder.path().join("events_ts.npy"), column("<i8", &[1_i64, 2, 3].map(i64::to_le_bytes)))
+        .unwrap();
+    assert_eq!(
+        Memmap::open(folder.path(), &Declared::default()).err().unwrap().undeclared,
+        Some("time_unit")
+    );
     let images = std::fs::read(folder.path().join("images.npy")).unwrap();
     std::fs::write(folder.path().join("images.npy"), &images[..images.len() - 1]).unwrap();
     let recording = Memmap::open(folder.path(), &us()).unwrap();
-    assert!(recording.losses()[0].what.contains("claims 2 frames and 1 are there"), "{:?}", recording.losses());
+    assert!(
+        recording.losses()[0].what.contains("claims 2 frames and 1 are there"),
+        "{:?}",
+        recording.losses()
+    );
     assert_eq!(recording.pictures().unwrap().about().stamps.len(), 1);
 }
 
@@ -270,15 +336,28 @@ fn sequence(scale: u16, more: &[(u16, u16)]) -> tempfile::TempDir {
     for n in 0..2_u32 {
         let mut pixels: Vec<(u16, u16)> = (0..40).map(|k| ((k % 8) * scale, (k % 6) * scale)).collect();
         pixels.extend(more);
-        let t: Vec<[u8; 8]> = (0..pixels.len()).map(|k| (1_000_000 + i64::from(n) * 5_000 + 100 * k as i64).to_le_bytes()).collect();
+        let t: Vec<[u8; 8]> = (0..pixels.len())
+            .map(|k| (1_000_000 + i64::from(n) * 5_000 + 100 * k as i64).to_le_bytes())
+            .collect();
         let x: Vec<[u8; 2]> = pixels.iter().map(|(x, _)| x.to_le_bytes()).collect();
         let y: Vec<[u8; 2]> = pixels.iter().map(|(_, y)| y.to_le_bytes()).collect();
         let p: Vec<[u8; 1]> = (0..pixels.len()).map(|k| [(k % 2) as u8]).collect();
-        let members = [("x.npy", column("<u2", &x)), ("y.npy", column("<u2", &y)), ("timestamp.npy", column("<i8", &t)), ("polarity.npy", column("|b1", &p))];
+        let members = [
+            ("x.npy", column("<u2", &x)),
+            ("y.npy", column("<u2", &y)),
+            ("timestamp.npy", column("<i8", &t)),
+            ("polarity.npy", column("|b1", &p)),
+        ];
         std::fs::write(folder.path().join(format!("events_aligned/{n:06}.npz")), stored(&members)).unwrap();
     }
     for n in 0..3 {
-        crate::pictures::tests::write_png(&folder.path().join(format!("images_corrected/{n:06}.png")), 8, 6, &[n; 8 * 6 * 3], png::ColorType::Rgb);
+        crate::pictures::tests::write_png(
+            &folder.path().join(format!("images_corrected/{n:06}.png")),
+            8,
+            6,
+            &[n; 8 * 6 * 3],
+            png::ColorType::Rgb,
+        );
     }
     std::fs::write(folder.path().join("images_corrected/timestamp.txt"), "1000000\n1005000\n").unwrap();
     folder
@@ -293,8 +372,15 @@ fn a_sequence_of_whole_pixels_is_read_as_it_is() {
     assert_eq!((events.len(), losses.len()), (80, 0));
     assert_eq!((events.t[0], events.t[79], events.x[7], events.y[5]), (1_000_000_000, 1_008_900_000, 7, 5));
     let frames = recording.pictures().unwrap();
-    assert_eq!(frames.about().stamps.iter().map(|stamp| stamp.at).collect::<Vec<_>>(), [1_000_000_000, 1_005_000_000]);
-    assert!(frames.about().notes.iter().any(|note| note.contains("3 pictures and 2 stamps")), "{:?}", frames.about().notes);
+    assert_eq!(
+        frames.about().stamps.iter().map(|stamp| stamp.at).collect::<Vec<_>>(),
+        [1_000_000_000, 1_005_000_000]
+    );
+    assert!(
+        frames.about().notes.iter().any(|note| note.contains("3 pictures and 2 stamps")),
+        "{:?}",
+        frames.about().notes
+    );
     assert_eq!(recording.files().len(), 2 + 3 + 1);
 }
 

@@ -1,8 +1,10 @@
-//! Stored values of one picture: PNG of 8 or 16 bits, TIFF of 8 or 16 bits or floats, JPEG ([`super::jpeg`]), grey or RGB; of a file, or within a message.
+//! Stored values of one picture: PNG of 8 or 16 bits, TIFF of 8 or 16 bits or floats, JPEG ([`super::jpeg`]),
+//! grey or RGB; of a file, or within a message.
 //!
-//! Which it is follows from the first bytes, where they say so, else from the name.
-//! Values are those that are stored: no profile and no gamma is applied. Alpha is left out, a palette is looked up, 1 to 4 bits are widened to 8.
-//! A header may claim any size; memory is taken only when the file could hold it: deflate packs at most 1032 : 1, LZW less.
+//! Which it is follows from the first bytes, where they say so, else from the name. Values are those that are
+//! stored: no profile and no gamma is applied. Alpha is left out, a palette is looked up, 1 to 4 bits are
+//! widened to 8. A header may claim any size; memory is taken only when the file could hold it: deflate packs
+//! at most 1032 : 1, LZW less.
 
 pub use super::head::Head;
 use super::head::{PACKED, check_size};
@@ -46,7 +48,8 @@ impl Coding {
         let mut start = Vec::new();
         let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
         read.map_err(|error| FormatError::io(path, &error))?;
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let extension =
+            path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
         Ok(Coding::of(&start).unwrap_or(match extension.as_str() {
             "tif" | "tiff" => Coding::Tiff,
             "jpg" | "jpeg" => Coding::Jpeg,
@@ -58,7 +61,8 @@ impl Coding {
 /// Bytes of a JPEG file before its values: profiles and previews can stand there.
 const JPEG_HEAD: u64 = 1 << 20;
 
-/// Reads the header of a picture, and follows its parts to the end without decoding them: a picture that is cut off is no whole one.
+/// Reads the header of a picture, and follows its parts to the end without decoding them: a picture that is
+/// cut off is no whole one.
 ///
 /// # Errors
 /// When the file cannot be read, is cut off, or is no picture of a form that is read.
@@ -85,7 +89,8 @@ pub fn head(path: &Path) -> Result<Head, FormatError> {
     }
 }
 
-/// Walks from chunk to chunk up to IEND. Values that were changed within a chunk show only when they are decoded.
+/// Walks from chunk to chunk up to IEND. Values that were changed within a chunk show only when they are
+/// decoded.
 fn ends_png(path: &Path) -> Result<(), FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let file = File::open(path).map_err(io)?;
@@ -119,8 +124,11 @@ fn ends_png(path: &Path) -> Result<(), FormatError> {
 /// Holds the ends of strips and tiles against the length of the file.
 fn ends_tiff<R: Read + Seek>(path: &Path, decoder: &mut Tiff<R>) -> Result<(), FormatError> {
     let bytes = std::fs::metadata(path).map_err(|error| FormatError::io(path, &error))?.len();
-    for (offsets, counts) in [(Tag::StripOffsets, Tag::StripByteCounts), (Tag::TileOffsets, Tag::TileByteCounts)] {
-        let mut list = |tag: Tag| decoder.find_tag_unsigned_vec::<u64>(tag).ok().flatten().unwrap_or_default();
+    for (offsets, counts) in
+        [(Tag::StripOffsets, Tag::StripByteCounts), (Tag::TileOffsets, Tag::TileByteCounts)]
+    {
+        let mut list =
+            |tag: Tag| decoder.find_tag_unsigned_vec::<u64>(tag).ok().flatten().unwrap_or_default();
         let (offsets, counts) = (list(offsets), list(counts));
         if offsets.iter().zip(&counts).any(|(offset, count)| offset.saturating_add(*count) > bytes) {
             return Err(damaged(path, format!("it is cut off: its data go on after byte {bytes}")));
@@ -146,8 +154,8 @@ pub(crate) fn read(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatErr
     }
 }
 
-/// Calls `each` with the stored values of some rows, from top to bottom; channels stand next to each other. Rows of a PNG picture below them are not decoded,
-/// unless it is interlaced.
+/// Calls `each` with the stored values of some rows, from top to bottom; channels stand next to each other.
+/// Rows of a PNG picture below them are not decoded, unless it is interlaced.
 ///
 /// # Errors
 /// As [`head`], and when the picture is damaged or has fewer rows.
@@ -158,7 +166,10 @@ pub fn rows(path: &Path, rows: Rows, each: &mut dyn FnMut(&Head, &[f32])) -> Res
         let channels = reader.output_color_type().0.samples();
         if !reader.info().interlaced {
             for y in 0..rows.end {
-                let row = reader.next_row().map_err(|error| damaged(path, error))?.ok_or_else(|| damaged(path, format!("it ends after {y} rows")))?;
+                let row = reader
+                    .next_row()
+                    .map_err(|error| damaged(path, error))?
+                    .ok_or_else(|| damaged(path, format!("it ends after {y} rows")))?;
                 if y >= rows.start {
                     values.clear();
                     push_png(row.data(), channels, &head, &mut values);
@@ -177,7 +188,8 @@ pub fn rows(path: &Path, rows: Rows, each: &mut dyn FnMut(&Head, &[f32])) -> Res
     Ok(())
 }
 
-/// The head of a picture that stands in a message: PNG or JPEG. `start` may be the beginning of its `length` bytes.
+/// The head of a picture that stands in a message: PNG or JPEG. `start` may be the beginning of its `length`
+/// bytes.
 pub(crate) fn head_of(coding: Coding, start: &[u8], length: u64) -> Result<Head, String> {
     match coding {
         Coding::Png => png_head(Cursor::new(start), length).map(|(_, head)| head),
@@ -217,7 +229,11 @@ fn png_head<R: BufRead + Seek>(source: R, bytes: u64) -> Result<(png::Reader<R>,
     check_size(bytes, extent, info.bits_per_pixel() as u64)?;
     let head = Head {
         extent,
-        colour: if matches!(colour, png::ColorType::Rgb | png::ColorType::Rgba) { Colour::Rgb } else { Colour::Mono },
+        colour: if matches!(colour, png::ColorType::Rgb | png::ColorType::Rgba) {
+            Colour::Rgb
+        } else {
+            Colour::Mono
+        },
         bits: if depth == png::BitDepth::Sixteen { 16 } else { 8 },
         has_alpha: matches!(colour, png::ColorType::GrayscaleAlpha | png::ColorType::Rgba),
         says_srgb: info.srgb.is_some(),
@@ -226,7 +242,11 @@ fn png_head<R: BufRead + Seek>(source: R, bytes: u64) -> Result<(png::Reader<R>,
     Ok((reader, head))
 }
 
-fn png_values<R: BufRead + Seek>(mut reader: png::Reader<R>, head: &Head, values: &mut Vec<f32>) -> Result<(), String> {
+fn png_values<R: BufRead + Seek>(
+    mut reader: png::Reader<R>,
+    head: &Head,
+    values: &mut Vec<f32>,
+) -> Result<(), String> {
     let bytes = reader.output_buffer_size().ok_or("it is too large")?;
     let (colour, _) = reader.output_color_type();
     let mut stored = vec![0; bytes];
@@ -241,7 +261,12 @@ fn push_png(stored: &[u8], channels: usize, head: &Head, values: &mut Vec<f32>) 
     let kept = head.colour.channels() as usize;
     if head.bits == 16 {
         for pixel in stored.chunks_exact(2 * channels) {
-            values.extend(pixel.chunks_exact(2).take(kept).map(|sample| f32::from(u16::from_be_bytes([sample[0], sample[1]]))));
+            values.extend(
+                pixel
+                    .chunks_exact(2)
+                    .take(kept)
+                    .map(|sample| f32::from(u16::from_be_bytes([sample[0], sample[1]]))),
+            );
         }
     } else {
         for pixel in stored.chunks_exact(channels) {
@@ -255,16 +280,20 @@ fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> 
     let bytes = file.metadata().map_err(|error| FormatError::io(path, &error))?.len();
     let mut limits = Limits::default();
     // Bounds lists in the directory too, whose length a few bytes can claim.
-    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(PACKED)).unwrap_or(usize::MAX).clamp(1 << 16, 1 << 30);
+    limits.decoding_buffer_size =
+        usize::try_from(bytes.saturating_mul(PACKED)).unwrap_or(usize::MAX).clamp(1 << 16, 1 << 30);
     // A strip or tile is read whole before it is decompressed: it cannot be longer than the file.
     limits.intermediate_buffer_size = usize::try_from(bytes).unwrap_or(usize::MAX);
-    let mut decoder = Tiff::new(BufReader::new(file)).map_err(|error| damaged(path, error))?.with_limits(limits);
+    let mut decoder =
+        Tiff::new(BufReader::new(file)).map_err(|error| damaged(path, error))?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(|error| damaged(path, error))?;
     let stored = decoder.colortype().map_err(|error| damaged(path, error))?;
     let (colour, bits) = match stored {
         ColorType::Gray(bits @ (8 | 16 | 32)) => (Colour::Mono, bits),
         ColorType::RGB(bits @ (8 | 16 | 32)) | ColorType::RGBA(bits @ (8 | 16 | 32)) => (Colour::Rgb, bits),
-        other => return Err(damaged(path, format!("{other:?} is not read; grey or RGB of 8, 16 or 32 bits is"))),
+        other => {
+            return Err(damaged(path, format!("{other:?} is not read; grey or RGB of 8, 16 or 32 bits is")));
+        }
     };
     let extent = Extent { width, height };
     let channels = if colour == Colour::Rgb { 3 } else { 1 };

@@ -15,7 +15,14 @@ use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
 
 /// Names of stamps files, in the order in which they are looked for.
-pub(crate) const STAMPS: [&str; 6] = ["frames.csv", "timestamps.txt", "timestamp.txt", "images.txt", "exposure_timestamps.txt", "timestamps.csv"];
+pub(crate) const STAMPS: [&str; 6] = [
+    "frames.csv",
+    "timestamps.txt",
+    "timestamp.txt",
+    "images.txt",
+    "exposure_timestamps.txt",
+    "timestamps.csv",
+];
 
 /// Where the values come from.
 pub(super) enum Source {
@@ -73,7 +80,12 @@ impl PictureFiles {
     }
 
     /// As [`PictureFiles::open`], with a file of stamps of which the folder's format defines something.
-    pub(crate) fn open_with(path: &Path, declared: &Declared, stamps_file: &Path, defined: &Defined) -> Result<PictureFiles, FormatError> {
+    pub(crate) fn open_with(
+        path: &Path,
+        declared: &Declared,
+        stamps_file: &Path,
+        defined: &Defined,
+    ) -> Result<PictureFiles, FormatError> {
         let mut stamps = stamps::read(stamps_file, declared, defined.unit)?;
         stamps.role = stamps.role.or(defined.role);
         stamps.lines_count = defined.lines_count;
@@ -83,14 +95,22 @@ impl PictureFiles {
     /// Pictures whose times are the pulses of a trigger line.
     ///
     /// # Errors
-    /// When there are no pictures, the line has no pulse with all its edges, or which picture belongs to which pulse is a question.
-    pub fn of_line(path: &Path, triggers: &[Trigger], line: u16, declared: &Declared) -> Result<PictureFiles, FormatError> {
+    /// When there are no pictures, the line has no pulse with all its edges, or which picture belongs to
+    /// which pulse is a question.
+    pub fn of_line(
+        path: &Path,
+        triggers: &[Trigger],
+        line: u16,
+        declared: &Declared,
+    ) -> Result<PictureFiles, FormatError> {
         let found = find(path)?;
         let of_line = pulses(triggers, line, declared.strobe.unwrap_or(Strobe::ActiveHigh));
         let names = found.names.clone();
         let is_inverted = || {
             let inverted = pulses(triggers, line, Strobe::ActiveLow);
-            inverted.has_both && inverted.whole() == names.len() && Sides::new(&names, &rows_of(&inverted)).decide(declared).is_ok()
+            inverted.has_both
+                && inverted.whole() == names.len()
+                && Sides::new(&names, &rows_of(&inverted)).decide(declared).is_ok()
         };
         let (whole, has_both) = (of_line.whole(), of_line.has_both);
         let role = has_both.then_some(StampRole::Start);
@@ -100,10 +120,12 @@ impl PictureFiles {
                 return error;
             }
             let count = names.len();
-            let found =
-                format!("{count} pictures, and {whole} whole exposures on trigger line {line} where rising opens the shutter, {count} where falling opens it");
-            let hint =
-                "state it: `strobe = \"active_low\"` for a line that is inverted, \"active_high\" otherwise; photocurrent init compares both with the events";
+            let found = format!(
+                "{count} pictures, and {whole} whole exposures on trigger line {line} where rising \
+                         opens the shutter, {count} where falling opens it"
+            );
+            let hint = "state it: `strobe = \"active_low\"` for a line that is inverted, \"active_high\" \
+                 otherwise; photocurrent init compares both with the events";
             FormatError::new(path, found, hint).undeclared("strobe")
         })
     }
@@ -125,7 +147,10 @@ pub(crate) fn size_of(path: &Path) -> Option<Extent> {
         return Y4m::open(path).ok().map(|video| video.extent());
     }
     let folders = [path.to_path_buf(), path.join("images"), path.join("frames")];
-    let files = folders.iter().filter(|folder| folder.is_dir()).find_map(|folder| names::pictures(folder).ok().filter(|files| !files.is_empty()))?;
+    let files = folders
+        .iter()
+        .filter(|folder| folder.is_dir())
+        .find_map(|folder| names::pictures(folder).ok().filter(|files| !files.is_empty()))?;
     files.iter().find_map(|file| decode::head(file).ok()).map(|head| head.extent)
 }
 
@@ -136,7 +161,11 @@ pub(crate) fn rows_of(pulses: &Pulses) -> Vec<Row> {
 
 /// The declared file of stamps, or the one that stands with the pictures.
 pub(crate) fn stamps_file(path: &Path, declared: &Declared) -> Option<PathBuf> {
-    let folder = if path.is_dir() { path.to_path_buf() } else { path.parent().map(Path::to_path_buf).unwrap_or_default() };
+    let folder = if path.is_dir() {
+        path.to_path_buf()
+    } else {
+        path.parent().map(Path::to_path_buf).unwrap_or_default()
+    };
     let mut candidates: Vec<PathBuf> = STAMPS.iter().map(|name| folder.join(name)).collect();
     if !path.is_dir() {
         // In the folder of a video only a file of the same name surely belongs to it.
@@ -178,10 +207,17 @@ pub(crate) fn find(path: &Path) -> Result<Found, FormatError> {
         )
         .expected("pictures such as 000000.png"));
     };
-    let is_alike = |head: &decode::Head| (head.extent, head.colour, head.bits) == (first.extent, first.colour, first.bits);
+    let is_alike = |head: &decode::Head| {
+        (head.extent, head.colour, head.bits) == (first.extent, first.colour, first.bits)
+    };
     for (file, head) in files.iter().zip(&heads) {
         if let Some(head) = head.filter(|head| !is_alike(head)) {
-            let what = || format!("{} of {} bits, where others have {} of {}; it was left out", head.extent, head.bits, first.extent, first.bits);
+            let what = || {
+                format!(
+                    "{} of {} bits, where others have {} of {}; it was left out",
+                    head.extent, head.bits, first.extent, first.bits
+                )
+            };
             losses.add("pictures of another size or depth were left out", || file_name(file), what);
         }
     }
@@ -205,7 +241,14 @@ pub(crate) fn find(path: &Path) -> Result<Found, FormatError> {
     };
     let names = files.iter().map(|file| file_name(file)).collect();
     let whole = heads.iter().map(|head| head.as_ref().is_some_and(is_alike)).collect();
-    Ok(Found { about, names, whole, losses: losses.list(), files: files.clone(), source: Source::Files(files) })
+    Ok(Found {
+        about,
+        names,
+        whole,
+        losses: losses.list(),
+        files: files.clone(),
+        source: Source::Files(files),
+    })
 }
 
 fn file_name(path: &Path) -> String {
@@ -224,7 +267,14 @@ fn of_video(path: &Path, video: Y4m) -> Found {
         notes: video.notes(),
     };
     let names = vec![String::new(); video.frames()];
-    Found { about, whole: vec![true; names.len()], names, losses: video.losses(), files: vec![path.into()], source: Source::Video(Box::new(video)) }
+    Found {
+        about,
+        whole: vec![true; names.len()],
+        names,
+        losses: video.losses(),
+        files: vec![path.into()],
+        source: Source::Video(Box::new(video)),
+    }
 }
 
 impl Found {
@@ -240,16 +290,34 @@ impl Found {
         };
         let at: Option<Vec<i64>> = (0..video.frames()).map(|frame| video.at(frame)).collect();
         let Some(at) = at else {
-            return Err(FormatError::new(path, "the header states no frame rate", "name a file with the stamps of the frames: `stamps`").undeclared("stamps"));
+            return Err(FormatError::new(
+                path,
+                "the header states no frame rate",
+                "name a file with the \
+                                                            stamps of the frames: `stamps`",
+            )
+            .undeclared("stamps"));
         };
         let (frames, seconds) = video.rate().unwrap_or((1, 1));
-        let note =
-            format!("stamps follow from the header's constant rate, {frames}/{seconds} per second, from 0: frames that came at other times are not seen in it");
+        let note = format!(
+            "stamps follow from the header's constant rate, {frames}/{seconds} per second, from 0: \
+                     frames that came at other times are not seen in it"
+        );
         let rows = at.into_iter().map(|at| Row::at(at, None, true)).collect();
-        self.place(path, Stamps { rows, notes: vec![note], ..Stamps::default() }, &Declared::default(), Times::Stamps)
+        self.place(
+            path,
+            Stamps { rows, notes: vec![note], ..Stamps::default() },
+            &Declared::default(),
+            Times::Stamps,
+        )
     }
 
-    fn with_stamps(mut self, file: &Path, mut stamps: Stamps, declared: &Declared) -> Result<PictureFiles, FormatError> {
+    fn with_stamps(
+        mut self,
+        file: &Path,
+        mut stamps: Stamps,
+        declared: &Declared,
+    ) -> Result<PictureFiles, FormatError> {
         self.files.push(file.into());
         if let Source::Video(video) = &self.source
             && let Some(note) = rate_note(video, &stamps.rows)
@@ -274,10 +342,17 @@ fn rate_note(video: &Y4m, rows: &[Row]) -> Option<String> {
     let median = *steps.get(steps.len() / 2)? as f64;
     let varied = steps.iter().filter(|step| (**step as f64 - median).abs() > 0.1 * median.abs()).count();
     if (median - period).abs() > 0.01 * period {
-        return Some(format!("the header's rate is one frame in {period:.0} ns, the stamps' mostly {median:.0} ns; the stamps were taken"));
+        return Some(format!(
+            "the header's rate is one frame in {period:.0} ns, the stamps' mostly \
+                             {median:.0} ns; the stamps were taken"
+        ));
     }
     (varied > 0).then(|| {
-        format!("the header states a constant rate, and {varied} of {} intervals of the stamps differ from {median:.0} ns by more than 10 %", steps.len())
+        format!(
+            "the header states a constant rate, and {varied} of {} intervals of the stamps differ from \
+                 {median:.0} ns by more than 10 %",
+            steps.len()
+        )
     })
 }
 
@@ -289,7 +364,12 @@ impl Pictures for PictureFiles {
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         let Some(&picture) = self.chosen.get(frame) else {
             let path = self.files.first().cloned().unwrap_or_default();
-            return Err(FormatError::new(&path, format!("there is no frame {frame}"), "ask for one of the frames that have a stamp"));
+            return Err(FormatError::new(
+                &path,
+                format!("there is no frame {frame}"),
+                "ask for one of the \
+                                                            frames that have a stamp",
+            ));
         };
         self.source.read(picture, &self.about, values)
     }
@@ -303,7 +383,12 @@ impl Source {
                 let head = decode::read(&files[picture], values)?;
                 if (head.extent, head.colour, head.bits) != (about.extent, about.colour, about.bits) {
                     values.clear();
-                    return Err(FormatError::new(&files[picture], "the picture was changed since it was opened", "start again"));
+                    return Err(FormatError::new(
+                        &files[picture],
+                        "the picture was changed since it was \
+                                                            opened",
+                        "start again",
+                    ));
                 }
                 Ok(())
             }

@@ -28,7 +28,10 @@ pub struct Head {
 /// Could so many bytes hold so many pixels?
 pub(crate) fn check_size(bytes: u64, extent: Extent, bits_a_pixel: u64) -> Result<(), String> {
     let pixels = u64::from(extent.width) * u64::from(extent.height);
-    if pixels == 0 || pixels > LARGEST || pixels.saturating_mul(bits_a_pixel) / 8 > bytes.saturating_mul(PACKED) {
+    if pixels == 0
+        || pixels > LARGEST
+        || pixels.saturating_mul(bits_a_pixel) / 8 > bytes.saturating_mul(PACKED)
+    {
         return Err(format!("its header claims {extent} pixels, which {bytes} bytes cannot hold"));
     }
     Ok(())

@@ -1,10 +1,12 @@
 //! Stored values of one JPEG picture: 8 bits, grey or colour, baseline or progressive.
 //!
-//! Decoded by `zune-jpeg` without its SIMD: it is maintained (the `image` crate decodes by it), safe code throughout in that form, gives the same values on
-//! every machine, and its `strict_mode` refuses damaged codes; `jpeg-decoder` gets no more than repairs. Colours are red, green, blue.
-//! A header may claim any size: the picture is decoded only when so many bytes could hold it.
+//! Decoded by `zune-jpeg` without its SIMD: it is maintained (the `image` crate decodes by it), safe code
+//! throughout in that form, gives the same values on every machine, and its `strict_mode` refuses damaged
+//! codes; `jpeg-decoder` gets no more than repairs. Colours are red, green, blue. A header may claim any
+//! size: the picture is decoded only when so many bytes could hold it.
 //!
-//! Limits: four channels (CMYK), lossless and arithmetic coding and 12 bits are refused; a profile or a rotation that a picture carries is not applied.
+//! Limits: four channels (CMYK), lossless and arithmetic coding and 12 bits are refused; a profile or a
+//! rotation that a picture carries is not applied.
 
 use super::head::{Head, check_size};
 use photocurrent_core::{Colour, Extent};
@@ -28,7 +30,8 @@ pub(crate) fn head(bytes: &[u8], length: u64) -> Result<Head, String> {
 type Decoder<'a> = JpegDecoder<ZCursor<&'a [u8]>>;
 
 fn open(bytes: &[u8], length: u64) -> Result<(Decoder<'_>, Head), String> {
-    let options = DecoderOptions::default().set_strict_mode(true).set_max_width(1 << 16).set_max_height(1 << 16);
+    let options =
+        DecoderOptions::default().set_strict_mode(true).set_max_width(1 << 16).set_max_height(1 << 16);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(|error| format!("{error:?}"))?;
     let info = decoder.info().ok_or("it has no frame header")?;
@@ -52,7 +55,8 @@ fn open(bytes: &[u8], length: u64) -> Result<(Decoder<'_>, Head), String> {
 pub(crate) fn read(bytes: &[u8], values: &mut Vec<f32>) -> Result<Head, String> {
     values.clear();
     let (mut decoder, head) = open(bytes, bytes.len() as u64)?;
-    // The decoder fills what is cut off with grey. No scan holds these two bytes, so that the last of each is a marker: of the last scan, and of the end.
+    // The decoder fills what is cut off with grey. No scan holds these two bytes, so that the last of each is
+    // a marker: of the last scan, and of the end.
     let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
     if last(0xd9) < last(0xda) {
         return Err("it is cut off: there is no end behind its last scan".into());

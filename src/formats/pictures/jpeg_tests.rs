@@ -25,7 +25,8 @@ fn grey_and_colour_come_as_they_were_up_to_what_jpeg_loses() {
         assert_eq!((head.extent, head.colour, values.len()), (EXTENT, Colour::Rgb, 384));
         for (k, pixel) in values.as_chunks::<3>().0.iter().enumerate() {
             let (x, y) = ((k % 16) as f32, (k / 16) as f32);
-            let off = pixel.iter().zip([200.0, 12.0 * x, 20.0 * y]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let off =
+                pixel.iter().zip([200.0, 12.0 * x, 20.0 * y]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(off <= 6.0, "{name}, {x} {y}: {pixel:?}");
         }
     }
@@ -37,7 +38,11 @@ fn a_picture_cut_anywhere_is_refused_and_never_half_grey() {
         let whole = picture(name);
         let mut values = Vec::new();
         for length in 0..whole.len() - 2 {
-            assert!(jpeg::read(&whole[..length], &mut values).is_err(), "{name}, {length} of {} bytes", whole.len());
+            assert!(
+                jpeg::read(&whole[..length], &mut values).is_err(),
+                "{name}, {length} of {} bytes",
+                whole.len()
+            );
         }
     }
 }
@@ -58,7 +63,11 @@ fn changed_bytes_are_survived_and_a_beginning_states_the_head() {
         let whole = picture(name);
         assert_eq!(Coding::of(&whole), Some(Coding::Jpeg));
         let scan = whole.windows(2).position(|pair| pair == [0xff, 0xda]).unwrap();
-        assert_eq!(head_of(Coding::Jpeg, &whole[..scan + 20], whole.len() as u64).unwrap().extent, EXTENT, "{name}");
+        assert_eq!(
+            head_of(Coding::Jpeg, &whole[..scan + 20], whole.len() as u64).unwrap().extent,
+            EXTENT,
+            "{name}"
+        );
         for at in 0..whole.len() {
             for value in [0, 1, 0x7f, 0xff, whole[at] ^ 0x10] {
                 let mut bytes = whole.clone();

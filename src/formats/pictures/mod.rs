@@ -1,8 +1,10 @@
-//! Frames without events: a folder of PNG, TIFF or JPEG pictures, or a Y4M file, with stamps from a text file.
+//! Frames without events: a folder of PNG, TIFF or JPEG pictures, or a Y4M file, with stamps from a text
+//! file.
 //!
-//! The stamps come from a declared file, or from one that stands in the folder (`timestamps.txt`, `timestamp.txt`, `images.txt`, `frames.csv`). A Y4M file
-//! without stamps has the constant rate of its header, and a note says so. Values are given as stored: see [`crate::declared::Transfer`].
-//! Limits: the first picture of a file with several; all frames have one size and one depth.
+//! The stamps come from a declared file, or from one that stands in the folder (`timestamps.txt`,
+//! `timestamp.txt`, `images.txt`, `frames.csv`). A Y4M file without stamps has the constant rate of its
+//! header, and a note says so. Values are given as stored: see [`crate::declared::Transfer`]. Limits: the
+//! first picture of a file with several; all frames have one size and one depth.
 
 pub mod decode;
 mod files;
@@ -63,7 +65,12 @@ impl Recording for PicturesOnly {
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        Err(FormatError::new(&self.path, "pictures have no events", "name an event recording, and these pictures as its `frames`"))
+        Err(FormatError::new(
+            &self.path,
+            "pictures have no events",
+            "name an event recording, and these \
+                                                            pictures as its `frames`",
+        ))
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

@@ -1,12 +1,15 @@
-//! Which picture belongs to which time, where no name says so: pictures of a folder with the pulses of a trigger line, or with the lines of a stamps file.
+//! Which picture belongs to which time, where no name says so: pictures of a folder with the pulses of a
+//! trigger line, or with the lines of a stamps file.
 //!
-//! Either side may miss some. A hole in the numbers of the pictures' names shows a picture that is lost; a gap of whole periods between the times shows a pulse
-//! that is. Both give every picture and every time a slot on a line of even steps, and a pairing is the slot of the first picture ([`Candidate::first`]). Each
-//! candidate has a cost: what it leaves without a partner at either end, and holes and gaps that it does not use. The cheapest is taken where nothing else comes near;
-//! otherwise it is a question, and never an answer ([`Unclear`]).
+//! Either side may miss some. A hole in the numbers of the pictures' names shows a picture that is lost; a
+//! gap of whole periods between the times shows a pulse that is. Both give every picture and every time a
+//! slot on a line of even steps, and a pairing is the slot of the first picture ([`Candidate::first`]). Each
+//! candidate has a cost: what it leaves without a partner at either end, and holes and gaps that it does not
+//! use. The cheapest is taken where nothing else comes near; otherwise it is a question, and never an answer
+//! ([`Unclear`]).
 //!
-//! Limits: a first pulse and a last picture that are both missing leave no trace in counts, numbers and periods. Only events show that: see
-//! [`crate::pairings`].
+//! Limits: a first pulse and a last picture that are both missing leave no trace in counts, numbers and
+//! periods. Only events show that: see [`crate::pairings`].
 
 use super::partners::{Times, remainder};
 use super::stamps::Row;
@@ -64,7 +67,11 @@ impl Side {
 
     /// How many lie below a slot.
     fn below(&self, slot: i64, uses: bool) -> usize {
-        if uses { self.slots.partition_point(|own| *own < slot) } else { slot.clamp(0, self.slots.len() as i64) as usize }
+        if uses {
+            self.slots.partition_point(|own| *own < slot)
+        } else {
+            slot.clamp(0, self.slots.len() as i64) as usize
+        }
     }
 }
 
@@ -91,12 +98,19 @@ impl Sides {
         // No more slots than are worth their memory: numbers may be as far apart as 64 bits allow.
         let most = 4 * (names.len() + rows.len()) as i64 + 64;
         let rises = |index: &Vec<i64>| index.windows(2).all(|pair| pair[0] < pair[1]);
-        let reaches = |index: &Vec<i64>| index.first().zip(index.last()).is_some_and(|(first, last)| last.saturating_sub(*first) <= most);
+        let reaches = |index: &Vec<i64>| {
+            index.first().zip(index.last()).is_some_and(|(first, last)| last.saturating_sub(*first) <= most)
+        };
         let index = index.filter(|index| rises(index) && reaches(index));
         let count = |n: usize| (0..n as i64).collect::<Vec<i64>>();
-        let bounded = |slots: Vec<i64>| if slots.last().is_some_and(|last| *last > most) { count(slots.len()) } else { slots };
+        let bounded = |slots: Vec<i64>| {
+            if slots.last().is_some_and(|last| *last > most) { count(slots.len()) } else { slots }
+        };
         let stepped = |values: &[i64]| slots(values, usual(values)).unwrap_or_else(|| count(values.len()));
-        let times = index.as_deref().map_or_else(|| stepped(&times), |index| index.iter().map(|n| n.saturating_sub(index[0])).collect());
+        let times = index.as_deref().map_or_else(
+            || stepped(&times),
+            |index| index.iter().map(|n| n.saturating_sub(index[0])).collect(),
+        );
         let numbers = numbers(names);
         let span = times.last().copied().unwrap_or(0);
         let (pictures, by_ones) = match &numbers {
@@ -105,23 +119,44 @@ impl Sides {
                 // Every second picture of a camera that was triggered each time, or names that count by twos.
                 let reach = numbers[numbers.len() - 1].saturating_sub(numbers[0]);
                 let by_ones = reach <= span.saturating_add(span / 2).saturating_add(2) || usual(numbers) == 1;
-                (slots(numbers, if by_ones { 1 } else { usual(numbers) }).unwrap_or_else(|| count(names.len())), by_ones)
+                (
+                    slots(numbers, if by_ones { 1 } else { usual(numbers) })
+                        .unwrap_or_else(|| count(names.len())),
+                    by_ones,
+                )
             }
         };
         // What is missing cannot be more than the other side has: a number that begins anew, a pause.
         let pictures = bounded(shortened(pictures, span.max(rows.len() as i64 - 1)));
-        let times = if index.is_some() { times } else { bounded(shortened(times, pictures.last().copied().unwrap_or(0))) };
-        let side = |slots: Vec<i64>| Side { missing: slots.last().map_or(0, |last| last + 1 - slots.len() as i64), slots };
+        let times = if index.is_some() {
+            times
+        } else {
+            bounded(shortened(times, pictures.last().copied().unwrap_or(0)))
+        };
+        let side = |slots: Vec<i64>| Side {
+            missing: slots.last().map_or(0, |last| last + 1 - slots.len() as i64),
+            slots,
+        };
         let first_number = numbers.filter(|_| by_ones).and_then(|numbers| numbers.first().copied());
         let first_index = index.and_then(|index| index.first().copied());
-        let same_numbers = first_number.zip(first_index).map(|(number, index)| number.saturating_sub(index)).filter(|_| {
-            // From 0 and from 1: one of the two counts differently, or misses its first.
-            first_number.zip(first_index).is_some_and(|(a, b)| (a.min(b), a.max(b)) != (0, 1))
-        });
+        let same_numbers =
+            first_number.zip(first_index).map(|(number, index)| number.saturating_sub(index)).filter(|_| {
+                // From 0 and from 1: one of the two counts differently, or misses its first.
+                first_number.zip(first_index).is_some_and(|(a, b)| (a.min(b), a.max(b)) != (0, 1))
+            });
         let mut whole_before = vec![0];
-        rows.iter().for_each(|row| whole_before.push(whole_before[whole_before.len() - 1] + usize::from(row.is_whole)));
+        rows.iter().for_each(|row| {
+            whole_before.push(whole_before[whole_before.len() - 1] + usize::from(row.is_whole))
+        });
         let together = first_index.is_none() && rows.iter().all(|row| row.line > 0);
-        Sides { pictures: side(pictures), times: side(times), whole_before, first_number, same_numbers, together }
+        Sides {
+            pictures: side(pictures),
+            times: side(times),
+            whole_before,
+            first_number,
+            same_numbers,
+            together,
+        }
     }
 
     /// The pairs of a candidate: picture and time, by their places.
@@ -140,14 +175,16 @@ impl Sides {
         pairs
     }
 
-    /// Holes and gaps of one side cost the same whether one or the other is used, so only what is left at the ends counts, and what is not used.
+    /// Holes and gaps of one side cost the same whether one or the other is used, so only what is left at the
+    /// ends counts, and what is not used.
     fn cost(&self, by: Pairing, first: i64) -> u32 {
         let (by_number, by_time) = (by.uses_numbers(), by.uses_times());
         let counts = by_number || self.pictures.missing == 0;
         let few = |n: usize| if n == 0 { 0 } else { END + MORE.min(n as u32 - 1) };
         let whole = |from: usize, to: usize| self.whole_before[to] - self.whole_before[from];
         let (pictures, times) = (self.pictures.slots.len(), self.times.slots.len());
-        let (last_picture, last_time) = (self.pictures.last(by_number).saturating_add(first), self.times.last(by_time));
+        let (last_picture, last_time) =
+            (self.pictures.last(by_number).saturating_add(first), self.times.last(by_time));
         let before = if first > 0 {
             let left = few(whole(0, self.times.below(first, by_time)));
             // Names that begin at 2 show that two pictures are lost, if they count from 0.
@@ -165,23 +202,37 @@ impl Sides {
             few(pictures - self.pictures.below(last_time.saturating_add(1).saturating_sub(first), by_number))
         };
         let ends = if counts && self.same_numbers == Some(first) { 0 } else { before + after };
-        let unused = |uses: bool, missing: i64| if uses || missing == 0 { 0 } else { UNUSED + MORE.min(missing.min(8) as u32 - 1) };
+        let unused = |uses: bool, missing: i64| {
+            if uses || missing == 0 { 0 } else { UNUSED + MORE.min(missing.min(8) as u32 - 1) }
+        };
         ends + unused(by_number, self.pictures.missing) + unused(by_time, self.times.missing)
     }
 
-    /// Every candidate that leaves at least one pair, the cheapest first; of one cost, those with the most pairs by order of [`Candidate::first`].
+    /// Every candidate that leaves at least one pair, the cheapest first; of one cost, those with the most
+    /// pairs by order of [`Candidate::first`].
     pub(crate) fn candidates(&self, declared: &Declared) -> Vec<Candidate> {
         let (holes, gaps) = (self.pictures.missing > 0, self.times.missing > 0);
-        let all = [(Pairing::NumbersAndTimes, true, true), (Pairing::Numbers, true, false), (Pairing::Times, false, true), (Pairing::Order, false, false)];
+        let all = [
+            (Pairing::NumbersAndTimes, true, true),
+            (Pairing::Numbers, true, false),
+            (Pairing::Times, false, true),
+            (Pairing::Order, false, false),
+        ];
         let mut found = Vec::new();
         for (by, numbers, times) in all {
-            let is_one = declared.pairing.map_or_else(|| (!numbers || holes) && (!times || gaps), |stated| stated == by);
+            let is_one = declared
+                .pairing
+                .map_or_else(|| (!numbers || holes) && (!times || gaps), |stated| stated == by);
             if !is_one || self.pictures.slots.is_empty() || self.times.slots.is_empty() {
                 continue;
             }
             let range = -self.pictures.last(numbers)..=self.times.last(times);
             match declared.first_pulse {
-                Some(first) => found.extend(range.contains(&first).then(|| Candidate { by, first, cost: self.cost(by, first) })),
+                Some(first) => found.extend(range.contains(&first).then(|| Candidate {
+                    by,
+                    first,
+                    cost: self.cost(by, first),
+                })),
                 None => found.extend(range.map(|first| Candidate { by, first, cost: self.cost(by, first) })),
             }
         }
@@ -198,7 +249,8 @@ impl Sides {
         let candidates = self.candidates(declared);
         let Some(&best) = candidates.first() else { return Ok(None) };
         let pairs = self.pairs(&best);
-        let near = candidates.iter().skip(1).take_while(|other| other.cost < best.cost + MARGIN).take(COMPARED);
+        let near =
+            candidates.iter().skip(1).take_while(|other| other.cost < best.cost + MARGIN).take(COMPARED);
         match near.copied().find(|other| self.pairs(other) != pairs) {
             Some(second) => Err(Unclear { best, second }),
             None => Ok(Some(best)),
@@ -206,12 +258,18 @@ impl Sides {
     }
 }
 
-/// Frames of an array and the times of another: `(frame, time)` of those that belong together, and a note where some have no partner. Equal numbers belong
-/// together in order; of unequal ones a gap of whole periods between the times is a time that is missing.
+/// Frames of an array and the times of another: `(frame, time)` of those that belong together, and a note
+/// where some have no partner. Equal numbers belong together in order; of unequal ones a gap of whole periods
+/// between the times is a time that is missing.
 ///
 /// # Errors
 /// When it stays open which belong together, with the ways to state it.
-pub(crate) fn of_array(path: &Path, frames: usize, times: &[i64], declared: &Declared) -> Result<Paired, FormatError> {
+pub(crate) fn of_array(
+    path: &Path,
+    frames: usize,
+    times: &[i64],
+    declared: &Declared,
+) -> Result<Paired, FormatError> {
     if frames == times.len() && declared.first_pulse.is_none() && declared.pairing.is_none() {
         return Ok(((0..frames).map(|n| (n, n)).collect(), None));
     }
@@ -221,17 +279,33 @@ pub(crate) fn of_array(path: &Path, frames: usize, times: &[i64], declared: &Dec
     match sides.decide(declared) {
         Ok(Some(candidate)) => {
             let pairs = sides.pairs(&candidate);
-            let note = format!("{what}: paired by the period of the stamps; {}", remainder(frames, &rows, &pairs, Times::Stamps));
+            let note = format!(
+                "{what}: paired by the period of the stamps; {}",
+                remainder(frames, &rows, &pairs, Times::Stamps)
+            );
             Ok((pairs, Some(note)))
         }
         Ok(None) => Ok((Vec::new(), Some(format!("{what}: none belongs to another")))),
         Err(Unclear { best, second }) => {
             let with_by = best.by != second.by;
-            let of =
-                |candidate: &Candidate| format!("{} leaves {}", stated(candidate, with_by), remainder(frames, &rows, &sides.pairs(candidate), Times::Stamps));
+            let of = |candidate: &Candidate| {
+                format!(
+                    "{} leaves {}",
+                    stated(candidate, with_by),
+                    remainder(frames, &rows, &sides.pairs(candidate), Times::Stamps)
+                )
+            };
             let hint = format!("state it: {}, {}", of(&best), of(&second));
             let field = if best.first == second.first { "pairing" } else { "first_pulse" };
-            Err(FormatError::new(path, format!("{what}: counts and gaps between the stamps leave open which belong together"), hint).undeclared(field))
+            Err(FormatError::new(
+                path,
+                format!(
+                    "{what}: counts and gaps between the stamps leave open which \
+                                                belong together"
+                ),
+                hint,
+            )
+            .undeclared(field))
         }
     }
 }
@@ -251,7 +325,8 @@ pub(crate) fn periods(times: &[i64]) -> Option<i64> {
     slots(times, usual(times)).and_then(|slots| slots.last().copied())
 }
 
-/// Values as whole numbers of steps from the first; none where a step is no whole number of usual ones, to a quarter.
+/// Values as whole numbers of steps from the first; none where a step is no whole number of usual ones, to a
+/// quarter.
 fn slots(values: &[i64], usual: i64) -> Option<Vec<i64>> {
     let mut all = Vec::with_capacity(values.len());
     all.push(0_i64);
@@ -286,7 +361,10 @@ fn shortened(slots: Vec<i64>, most: i64) -> Vec<i64> {
 fn numbers(names: &[String]) -> Option<Vec<i64>> {
     let groups = |name: &String| -> Vec<Option<i64>> {
         let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
-        stem.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty()).map(|digits| digits.parse().ok()).collect()
+        stem.split(|c: char| !c.is_ascii_digit())
+            .filter(|digits| !digits.is_empty())
+            .map(|digits| digits.parse().ok())
+            .collect()
     };
     let all: Vec<Vec<Option<i64>>> = names.iter().map(groups).collect();
     let count = all.first()?.len();

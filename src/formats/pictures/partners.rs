@@ -28,7 +28,9 @@ impl Times {
 pub(super) fn alone(pictures: usize, rows: &[Row], pairs: &[(usize, usize)]) -> (Vec<usize>, Vec<usize>) {
     let (mut has_time, mut has_picture) = (vec![false; pictures], vec![false; rows.len()]);
     pairs.iter().for_each(|(picture, row)| (has_time[*picture], has_picture[*row]) = (true, true));
-    let none = |has: Vec<bool>| has.into_iter().enumerate().filter(|(_, has)| !has).map(|(n, _)| n).collect::<Vec<_>>();
+    let none = |has: Vec<bool>| {
+        has.into_iter().enumerate().filter(|(_, has)| !has).map(|(n, _)| n).collect::<Vec<_>>()
+    };
     (none(has_time), none(has_picture).into_iter().filter(|row| rows[*row].is_whole).collect())
 }
 

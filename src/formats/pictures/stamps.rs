@@ -1,7 +1,8 @@
 //! When frames were taken, from a text file that stands with them.
 //!
-//! A line is a frame: one stamp, a name and a stamp, an index and a stamp, or start and end of the exposure, in an order that the header names or the values
-//! show. This project's own `frames.csv` is one of these. Units come from the header (`t_start_ns`, `[us]`), from the format, or from the user.
+//! A line is a frame: one stamp, a name and a stamp, an index and a stamp, or start and end of the exposure,
+//! in an order that the header names or the values show. This project's own `frames.csv` is one of these.
+//! Units come from the header (`t_start_ns`, `[us]`), from the format, or from the user.
 
 use super::names::is_picture;
 use crate::decimal::Decimal;
@@ -45,7 +46,8 @@ pub(crate) struct Stamps {
     /// Does a comment say that codes are linear (`# dn = offset + scale * code`)?
     pub(crate) is_linear: bool,
     pub(crate) notes: Vec<String>,
-    /// Does the format define that the n-th entry is that of the picture with the number n, from 0, where pictures are more?
+    /// Does the format define that the n-th entry is that of the picture with the number n, from 0, where
+    /// pictures are more?
     pub(crate) lines_count: bool,
 }
 
@@ -77,7 +79,19 @@ fn role(name: &str) -> (Role, Option<TimeUnit>) {
     }
     let has = |words: &[&str]| words.iter().any(|word| text.contains(word));
     let is = |words: &[&str]| words.contains(&text.as_str());
-    let role = if is(&["index", "idx", "seq", "id", "number", "frame", "frame_id", "frame_index", "frame_number", "image_id", "image_index"]) {
+    let role = if is(&[
+        "index",
+        "idx",
+        "seq",
+        "id",
+        "number",
+        "frame",
+        "frame_id",
+        "frame_index",
+        "frame_number",
+        "image_id",
+        "image_index",
+    ]) {
         Role::Index
     } else if has(&["file", "name", "image", "picture", "path"]) && !has(&["stamp", "time"]) {
         Role::Name
@@ -96,19 +110,32 @@ fn role(name: &str) -> (Role, Option<TimeUnit>) {
 }
 
 /// Reads a stamps file. `defined` is the unit that the folder's format defines.
-pub(crate) fn read(path: &Path, declared: &Declared, defined: Option<TimeUnit>) -> Result<Stamps, FormatError> {
+pub(crate) fn read(
+    path: &Path,
+    declared: &Declared,
+    defined: Option<TimeUnit>,
+) -> Result<Stamps, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let bytes = std::fs::metadata(path).map_err(io)?.len();
     if bytes > LARGEST {
-        return Err(
-            FormatError::new(path, format!("{bytes} bytes"), "name the text file with the stamps of the frames").expected("a stamps file of at most 64 MiB")
-        );
+        return Err(FormatError::new(
+            path,
+            format!("{bytes} bytes"),
+            "name the text file with the stamps of the \
+                                                            frames",
+        )
+        .expected("a stamps file of at most 64 MiB"));
     }
     parse(path, &std::fs::read(path).map_err(io)?, declared, defined)
 }
 
 /// As [`read`], of the file's bytes.
-pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Option<TimeUnit>) -> Result<Stamps, FormatError> {
+pub(crate) fn parse(
+    path: &Path,
+    text: &[u8],
+    declared: &Declared,
+    defined: Option<TimeUnit>,
+) -> Result<Stamps, FormatError> {
     let mut stamps = Stamps::default();
     let mut roles: Option<Vec<(Role, Option<TimeUnit>)>> = None;
     let mut lines: Vec<(u64, Vec<&[u8]>)> = Vec::new();
@@ -126,16 +153,29 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
             lines.push((number, fields));
         } else if lines.is_empty() && roles.is_none() {
             let named: Vec<_> = fields.iter().map(|field| role(&String::from_utf8_lossy(field))).collect();
-            if named.iter().any(|(role, _)| !matches!(role, Role::Skip | Role::Index)) { roles = Some(named) } else { wrong_lines.push(number) }
+            if named.iter().any(|(role, _)| !matches!(role, Role::Skip | Role::Index)) {
+                roles = Some(named)
+            } else {
+                wrong_lines.push(number)
+            }
         } else {
             wrong_lines.push(number);
         }
     }
     if !wrong_lines.is_empty() {
-        stamps.notes.push(format!("{} of its lines hold no number and were left out (the first is line {})", wrong_lines.len(), wrong_lines[0]));
+        stamps.notes.push(format!(
+            "{} of its lines hold no number and were left out (the first is line {})",
+            wrong_lines.len(),
+            wrong_lines[0]
+        ));
     }
     if lines.is_empty() {
-        return Err(FormatError::new(path, "no stamps", "put one stamp on a line, or a name and a stamp, or start and end of the exposure"));
+        return Err(FormatError::new(
+            path,
+            "no stamps",
+            "put one stamp on a line, or a name and a stamp, or \
+                                                        start and end of the exposure",
+        ));
     }
     let roles = match roles {
         Some(named) if named.iter().any(|(role, _)| matches!(role, Role::At | Role::Start | Role::Mid)) => {
@@ -147,15 +187,26 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
     // The unit of the events serves where none is stated for the frames.
     let unit = match (stated, declared.stamps_unit.or(declared.time_unit), defined) {
         // A unit that is stated for these very stamps goes before what the file says of them.
-        (Some(file), Some(user), _) if file != user && (declared.stamps.is_some() || declared.stamps_unit.is_some()) => {
-            stamps.notes.push(format!("the stamps file says {}; {} was declared and taken", unit_name(file), unit_name(user)));
+        (Some(file), Some(user), _)
+            if file != user && (declared.stamps.is_some() || declared.stamps_unit.is_some()) =>
+        {
+            stamps.notes.push(format!(
+                "the stamps file says {}; {} was declared and taken",
+                unit_name(file),
+                unit_name(user)
+            ));
             user
         }
         (Some(unit), ..) | (None, Some(unit), _) | (None, None, Some(unit)) => unit,
         (None, None, None) => {
             let evidence = look(&roles, &lines);
             let what = format!("the unit of the frames' stamps is not stated ({})", evidence.text);
-            return Err(FormatError::new(path, what, evidence.hint()).expected("a unit in the header, such as `t_us`").undeclared("stamps_unit"));
+            return Err(FormatError::new(path, what, evidence.hint())
+                .expected(
+                    "a unit in the header, such \
+                                                            as `t_us`",
+                )
+                .undeclared("stamps_unit"));
         }
     };
     for (number, fields) in &lines {
@@ -163,8 +214,11 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
     }
     if stated.is_none() && declared.stamps_unit.is_none() && runs_together(&roles, &lines, &stamps.rows) {
         let evidence = look(&roles, &lines);
-        let what = format!("stamps that differ become one and the same in {} ({})", unit_name(unit), evidence.text);
-        return Err(FormatError::new(path, what, evidence.hint()).expected("the unit of the frames' stamps").undeclared("stamps_unit"));
+        let what =
+            format!("stamps that differ become one and the same in {} ({})", unit_name(unit), evidence.text);
+        return Err(FormatError::new(path, what, evidence.hint())
+            .expected("the unit of the frames' stamps")
+            .undeclared("stamps_unit"));
     }
     let has = |wanted: Role| roles.contains(&wanted);
     stamps.role = match (has(Role::At), has(Role::Start), has(Role::Mid)) {
@@ -184,24 +238,37 @@ fn column_of(roles: &[Role]) -> usize {
 /// What the stamps look like.
 fn look(roles: &[Role], lines: &[(u64, Vec<&[u8]>)]) -> evidence::Evidence {
     let index = column_of(roles);
-    let sample: Vec<Decimal> = lines.iter().filter_map(|(_, fields)| fields.get(index).and_then(|field| Decimal::read(field))).take(100_000).collect();
+    let sample: Vec<Decimal> = lines
+        .iter()
+        .filter_map(|(_, fields)| fields.get(index).and_then(|field| Decimal::read(field)))
+        .take(100_000)
+        .collect();
     evidence::of_decimals(&sample, sample.len() as f64, Of::Frames)
 }
 
-/// Are there stamps that differ in the file and no longer do in its rows? Decimal seconds that are read as nanoseconds.
+/// Are there stamps that differ in the file and no longer do in its rows? Decimal seconds that are read as
+/// nanoseconds.
 fn runs_together(roles: &[Role], lines: &[(u64, Vec<&[u8]>)], rows: &[Row]) -> bool {
     let index = column_of(roles);
     let text = |line: usize| lines[line].1.get(index).map(|field| field.trim_ascii());
     (1..rows.len()).any(|line| rows[line].at == rows[line - 1].at && text(line) != text(line - 1))
 }
 
-fn comment(line: &[u8], stamps: &mut Stamps, roles: &mut Option<Vec<(Role, Option<TimeUnit>)>>, stated: &mut Option<TimeUnit>) {
+fn comment(
+    line: &[u8],
+    stamps: &mut Stamps,
+    roles: &mut Option<Vec<(Role, Option<TimeUnit>)>>,
+    stated: &mut Option<TimeUnit>,
+) {
     let text = String::from_utf8_lossy(line);
     let text = text.trim().trim_start_matches(['#', '%']).trim();
     if text.starts_with("dn = offset + scale * code") {
         stamps.is_linear = true;
         stamps.notes.push(format!("codes are linear: {text}"));
-        let row_time = text.split(';').find_map(|part| part.trim().strip_prefix("row_time_ns=")).and_then(|value| value.trim().parse().ok());
+        let row_time = text
+            .split(';')
+            .find_map(|part| part.trim().strip_prefix("row_time_ns="))
+            .and_then(|value| value.trim().parse().ok());
         stamps.row_time_ns = Some(row_time.unwrap_or(0));
         return;
     }
@@ -213,8 +280,14 @@ fn comment(line: &[u8], stamps: &mut Stamps, roles: &mut Option<Vec<(Role, Optio
     }
     *stated = stated.or(words.iter().find_map(|word| word.strip_prefix("time_unit=").and_then(unit_named)));
     // A header as numpy and DSEC write it: `# exposure_start_timestamp_us, exposure_end_timestamp_us`.
-    let named: Vec<_> = Separator::of(text.as_bytes()).fields(text.as_bytes()).map(|field| role(&String::from_utf8_lossy(field))).collect();
-    if roles.is_none() && named.iter().all(|(role, unit)| *role != Role::Skip || unit.is_some()) && named.iter().any(|(role, _)| *role != Role::Index) {
+    let named: Vec<_> = Separator::of(text.as_bytes())
+        .fields(text.as_bytes())
+        .map(|field| role(&String::from_utf8_lossy(field)))
+        .collect();
+    if roles.is_none()
+        && named.iter().all(|(role, unit)| *role != Role::Skip || unit.is_some())
+        && named.iter().any(|(role, _)| *role != Role::Index)
+    {
         *roles = Some(named);
     }
 }
@@ -222,23 +295,40 @@ fn comment(line: &[u8], stamps: &mut Stamps, roles: &mut Option<Vec<(Role, Optio
 /// What the columns hold when nothing names them.
 fn roles_of(path: &Path, lines: &[(u64, Vec<&[u8]>)]) -> Result<Vec<Role>, FormatError> {
     let width = lines[0].1.len();
-    let mut roles: Vec<Role> =
-        (0..width).map(|index| if lines.iter().take(100).all(|(_, fields)| is_number(fields, index)) { Role::At } else { Role::Name }).collect();
+    let mut roles: Vec<Role> = (0..width)
+        .map(|index| {
+            if lines.iter().take(100).all(|(_, fields)| is_number(fields, index)) {
+                Role::At
+            } else {
+                Role::Name
+            }
+        })
+        .collect();
     let numbers: Vec<usize> = (0..width).filter(|index| roles[*index] == Role::At).collect();
-    let value = |line: usize, column: usize| lines[line].1.get(column).and_then(|field| Decimal::read(field)).map_or(f64::NAN, Decimal::value);
+    let value = |line: usize, column: usize| {
+        lines[line].1.get(column).and_then(|field| Decimal::read(field)).map_or(f64::NAN, Decimal::value)
+    };
     // By ones, but for some that are missing.
     let counts_up = |column: usize| {
-        let steps: Vec<f64> = (1..lines.len()).map(|line| value(line, column) - value(line - 1, column)).collect();
+        let steps: Vec<f64> =
+            (1..lines.len()).map(|line| value(line, column) - value(line - 1, column)).collect();
         let ones = steps.iter().filter(|step| **step == 1.0).count();
-        !steps.is_empty() && 2 * ones > steps.len() && steps.iter().all(|step| *step >= 1.0) && value(0, column).fract() == 0.0
+        !steps.is_empty()
+            && 2 * ones > steps.len()
+            && steps.iter().all(|step| *step >= 1.0)
+            && value(0, column).fract() == 0.0
     };
-    let is_span =
-        |a: usize, b: usize| (0..lines.len()).all(|line| value(line, a) <= value(line, b)) && (1..lines.len()).all(|line| value(line, a) > value(line - 1, a));
+    let is_span = |a: usize, b: usize| {
+        (0..lines.len()).all(|line| value(line, a) <= value(line, b))
+            && (1..lines.len()).all(|line| value(line, a) > value(line - 1, a))
+    };
     match numbers.as_slice() {
         [_] => {}
         &[a, b] if counts_up(a) && !counts_up(b) => roles[a] = Role::Index,
         &[a, b] if is_span(a, b) => (roles[a], roles[b]) = (Role::Start, Role::End),
-        &[a, b, c] if counts_up(a) && is_span(b, c) => (roles[a], roles[b], roles[c]) = (Role::Index, Role::Start, Role::End),
+        &[a, b, c] if counts_up(a) && is_span(b, c) => {
+            (roles[a], roles[b], roles[c]) = (Role::Index, Role::Start, Role::End)
+        }
         _ => {
             return Err(FormatError::new(
                 path,
@@ -257,14 +347,17 @@ fn is_number(fields: &[&[u8]], index: usize) -> bool {
 }
 
 fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit) -> Result<Row, FormatError> {
-    let wrong = |what: String| FormatError::new(path, what, "correct the line, or leave it out").at(format!("line {line}"));
+    let wrong = |what: String| {
+        FormatError::new(path, what, "correct the line, or leave it out").at(format!("line {line}"))
+    };
     let mut row = Row { line, ..Row::at(0, None, true) };
     let (mut at, mut start, mut end, mut mid) = (None, None, None, None);
     for (index, role) in roles.iter().enumerate() {
         if *role == Role::Skip {
             continue;
         }
-        let field = fields.get(index).ok_or_else(|| wrong(format!("{} of {} columns", fields.len(), roles.len())))?;
+        let field =
+            fields.get(index).ok_or_else(|| wrong(format!("{} of {} columns", fields.len(), roles.len())))?;
         let text = String::from_utf8_lossy(field);
         if *role == Role::Index {
             row.index = text.trim_matches('"').parse().ok();
@@ -275,7 +368,9 @@ fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit)
             row.name = row.name.or(Some(name).filter(|name| is_picture(name) || name.contains('.')));
             continue;
         }
-        let ns = Decimal::read(field).and_then(|number| number.ns(unit)).ok_or_else(|| wrong(format!("`{}` is no stamp", text.escape_debug())))?;
+        let ns = Decimal::read(field)
+            .and_then(|number| number.ns(unit))
+            .ok_or_else(|| wrong(format!("`{}` is no stamp", text.escape_debug())))?;
         match role {
             Role::At => at = at.or(Some(ns)),
             Role::Start => start = Some(ns),
@@ -284,7 +379,12 @@ fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit)
         }
     }
     row.exposure = match (start, end) {
-        (Some(start), Some(end)) if start > end => return Err(wrong(format!("the exposure ends before it begins ({start} ns, {end} ns)"))),
+        (Some(start), Some(end)) if start > end => {
+            return Err(wrong(format!(
+                "the exposure ends before it \
+                                                            begins ({start} ns, {end} ns)"
+            )));
+        }
         (Some(start), Some(end)) => Some((start, end)),
         _ => None,
     };
@@ -292,7 +392,8 @@ fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit)
     Ok(row)
 }
 
-/// Stamps that do not belong to the frames: lines at the front whose distance to the next is unlike that of all others. The number of such lines and why.
+/// Stamps that do not belong to the frames: lines at the front whose distance to the next is unlike that of
+/// all others. The number of such lines and why.
 pub(crate) fn leading_wrong(rows: &[Row], surplus: usize) -> Option<(usize, String)> {
     let steps: Vec<i64> = rows.windows(2).map(|pair| pair[1].at.saturating_sub(pair[0].at)).collect();
     if surplus == 0 || steps.len() < surplus + 3 {
@@ -307,7 +408,8 @@ pub(crate) fn leading_wrong(rows: &[Row], surplus: usize) -> Option<(usize, Stri
         (
             surplus,
             format!(
-                "line {} is {odd} ns before the next where others are {median} ns apart: {surplus} wrong lines at the front were left out",
+                "line {} is {odd} ns before the next where others are {median} ns apart: {surplus} wrong \
+                 lines at the front were left out",
                 rows[surplus - 1].line
             ),
         )

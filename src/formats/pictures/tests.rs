@@ -33,7 +33,14 @@ pub(crate) fn write_png(path: &Path, width: u32, height: u32, values: &[u8], col
     write_png_of(path, width, height, values, colour, png::BitDepth::Eight);
 }
 
-fn write_png_of(path: &Path, width: u32, height: u32, values: &[u8], colour: png::ColorType, depth: png::BitDepth) {
+fn write_png_of(
+    path: &Path,
+    width: u32,
+    height: u32,
+    values: &[u8],
+    colour: png::ColorType,
+    depth: png::BitDepth,
+) {
     let mut encoder = png::Encoder::new(std::fs::File::create(path).unwrap(), width, height);
     encoder.set_color(colour);
     encoder.set_depth(depth);
@@ -65,7 +72,9 @@ fn at(pictures: &PictureFiles) -> Vec<i64> {
 /// First value of every frame.
 fn firsts(pictures: &dyn Pictures) -> Vec<f32> {
     let mut values = Vec::new();
-    (0..pictures.about().stamps.len()).map(|frame| pictures.read(frame, &mut values).map(|()| values[0]).unwrap()).collect()
+    (0..pictures.about().stamps.len())
+        .map(|frame| pictures.read(frame, &mut values).map(|()| values[0]).unwrap())
+        .collect()
 }
 
 #[test]
@@ -73,7 +82,11 @@ fn names_are_sorted_by_their_numbers_and_thumbnails_are_left_out() {
     let folder = folder(&["f10.png", "f9.png", "f0100.png", ".hidden.png", "thumb_1.png", "f9b.PNG"]);
     std::fs::write(folder.path().join("notes.md"), "x").unwrap();
     std::fs::create_dir(folder.path().join("f1.png")).unwrap();
-    let names: Vec<String> = names::pictures(folder.path()).unwrap().iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect();
+    let names: Vec<String> = names::pictures(folder.path())
+        .unwrap()
+        .iter()
+        .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+        .collect();
     assert_eq!(names, ["f9.png", "f9b.PNG", "f10.png", "f0100.png"]);
 }
 
@@ -90,15 +103,30 @@ fn a_name_that_is_not_utf_8_is_read() {
 #[test]
 fn stamps_are_read_in_every_form() {
     let folder = folder(&["a.png", "b.png", "c.png"]);
-    let stamp = |text: &str, declared: &Declared| open(&folder, text, declared).map(|pictures| (at(&pictures), pictures.about().stamps[0].exposure)).unwrap();
-    for text in
-        ["10\n20\n30\n", "# in us\n10\n20\n30", "t_us\n10\n20\n30\n", "0 10\n1 20\n2 30\n", "a.png 10\nb.png 20\nc.png 30\n", "c.png,30\na.png,10\nb.png,20\n"]
-    {
+    let stamp = |text: &str, declared: &Declared| {
+        open(&folder, text, declared)
+            .map(|pictures| (at(&pictures), pictures.about().stamps[0].exposure))
+            .unwrap()
+    };
+    for text in [
+        "10\n20\n30\n",
+        "# in us\n10\n20\n30",
+        "t_us\n10\n20\n30\n",
+        "0 10\n1 20\n2 30\n",
+        "a.png 10\nb.png 20\nc.png 30\n",
+        "c.png,30\na.png,10\nb.png,20\n",
+    ] {
         let (mut stamps, exposure) = stamp(text, &us());
         stamps.sort_unstable();
         assert_eq!((stamps, exposure), (vec![10_000, 20_000, 30_000], None), "{text}");
     }
-    for text in ["10 15\n20 25\n30 35\n", "1 10 15\n2 20 25\n3 30 35\n", "# exposure_start_timestamp_us, exposure_end_timestamp_us\n10, 15\n20, 25\n30, 35\n"] {
+    for text in [
+        "10 15\n20 25\n30 35\n",
+        "1 10 15\n2 20 25\n3 30 35\n",
+        "# exposure_start_timestamp_us, \
+                                                            exposure_end_timestamp_us\n10, 15\n20, 25\n30, \
+                                                            35\n",
+    ] {
         assert_eq!(stamp(text, &us()), (vec![10_000, 20_000, 30_000], Some((10_000, 15_000))), "{text}");
     }
     let error = open(&folder, "0.01\n0.02\n0.03\n", &Declared::default()).err().unwrap();
@@ -110,12 +138,16 @@ fn stamps_are_read_in_every_form() {
 #[test]
 fn rendered_frames_of_this_project_are_read_back() {
     let folder = folder(&["000000.png", "000001.png"]);
-    let text = "# dn = offset + scale * code; offset=0.0 scale=0.015610; exposure_dn_of_ns=4200000; row_time_ns=30\nindex,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn\n0,100,300,200,000000.png,0.0,0.01561\n1,400,600,500,000001.png,0.0,0.01561\n";
+    let text = "# dn = offset + scale * code; offset=0.0 scale=0.015610; exposure_dn_of_ns=4200000; \
+                row_time_ns=30\nindex,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn\n0,100,300,200,000000.png,0.0,0.01561\n1,400,600,500,000001.png,0.0,0.01561\n";
     std::fs::write(folder.path().join("frames.csv"), text).unwrap();
     let pictures = PictureFiles::open(folder.path(), &Declared::default()).unwrap();
     let about = pictures.about();
     assert_eq!((about.stamps[1].at, about.stamps[1].exposure), (400, Some((400, 600))));
-    assert_eq!((about.stamp_role, about.row_time_ns, about.transfer), (Some(StampRole::Start), Some(30), Some(Transfer::Linear)));
+    assert_eq!(
+        (about.stamp_role, about.row_time_ns, about.transfer),
+        (Some(StampRole::Start), Some(30), Some(Transfer::Linear))
+    );
     assert!(about.notes.iter().any(|note| note.contains("scale=0.015610")), "{:?}", about.notes);
 }
 
@@ -125,16 +157,29 @@ fn counts_that_differ_are_noted_and_a_wrong_first_line_is_found() {
     let error = open(&folder, "10\n20\n30\n", &us()).err().unwrap();
     assert_eq!(error.undeclared, Some("first_pulse"), "{error}");
     assert!(
-        error.found.contains("4 pictures and 3 stamps") && error.hint.contains("`first_pulse = -1`") && error.hint.contains("`first_pulse = 0`"),
+        error.found.contains("4 pictures and 3 stamps")
+            && error.hint.contains("`first_pulse = -1`")
+            && error.hint.contains("`first_pulse = 0`"),
         "{error}"
     );
     let pictures = open(&folder, "10\n20\n30\n", &Declared { first_pulse: Some(-1), ..us() }).unwrap();
     assert_eq!((at(&pictures), firsts(&pictures)), (vec![10_000, 20_000, 30_000], vec![1.0, 2.0, 3.0]));
-    assert!(pictures.about().notes.iter().any(|note| note.contains("1 pictures have no stamp and were left out: a.png")), "{:?}", pictures.about().notes);
+    assert!(
+        pictures.about().notes.iter().any(|note| note.contains(
+            "1 pictures have no stamp and were left \
+                                                            out: a.png"
+        )),
+        "{:?}",
+        pictures.about().notes
+    );
     let pictures = open(&folder, "3\n1000000\n1000010\n1000020\n1000030\n", &us()).unwrap();
     assert_eq!(at(&pictures)[0], 1_000_000_000, "{:?}", pictures.about().notes);
     assert!(pictures.about().notes.iter().any(|note| note.contains("wrong lines at the front")));
-    assert_eq!(open(&folder, "10\n20\n30\n40\n50\n", &us()).err().unwrap().undeclared, Some("first_pulse"), "evenly spaced lines show no wrong one");
+    assert_eq!(
+        open(&folder, "10\n20\n30\n40\n50\n", &us()).err().unwrap().undeclared,
+        Some("first_pulse"),
+        "evenly spaced lines show no wrong one"
+    );
     let pictures = open(&folder, "a.png 10\nx.png 20\nc.png 30\n", &us()).unwrap();
     assert_eq!((at(&pictures), firsts(&pictures)), (vec![10_000, 30_000], vec![0.0, 2.0]));
 }
@@ -142,11 +187,15 @@ fn counts_that_differ_are_noted_and_a_wrong_first_line_is_found() {
 #[test]
 fn no_stamps_are_asked_for() {
     let folder = folder(&["a.png"]);
-    assert_eq!(PictureFiles::open(folder.path(), &Declared::default()).err().unwrap().undeclared, Some("stamps"));
+    assert_eq!(
+        PictureFiles::open(folder.path(), &Declared::default()).err().unwrap().undeclared,
+        Some("stamps")
+    );
     let elsewhere = tempfile::tempdir().unwrap();
     let stamps = elsewhere.path().join("s.txt");
     std::fs::write(&stamps, "7\n").unwrap();
-    let pictures = PictureFiles::open(folder.path(), &Declared { stamps: Some(stamps.clone()), ..us() }).unwrap();
+    let pictures =
+        PictureFiles::open(folder.path(), &Declared { stamps: Some(stamps.clone()), ..us() }).unwrap();
     assert_eq!(pictures.files(), [folder.path().join("a.png"), stamps]);
 }
 
@@ -156,7 +205,12 @@ fn damaged_and_odd_pictures_are_losses() {
     std::fs::write(folder.path().join("b.png"), b"\x89PNG\r\n\x1a\n....").unwrap();
     write_png(&folder.path().join("c.png"), 3, 1, &[9; 3], png::ColorType::Grayscale);
     let pictures = open(&folder, "1\n2\n3\n4\n", &us()).unwrap();
-    assert_eq!((at(&pictures), firsts(&pictures)), (vec![1000, 4000], vec![0.0, 3.0]), "the others keep their stamps");
+    assert_eq!(
+        (at(&pictures), firsts(&pictures)),
+        (vec![1000, 4000], vec![0.0, 3.0]),
+        "the others keep \
+                                                            their stamps"
+    );
     let losses: Vec<&str> = pictures.losses().iter().map(|loss| loss.at.as_str()).collect();
     assert_eq!(losses, ["b.png", "c.png"]);
 }
@@ -174,7 +228,8 @@ fn pictures_that_are_cut_off_are_losses_and_keep_their_place_in_the_order() {
         std::fs::write(&path, &whole[..to(whole.len())]).unwrap();
     };
     cut("1.png", &|length| length / 2);
-    // Without its last chunk alone; and of a length that was reserved and never written, as after a loss of power.
+    // Without its last chunk alone; and of a length that was reserved and never written, as after a loss of
+    // power.
     cut("3.png", &|length| length - 12);
     let path = folder.path().join("4.png");
     let mut content = std::fs::read(&path).unwrap();
@@ -183,7 +238,8 @@ fn pictures_that_are_cut_off_are_losses_and_keep_their_place_in_the_order() {
     std::fs::write(&path, content).unwrap();
     let pictures = open(&folder, "1\n2\n3\n4\n5\n", &us()).unwrap();
     assert_eq!(at(&pictures), [1000, 3000]);
-    let losses: Vec<(&str, bool)> = pictures.losses().iter().map(|loss| (loss.at.as_str(), loss.what.contains("cut off"))).collect();
+    let losses: Vec<(&str, bool)> =
+        pictures.losses().iter().map(|loss| (loss.at.as_str(), loss.what.contains("cut off"))).collect();
     assert_eq!(losses, [("1.png", true), ("3.png", true), ("4.png", false)], "{:?}", pictures.losses());
     let tiff = folder.path().join("a.tif");
     std::fs::write(&tiff, &bytes(RGB_TIFF)[..20]).unwrap();
@@ -236,9 +292,12 @@ fn a_picture_that_claims_to_be_huge_takes_no_memory() {
 
 #[test]
 fn names_are_sorted_as_people_count() {
-    let mut found = ["f10.png", "f2.png", "f2b.png", "F1.png", "f02.png", "f0010.png", "f.png", "f2.10.png", "f2.9.png"].map(PathBuf::from);
+    let mut found =
+        ["f10.png", "f2.png", "f2b.png", "F1.png", "f02.png", "f0010.png", "f.png", "f2.10.png", "f2.9.png"]
+            .map(PathBuf::from);
     names::sort(&mut found);
-    let expected = ["F1.png", "f.png", "f2.9.png", "f2.10.png", "f02.png", "f2.png", "f2b.png", "f0010.png", "f10.png"];
+    let expected =
+        ["F1.png", "f.png", "f2.9.png", "f2.10.png", "f02.png", "f2.png", "f2b.png", "f0010.png", "f10.png"];
     assert_eq!(found, expected.map(PathBuf::from));
 }
 
@@ -265,7 +324,14 @@ fn a_grey_video_has_its_luma_and_the_rate_of_its_header() {
     std::fs::write(path.with_extension("txt"), "# in us\n5\n90005\n").unwrap();
     let pictures = PictureFiles::open(&path, &Declared::default()).unwrap();
     assert_eq!(at(&pictures), [5000, 90_005_000]);
-    assert!(pictures.about().notes.iter().any(|note| note.contains("33366667 ns, the stamps' mostly 90000000 ns")), "{:?}", pictures.about().notes);
+    assert!(
+        pictures.about().notes.iter().any(|note| note.contains(
+            "33366667 ns, the stamps' mostly \
+                                                            90000000 ns"
+        )),
+        "{:?}",
+        pictures.about().notes
+    );
 }
 
 #[test]
@@ -292,9 +358,13 @@ fn colour_is_converted_by_bt_709_in_both_ranges() {
         values.iter().map(|value| value.round()).collect::<Vec<_>>()
     };
     // Limited range: white is 235, black 16; red is Y 63, Cb 102, Cr 240 (ITU-R BT.709, rounded).
-    assert_eq!(read("W2 H2 F25:1 C444 XCOLORRANGE=LIMITED", &[235, 16, 63, 126, 128, 128, 102, 128, 128, 128, 240, 128]), {
-        [255, 255, 255, 0, 0, 0, 255, 1, 0, 128, 128, 128].map(|value| value as f32).to_vec()
-    });
+    assert_eq!(
+        read(
+            "W2 H2 F25:1 C444 XCOLORRANGE=LIMITED",
+            &[235, 16, 63, 126, 128, 128, 102, 128, 128, 128, 240, 128]
+        ),
+        { [255, 255, 255, 0, 0, 0, 255, 1, 0, 128, 128, 128].map(|value| value as f32).to_vec() }
+    );
     // The same red of 10 bits: Y 250, Cb 409, Cr 960, low byte first.
     assert_eq!(read("W1 H1 F25:1 C444p10", &[250, 0, 0x99, 0x01, 0xc0, 0x03]), [1023.0, 0.0, 0.0]);
     // Full range: red is Y 54, Cb 99, Cr 255.
@@ -315,23 +385,48 @@ fn exposures_from_triggers(triggers: &[Trigger], line: u16) -> (Vec<(i64, i64)>,
 
 #[test]
 fn edges_become_exposures_and_missing_ones_are_counted() {
-    let whole: Vec<Trigger> = (0..10).flat_map(|k| [edge(1_000_000 * k, true), edge(1_000_000 * k + 400_000, false)]).collect();
+    let whole: Vec<Trigger> =
+        (0..10).flat_map(|k| [edge(1_000_000 * k, true), edge(1_000_000 * k + 400_000, false)]).collect();
     let (exposures, notes) = exposures_from_triggers(&whole, 0);
     assert_eq!((exposures.len(), exposures[3], notes.len()), (10, (3_000_000, 3_400_000), 0));
-    let without = |gone: usize| whole.iter().enumerate().filter(|(index, _)| *index != gone).map(|(_, edge)| *edge).collect::<Vec<_>>();
+    let without = |gone: usize| {
+        whole
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| *index != gone)
+            .map(|(_, edge)| *edge)
+            .collect::<Vec<_>>()
+    };
     let (exposures, notes) = exposures_from_triggers(&without(7), 0);
-    assert_eq!(exposures.iter().map(|exposure| exposure.0 / 1_000_000).collect::<Vec<_>>(), [0, 1, 2, 4, 5, 6, 7, 8, 9]);
-    assert!(notes[0].contains("1 falling edges of line 0 are missing (the first at 4000000 ns)"), "{notes:?}");
+    assert_eq!(
+        exposures.iter().map(|exposure| exposure.0 / 1_000_000).collect::<Vec<_>>(),
+        [0, 1, 2, 4, 5, 6, 7, 8, 9]
+    );
+    assert!(
+        notes[0].contains("1 falling edges of line 0 are missing (the first at 4000000 ns)"),
+        "{notes:?}"
+    );
     let (exposures, notes) = exposures_from_triggers(&without(6), 0);
     assert_eq!((exposures.len(), notes[0].contains("1 rising edges")), (9, true), "{notes:?}");
     let mut bounced = whole.clone();
     bounced.insert(5, edge(2_000_300, true));
     let (exposures, notes) = exposures_from_triggers(&bounced, 0);
-    assert_eq!((exposures.len(), exposures[2].0, notes[0].contains("spurious")), (10, 2_000_000, true), "{notes:?}");
+    assert_eq!(
+        (exposures.len(), exposures[2].0, notes[0].contains("spurious")),
+        (10, 2_000_000, true),
+        "{notes:?}"
+    );
     let (exposures, notes) = exposures_from_triggers(&whole[1..19], 0);
     assert_eq!((exposures.len(), notes.len()), (8, 2), "{notes:?}");
     // Stamps as far apart as 64 bits allow; found by chance.
-    assert!(exposures_from_triggers(&[edge(172_556_990_397_798_370, false), edge(-9_050_815_046_456_977_438, false)], 0).0.is_empty());
+    assert!(
+        exposures_from_triggers(
+            &[edge(172_556_990_397_798_370, false), edge(-9_050_815_046_456_977_438, false)],
+            0
+        )
+        .0
+        .is_empty()
+    );
     assert!(exposures_from_triggers(&whole, 3).1[0].contains("lines with edges: [0]"));
 }
 
@@ -356,17 +451,28 @@ impl Recording for OnlyTriggers {
 #[test]
 fn events_are_joined_with_pictures_by_trigger_edges() {
     let folder = folder(&["a.png", "b.png"]);
-    let events = || Box::new(OnlyTriggers(vec![edge(10, true), edge(15, false), edge(1000, true), edge(1005, false)]));
-    let declared = Declared { frames: Some(folder.path().into()), trigger_line: Some(0), ..Declared::default() };
+    let events =
+        || Box::new(OnlyTriggers(vec![edge(10, true), edge(15, false), edge(1000, true), edge(1005, false)]));
+    let declared =
+        Declared { frames: Some(folder.path().into()), trigger_line: Some(0), ..Declared::default() };
     let joined = with_declared_frames(events(), &declared).unwrap();
     let frames = joined.pictures().unwrap();
-    assert_eq!(frames.about().stamps.iter().map(|stamp| stamp.exposure).collect::<Vec<_>>(), [Some((10, 15)), Some((1000, 1005))]);
-    assert_eq!((frames.about().stamp_role, firsts(frames.as_ref())), (Some(StampRole::Start), vec![0.0, 1.0]));
+    assert_eq!(
+        frames.about().stamps.iter().map(|stamp| stamp.exposure).collect::<Vec<_>>(),
+        [Some((10, 15)), Some((1000, 1005))]
+    );
+    assert_eq!(
+        (frames.about().stamp_role, firsts(frames.as_ref())),
+        (Some(StampRole::Start), vec![0.0, 1.0])
+    );
     assert_eq!(joined.files().len(), 3);
     let error = Joined::new(events(), folder.path(), &Declared::default()).err().unwrap();
     assert_eq!(error.undeclared, Some("stamps"));
     assert!(error.found.contains("2 rising and 2 falling edges on trigger line 0"), "{error}");
-    let error = Joined::new(events(), folder.path(), &Declared { trigger_line: Some(4), ..Declared::default() }).err().unwrap();
+    let error =
+        Joined::new(events(), folder.path(), &Declared { trigger_line: Some(4), ..Declared::default() })
+            .err()
+            .unwrap();
     assert_eq!(error.undeclared, Some("trigger_line"));
 }
 
@@ -375,11 +481,27 @@ fn an_event_camera_dataset_folder_is_read() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("images")).unwrap();
     for n in 0..2 {
-        write_png(&folder.path().join(format!("images/frame_{n:08}.png")), 4, 3, &[n; 12], png::ColorType::Grayscale);
+        write_png(
+            &folder.path().join(format!("images/frame_{n:08}.png")),
+            4,
+            3,
+            &[n; 12],
+            png::ColorType::Grayscale,
+        );
     }
-    std::fs::write(folder.path().join("events.txt"), "0.003811000 3 2 0\n0.003820001 0 1 1\n0.003820001 4 1 1\n").unwrap();
-    std::fs::write(folder.path().join("images.txt"), "0.000000 images/frame_00000000.png\n0.043889 images/frame_00000001.png\n").unwrap();
-    std::fs::write(folder.path().join("calib.txt"), "199.0 198.8 132.1 110.7 -0.36 0.15 -0.0003 -0.0004 0\n").unwrap();
+    std::fs::write(
+        folder.path().join("events.txt"),
+        "0.003811000 3 2 0\n0.003820001 0 1 1\n0.003820001 4 1 1\n",
+    )
+    .unwrap();
+    std::fs::write(
+        folder.path().join("images.txt"),
+        "0.000000 images/frame_00000000.png\n0.043889 \
+                                                      images/frame_00000001.png\n",
+    )
+    .unwrap();
+    std::fs::write(folder.path().join("calib.txt"), "199.0 198.8 132.1 110.7 -0.36 0.15 -0.0003 -0.0004 0\n")
+        .unwrap();
     assert_eq!(recognise(folder.path()).unwrap().map(|format| format.id), Some("ecd"));
     let recording = EventCameraDataset::open(folder.path(), &Declared::default()).unwrap();
     assert_eq!(recording.events_about().unwrap().extent, Some(Extent { width: 4, height: 3 }));
@@ -387,7 +509,10 @@ fn an_event_camera_dataset_folder_is_read() {
     assert_eq!((events.t, events.x, events.on), (vec![3_811_000, 3_820_001], vec![3, 0], vec![0, 1]));
     assert_eq!((losses.len(), losses[0].at.as_str()), (1, "line 3"));
     let frames = recording.pictures().unwrap();
-    assert_eq!((frames.about().stamps[1].at, frames.about().stamp_role, firsts(frames.as_ref())), (43_889_000, None, vec![0.0, 1.0]));
+    assert_eq!(
+        (frames.about().stamps[1].at, frames.about().stamp_role, firsts(frames.as_ref())),
+        (43_889_000, None, vec![0.0, 1.0])
+    );
     assert_eq!((recording.files().len(), recording.facts().len()), (5, 1));
 }
 

@@ -1,8 +1,9 @@
 //! ROS 1 bags, version 2.0: finds the chunks and the topics of a file.
 //!
-//! A bag is a line of text and then records: a header of `name=value` fields, and data. Messages stand in chunks, which may be compressed; at the end an index
-//! names every connection and where every chunk begins. A recorder that was killed leaves no index: then the chunks are found one after another and
-//! are read through once. Source: the bag format 2.0 of the ROS wiki.
+//! A bag is a line of text and then records: a header of `name=value` fields, and data. Messages stand in
+//! chunks, which may be compressed; at the end an index names every connection and where every chunk begins.
+//! A recorder that was killed leaves no index: then the chunks are found one after another and are read
+//! through once. Source: the bag format 2.0 of the ROS wiki.
 //!
 //! Limits: encrypted bags and version 1 are refused by name.
 
@@ -79,7 +80,14 @@ pub(crate) fn message_head(header: &[u8]) -> Option<(u32, i64)> {
 pub(crate) fn topic(header: &[u8], data: &[u8]) -> Option<Topic> {
     let name = label(field(header, "topic")?);
     let type_name = label(field(data, "type").unwrap_or_default());
-    Some(Topic { id: field_u32(header, "conn")?, name, type_name, schema: 0, serial: Serial::Ros1, messages: None })
+    Some(Topic {
+        id: field_u32(header, "conn")?,
+        name,
+        type_name,
+        schema: 0,
+        serial: Serial::Ros1,
+        messages: None,
+    })
 }
 
 /// A record outside of a chunk: its header, and where its data stand.
@@ -104,20 +112,33 @@ fn outer(file: &mut File, size: u64, at: u64) -> std::io::Result<Option<Outer>> 
     let mut header = vec![0; header_length as usize];
     file.read_exact(&mut header)?;
     file.read_exact(&mut number)?;
-    Ok(op(&header).map(|_| Outer { header, data: at + 8 + header_length, length: u64::from(u32::from_le_bytes(number)) }))
+    Ok(op(&header).map(|_| Outer {
+        header,
+        data: at + 8 + header_length,
+        length: u64::from(u32::from_le_bytes(number)),
+    }))
 }
 
 /// Opens the chunk that begins at a place.
 ///
 /// # Errors
 /// `Ok(Err)` says why there is no chunk to read there.
-pub(crate) fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<Result<Source, String>> {
-    let Some(record) = outer(&mut file, size, piece.at)? else { return Ok(Err("no record begins where the index says".into())) };
+pub(crate) fn open_piece(
+    mut file: File,
+    size: u64,
+    piece: &Piece,
+) -> std::io::Result<Result<Source, String>> {
+    let Some(record) = outer(&mut file, size, piece.at)? else {
+        return Ok(Err("no record begins where the \
+                                                            index says"
+            .into()));
+    };
     if op(&record.header) != Some(CHUNK) {
         return Ok(Err("no chunk begins where the index says".into()));
     }
     let compression = field(&record.header, "compression").unwrap_or_default().to_vec();
-    // What the chunk claims beyond the end of the file is not there; the claimed size decompressed bounds the work.
+    // What the chunk claims beyond the end of the file is not there; the claimed size decompressed bounds the
+    // work.
     let length = record.length.min(size - record.data);
     let claimed = field_u32(&record.header, "size").map_or(u64::from(u32::MAX), u64::from);
     file.seek(SeekFrom::Start(record.data))?;
@@ -136,19 +157,37 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
     (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
     if magic != MAGIC {
         let found = format!("the first line is `{}`", label(&magic));
-        return Err(FormatError::new(path, found, "bags of version 1 are brought to 2.0 by `rosbag migrate`").expected("`#ROSBAG V2.0`"));
+        return Err(FormatError::new(
+            path,
+            found,
+            "bags of version 1 are brought to 2.0 by `rosbag migrate`",
+        )
+        .expected("`#ROSBAG V2.0`"));
     }
     let start = MAGIC.len() as u64;
     let mut contents = Contents::new(path, size, Container::Bag);
     let mut losses = Losses::default();
-    let head = outer(&mut file, size, start).map_err(io)?.filter(|record| op(&record.header) == Some(BAG_HEADER));
-    if head.as_ref().and_then(|record| field(&record.header, "encryptor")).is_some_and(|name| !name.is_empty()) {
+    let head =
+        outer(&mut file, size, start).map_err(io)?.filter(|record| op(&record.header) == Some(BAG_HEADER));
+    if head
+        .as_ref()
+        .and_then(|record| field(&record.header, "encryptor"))
+        .is_some_and(|name| !name.is_empty())
+    {
         return Err(FormatError::new(path, "the bag is encrypted", "decrypt it with `rosbag decrypt`"));
     }
     let indexed = match &head {
         Some(record) => read_index(&mut file, size, &record.header, &mut contents).map_err(io)?,
         None => {
-            losses.add("bag headers that are damaged", || format!("byte {start}"), || "the header of the bag is damaged".into());
+            losses.add(
+                "bag headers that are damaged",
+                || format!("byte {start}"),
+                || {
+                    "the header of the \
+                                                            bag is damaged"
+                        .into()
+                },
+            );
             false
         }
     };
@@ -156,8 +195,11 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
         contents.topics.clear();
         let first = head.map_or(start, |record| record.data.saturating_add(record.length)).min(size);
         contents.pieces = find_chunks(&mut file, size, first, &mut losses).map_err(io)?;
-        let what =
-            format!("the bag has no index at its end: its recorder was stopped, or it is cut off; its {} chunks were read one by one", contents.pieces.len());
+        let what = format!(
+            "the bag has no index at its end: its recorder was stopped, or it is cut off; its {} \
+                     chunks were read one by one",
+            contents.pieces.len()
+        );
         losses.add("indexes that are missing", || format!("byte {size}"), || what);
         contents.losses = losses;
         contents = survey(contents)?;
@@ -165,7 +207,9 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
         contents.losses = losses;
     }
     let compression = match contents.pieces.first() {
-        Some(piece) => outer(&mut file, size, piece.at).map_err(io)?.and_then(|record| field(&record.header, "compression").map(label)),
+        Some(piece) => outer(&mut file, size, piece.at)
+            .map_err(io)?
+            .and_then(|record| field(&record.header, "compression").map(label)),
         None => None,
     };
     contents.facts.insert(0, ("container".into(), "ROS 1 bag 2.0".into()));
@@ -176,10 +220,17 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
 }
 
 /// Reads connections and chunks from the index; false when there is none, or not the whole.
-fn read_index(file: &mut File, size: u64, bag_header: &[u8], contents: &mut Contents) -> std::io::Result<bool> {
-    let (Some(mut at), Some(connections), Some(chunks)) =
-        (field_u64(bag_header, "index_pos"), field_u32(bag_header, "conn_count"), field_u32(bag_header, "chunk_count"))
-    else {
+fn read_index(
+    file: &mut File,
+    size: u64,
+    bag_header: &[u8],
+    contents: &mut Contents,
+) -> std::io::Result<bool> {
+    let (Some(mut at), Some(connections), Some(chunks)) = (
+        field_u64(bag_header, "index_pos"),
+        field_u32(bag_header, "conn_count"),
+        field_u32(bag_header, "chunk_count"),
+    ) else {
         return Ok(false);
     };
     if at < MAGIC.len() as u64 || at > size {
@@ -221,7 +272,10 @@ fn read_index(file: &mut File, size: u64, bag_header: &[u8], contents: &mut Cont
 fn chunk_info(header: &[u8], data: &[u8], size: u64) -> Option<Piece> {
     let at = field_u64(header, "chunk_pos").filter(|&at| at < size)?;
     let counts = data.as_chunks::<8>().0.iter().map(|pair| {
-        let (id, messages) = (u32::from_le_bytes([pair[0], pair[1], pair[2], pair[3]]), u32::from_le_bytes([pair[4], pair[5], pair[6], pair[7]]));
+        let (id, messages) = (
+            u32::from_le_bytes([pair[0], pair[1], pair[2], pair[3]]),
+            u32::from_le_bytes([pair[4], pair[5], pair[6], pair[7]]),
+        );
         (id, u64::from(messages))
     });
     let received = (field_time(header, "start_time")?, field_time(header, "end_time")?);
@@ -233,23 +287,32 @@ fn find_chunks(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
     let mut pieces = Vec::new();
     let mut at = first;
     while at < size {
-        let record = outer(file, size, at)?.filter(|record| matches!(op(&record.header), Some(MESSAGE..=CONNECTION)));
+        let record =
+            outer(file, size, at)?.filter(|record| matches!(op(&record.header), Some(MESSAGE..=CONNECTION)));
         let Some(record) = record else {
             let next = next_chunk(file, size, at)?;
             let end = next.unwrap_or(size);
-            losses.add("stretches of bytes that are no record", || format!("bytes {at} to {end}"), || "these are no records; what they held is lost".into());
+            losses.add(
+                "stretches of bytes that are no record",
+                || format!("bytes {at} to {end}"),
+                || "these are no records; what they held is lost".into(),
+            );
             at = end;
             continue;
         };
         if op(&record.header) == Some(CHUNK) {
             pieces.push(Piece { file: 0, at, length: None, rows: None, received: (0, 0), counts: None });
         }
-        // A length that is wrong would carry over everything after it: what follows must be a record, or the end of the file.
+        // A length that is wrong would carry over everything after it: what follows must be a record, or the
+        // end of the file.
         let end = record.data + record.length;
-        let follows = end == size || outer(file, size, end)?.is_some_and(|next| matches!(op(&next.header), Some(INDEX..=CONNECTION)));
+        let follows = end == size
+            || outer(file, size, end)?
+                .is_some_and(|next| matches!(op(&next.header), Some(INDEX..=CONNECTION)));
         at = match follows {
             true => end,
-            // A record that is cut off by the end of the file is read as far as it goes; another is followed by bytes that are no record.
+            // A record that is cut off by the end of the file is read as far as it goes; another is followed
+            // by bytes that are no record.
             false => next_chunk(file, size, record.data)?.unwrap_or(end.min(size)),
         };
     }
@@ -273,7 +336,10 @@ fn next_chunk(file: &mut File, size: u64, from: u64) -> std::io::Result<Option<u
             for candidate in (from.max(place.saturating_sub(BEFORE))..place.saturating_sub(3)).rev() {
                 let Some(record) = outer(file, size, candidate)? else { continue };
                 let holds_it = candidate + 4 + record.header.len() as u64 > place;
-                if holds_it && op(&record.header) == Some(CHUNK) && field(&record.header, "compression").is_some() {
+                if holds_it
+                    && op(&record.header) == Some(CHUNK)
+                    && field(&record.header, "compression").is_some()
+                {
                     return Ok(Some(candidate));
                 }
             }
@@ -288,5 +354,9 @@ fn next_chunk(file: &mut File, size: u64, from: u64) -> std::io::Result<Option<u
 
 /// Every place of `needle`.
 fn places<'a>(bytes: &'a [u8], needle: &'a [u8]) -> impl Iterator<Item = usize> + 'a {
-    bytes.windows(needle.len()).enumerate().filter(move |(_, window)| *window == needle).map(|(place, _)| place)
+    bytes
+        .windows(needle.len())
+        .enumerate()
+        .filter(move |(_, window)| *window == needle)
+        .map(|(place, _)| place)
 }

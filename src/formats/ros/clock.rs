@@ -1,8 +1,10 @@
 //! Brings times of an event packet from the sensor's clock to that of ROS.
 //!
-//! A driver stamps a packet (`header.stamp`) when its bytes arrive on the host: never before its first event, and later by what USB and the scheduler take.
-//! So `header.stamp` minus the first event's sensor time is the offset of the clocks plus a delay of zero or more, and the smallest of many such
-//! differences is nearest to the offset. It is taken over the first packets and then held: stamps jitter by milliseconds, the sensor's clock does not.
+//! A driver stamps a packet (`header.stamp`) when its bytes arrive on the host: never before its first event,
+//! and later by what USB and the scheduler take. So `header.stamp` minus the first event's sensor time is the
+//! offset of the clocks plus a delay of zero or more, and the smallest of many such differences is nearest to
+//! the offset. It is taken over the first packets and then held: stamps jitter by milliseconds, the sensor's
+//! clock does not.
 
 use super::contents::Contents;
 use super::messages::EventPacket;
@@ -35,7 +37,11 @@ pub(crate) struct Shift {
 ///
 /// # Errors
 /// When the file has gone.
-pub(crate) fn shift(contents: &Arc<Contents>, group: &Group, encoding: Encoding) -> Result<Option<Shift>, FormatError> {
+pub(crate) fn shift(
+    contents: &Arc<Contents>,
+    group: &Group,
+    encoding: Encoding,
+) -> Result<Option<Shift>, FormatError> {
     let mut walker = Walker::new(contents, &group.ids());
     let mut decoder = PacketDecoder::new(encoding, None);
     let (mut chunk, mut triggers) = (EventChunk::default(), Vec::new());
@@ -44,7 +50,12 @@ pub(crate) fn shift(contents: &Arc<Contents>, group: &Group, encoding: Encoding)
     for _ in 0..MOST_LOOKED_AT {
         let Some(envelope) = walker.advance()? else { break };
         let wire = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body));
-        let Some(packet) = wire.and_then(EventPacket::read).filter(|packet| Encoding::named(packet.encoding) == Some(encoding)) else { continue };
+        let Some(packet) = wire
+            .and_then(EventPacket::read)
+            .filter(|packet| Encoding::named(packet.encoding) == Some(encoding))
+        else {
+            continue;
+        };
         decoder.begin(packet.time_base, packet.big);
         chunk.clear();
         // The rest is decoded too: it carries the wraps of the time.

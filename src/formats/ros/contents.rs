@@ -34,7 +34,16 @@ impl Contents {
     pub(super) fn new(path: &Path, size: u64, container: Container) -> Contents {
         let part = Part { path: path.into(), container, first_id: 0, before: 0, database: Arc::default() };
         let (topics, pieces, facts, losses) = (Vec::new(), Vec::new(), Vec::new(), Losses::default());
-        Contents { path: path.into(), size, parts: vec![part], topics, pieces, files: vec![path.into()], facts, losses }
+        Contents {
+            path: path.into(),
+            size,
+            parts: vec![part],
+            topics,
+            pieces,
+            files: vec![path.into()],
+            facts,
+            losses,
+        }
     }
 
     /// Where a piece stands, for messages.
@@ -42,7 +51,11 @@ impl Contents {
         let Some(piece) = self.pieces.get(piece) else { return "the end".into() };
         let file = match self.parts.as_slice() {
             [_] => String::new(),
-            parts => parts.get(piece.file).and_then(|part| part.path.file_name()).map(|name| format!("{}, ", name.to_string_lossy())).unwrap_or_default(),
+            parts => parts
+                .get(piece.file)
+                .and_then(|part| part.path.file_name())
+                .map(|name| format!("{}, ", name.to_string_lossy()))
+                .unwrap_or_default(),
         };
         match piece.rows {
             Some((first, last)) => format!("{file}rows {first} to {last}"),

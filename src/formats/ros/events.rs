@@ -60,7 +60,16 @@ impl Cursor {
     /// At the first event.
     pub(crate) fn new(stream: Stream) -> Cursor {
         let walker = Walker::new(&stream.contents, &stream.group.ids());
-        Cursor { stream, walker, decoder: None, last: None, lost_wraps: false, wraps_ns: 0, pending: None, triggers: Vec::new() }
+        Cursor {
+            stream,
+            walker,
+            decoder: None,
+            last: None,
+            lost_wraps: false,
+            wraps_ns: 0,
+            pending: None,
+            triggers: Vec::new(),
+        }
     }
 
     /// Goes to the first message of a piece.
@@ -80,7 +89,11 @@ impl Cursor {
         let wire = self.stream.group.serial(envelope.id).and_then(|serial| serial.wire(body));
         if self.stream.group.kind == Kind::EventArray {
             let Some(array) = wire.and_then(EventArray::read) else {
-                losses.add("messages that are no event array", at, || "the message is no event array; it is left out".into());
+                losses.add("messages that are no event array", at, || {
+                    "the message is no event array; it is \
+                                                            left out"
+                        .into()
+                });
                 return;
             };
             let held = (body.len() - array.at) / EventArray::EVENT_BYTES;
@@ -93,11 +106,23 @@ impl Cursor {
             return;
         }
         let Some(packet) = wire.and_then(EventPacket::read) else {
-            losses.add("messages that are no event packet", at, || "the message is no event packet; it is left out".into());
+            losses.add("messages that are no event packet", at, || {
+                "the message is no event packet; it is \
+                                                            left out"
+                    .into()
+            });
             return;
         };
-        let Some(encoding) = self.stream.encoding.filter(|encoding| Some(*encoding) == Encoding::named(packet.encoding)) else {
-            losses.add("packets in another encoding", at, || format!("the packet is encoded as `{}`, unlike the first", label(packet.encoding)));
+        let Some(encoding) =
+            self.stream.encoding.filter(|encoding| Some(*encoding) == Encoding::named(packet.encoding))
+        else {
+            losses.add("packets in another encoding", at, || {
+                format!(
+                    "the packet is encoded as `{}`, unlike \
+                                                            the first",
+                    label(packet.encoding)
+                )
+            });
             return;
         };
         let same = matches!(self.last, Some((id, _)) if id == envelope.id);
@@ -109,11 +134,19 @@ impl Cursor {
         } else if let Some((_, before)) = self.last
             && packet.sequence != before.wrapping_add(1)
         {
-            let missing = packet
-                .sequence
-                .checked_sub(before)
-                .map_or("the numbers of packets begin again".to_string(), |step| format!("{} packets before it are missing", step.saturating_sub(1)));
-            losses.add("gaps between packets", at, || format!("packet {} follows packet {before}: {missing}", packet.sequence));
+            let missing = packet.sequence.checked_sub(before).map_or(
+                "the numbers of packets begin again".to_string(),
+                |step| {
+                    format!(
+                        "{} packets before \
+                                                            it are missing",
+                        step.saturating_sub(1)
+                    )
+                },
+            );
+            losses.add("gaps between packets", at, || {
+                format!("packet {} follows packet {before}: {missing}", packet.sequence)
+            });
             self.lost_wraps = true;
         }
         self.last = Some((envelope.id, packet.sequence));
@@ -137,7 +170,8 @@ impl Cursor {
         let Walker { body, losses, .. } = &mut self.walker;
         let now = left.min(CHUNK_EVENTS as u32);
         let mut wire = Wire::resume(body, at, layout);
-        let (width, height) = self.stream.extent.map_or((1 << 16, 1 << 16), |extent| (extent.width, extent.height));
+        let (width, height) =
+            self.stream.extent.map_or((1 << 16, 1 << 16), |extent| (extent.width, extent.height));
         let (mut outside, mut timeless, mut missing) = (0_u32, 0_u32, 0_u32);
         for k in 0..now {
             let Some(event) = Event::read(&mut wire) else {
@@ -154,7 +188,13 @@ impl Cursor {
         }
         lose_events(losses, at, [0, u64::from(outside), 0, 0], self.stream.extent);
         let what = || format!("{timeless} events have no sound stamp; they are left out");
-        losses.add_by(Cause::Stamp, "events without a sound stamp were left out", u64::from(timeless), || format!("event array, byte {at}"), what);
+        losses.add_by(
+            Cause::Stamp,
+            "events without a sound stamp were left out",
+            u64::from(timeless),
+            || format!("event array, byte {at}"),
+            what,
+        );
         if missing > 0 {
             losses.add_by(
                 Cause::Cut,
@@ -176,11 +216,17 @@ impl Cursor {
         let before = decoder.faults().counts();
         decoder.decode(body.get(from..until).unwrap_or_default(), chunk, &mut self.triggers);
         let after = decoder.faults().counts();
-        lose_events(losses, from, [0, 1, 2, 3].map(|k| after[k].saturating_sub(before[k])), self.stream.extent);
+        lose_events(
+            losses,
+            from,
+            [0, 1, 2, 3].map(|k| after[k].saturating_sub(before[k])),
+            self.stream.extent,
+        );
         if self.lost_wraps && stamp != 0 {
             let first = chunk.t.get(events).copied().or_else(|| self.triggers.get(edges).map(|edge| edge.t));
             if let Some(first) = first {
-                self.wraps_ns = missed_wraps(decoder.encoding(), stamp.saturating_sub(self.stream.shift_ns), first);
+                self.wraps_ns =
+                    missed_wraps(decoder.encoding(), stamp.saturating_sub(self.stream.shift_ns), first);
                 self.lost_wraps = false;
             }
         }
@@ -222,7 +268,8 @@ impl Cursor {
     }
 }
 
-/// How many wraps lie between the time that a packet should have and the time that was decoded from it, in ns.
+/// How many wraps lie between the time that a packet should have and the time that was decoded from it, in
+/// ns.
 fn missed_wraps(encoding: Encoding, expected: i64, decoded: i64) -> i64 {
     let Some(wrap) = encoding.wrap_ns() else { return 0 };
     let off = expected.saturating_sub(decoded).saturating_add(wrap / 2);
@@ -231,16 +278,41 @@ fn missed_wraps(encoding: Encoding, expected: i64, decoded: i64) -> i64 {
 
 /// Notes events that a decoder left out: before any time, outside, unknown words, strays.
 fn lose_events(losses: &mut Losses, at: usize, counts: [u64; 4], extent: Option<Extent>) {
-    let size = extent.map(|extent| format!("{}x{}", extent.width, extent.height)).unwrap_or("the pixel array".into());
+    let size = extent
+        .map(|extent| format!("{}x{}", extent.width, extent.height))
+        .unwrap_or("the pixel array".into());
     let [early, outside, unknown, strays] = counts;
     let mut note = |kind: &'static str, count: u64, what: &str| {
         let cause = if kind.starts_with("events outside") { Cause::Outside } else { Cause::Damage };
-        losses.add_by(cause, kind, count, || format!("event message, byte {at} of it"), || format!("{count} {what}"));
+        losses.add_by(
+            cause,
+            kind,
+            count,
+            || format!("event message, byte {at} of it"),
+            || format!("{count} {what}"),
+        );
     };
-    note("events outside the pixel array were left out", outside, &format!("events lie outside {size}; they are left out"));
-    note("events before the first time were left out", early, "events come before the first time; they are left out");
+    note(
+        "events outside the pixel array were left out",
+        outside,
+        &format!(
+            "events lie outside {size}; they \
+                                                            are left out"
+        ),
+    );
+    note(
+        "events before the first time were left out",
+        early,
+        "events come before the first time; they are \
+                                                            left out",
+    );
     note("words of no known kind were left out", unknown, "words are of no known kind; they are left out");
-    note("times that leap away and back were undone", strays, "times leap away and back; events in between have a wrong stamp");
+    note(
+        "times that leap away and back were undone",
+        strays,
+        "times leap away and back; events in between \
+                                                            have a wrong stamp",
+    );
 }
 
 impl EventCursor for Cursor {
@@ -255,12 +327,16 @@ impl EventCursor for Cursor {
         Ok(true)
     }
 
-    /// Looks into pieces, halving their number each time, and goes to the one before that whose events begin after `t_ns`.
+    /// Looks into pieces, halving their number each time, and goes to the one before that whose events begin
+    /// after `t_ns`.
     fn seek(&mut self, t_ns: i64) -> Result<(), FormatError> {
         let ids = self.stream.group.ids();
         let has = |counts: &Vec<(u32, u64)>| counts.iter().any(|(id, _)| ids.contains(id));
         let pieces = self.stream.contents.pieces.iter().enumerate();
-        let with: Vec<usize> = pieces.filter(|(_, piece)| piece.counts.as_ref().is_none_or(has)).map(|(index, _)| index).collect();
+        let with: Vec<usize> = pieces
+            .filter(|(_, piece)| piece.counts.as_ref().is_none_or(has))
+            .map(|(index, _)| index)
+            .collect();
         let (mut low, mut high) = (0, with.len());
         while low < high {
             let middle = low + (high - low) / 2;
@@ -270,7 +346,8 @@ impl EventCursor for Cursor {
                 _ => high = middle,
             }
         }
-        // The last piece that begins in time, and one before it: messages overlap, and words of a packet can go on in the next.
+        // The last piece that begins in time, and one before it: messages overlap, and words of a packet can
+        // go on in the next.
         self.go_to(low.checked_sub(2).map_or(0, |index| with[index]));
         Ok(())
     }

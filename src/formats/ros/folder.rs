@@ -1,7 +1,8 @@
-//! Bags of ROS 2 as folders: `metadata.yaml`, and one or more files of messages, MCAP or SQLite, one after another in the order of recording.
+//! Bags of ROS 2 as folders: `metadata.yaml`, and one or more files of messages, MCAP or SQLite, one after
+//! another in the order of recording.
 //!
-//! The order is that of `metadata.yaml`; where that is missing or damaged, that of the names, numbers by value. Connections of several files are kept apart
-//! and belong together by the names of their topics.
+//! The order is that of `metadata.yaml`; where that is missing or damaged, that of the names, numbers by
+//! value. Connections of several files are kept apart and belong together by the names of their topics.
 
 use super::contents::{Contents, Part, Piece};
 use super::piece::Topic;
@@ -53,15 +54,26 @@ pub(crate) fn packed_kind(head: &[u8]) -> Option<&'static str> {
     let mut start = Vec::new();
     // The head ends within a frame: what comes before that decides.
     let _ = decoder.take(64).read_to_end(&mut start);
-    if start.starts_with(sqlite::MAGIC) { Some("SQLite") } else { start.starts_with(mcap::MAGIC).then_some("MCAP") }
+    if start.starts_with(sqlite::MAGIC) {
+        Some("SQLite")
+    } else {
+        start.starts_with(mcap::MAGIC).then_some("MCAP")
+    }
 }
 
 /// The refusal of a file that was compressed as a whole.
 pub(crate) fn packed(path: &Path, what: &str) -> FormatError {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let hint = format!("decompress it with `zstd -d {name}` and name the result, or the folder of the bag");
-    FormatError::new(path, format!("a file of a bag of ROS 2 ({what}) that is compressed as a whole by Zstandard"), hint)
-        .expected("the file as it was recorded")
+    FormatError::new(
+        path,
+        format!(
+            "a file of a bag of ROS 2 ({what}) that is compressed as a whole by \
+                                    Zstandard"
+        ),
+        hint,
+    )
+    .expected("the file as it was recorded")
 }
 
 /// Opens one file of messages, as what it is.
@@ -88,13 +100,19 @@ pub(crate) fn open(path: &Path, names: &[String]) -> Result<Contents, FormatErro
     let mut there: Vec<&String> = names.iter().filter(|name| is_storage(name)).collect();
     there.sort_by(|a, b| natural(a, b));
     // A compressed file that was decompressed stands there twice.
-    let unpacked = |name: &str| name.strip_suffix(".zstd").is_some_and(|plain| there.iter().any(|other| *other == plain));
-    let mut chosen: Vec<String> = there.iter().filter(|name| !unpacked(name)).map(|name| name.to_string()).collect();
+    let unpacked = |name: &str| {
+        name.strip_suffix(".zstd").is_some_and(|plain| there.iter().any(|other| *other == plain))
+    };
+    let mut chosen: Vec<String> =
+        there.iter().filter(|name| !unpacked(name)).map(|name| name.to_string()).collect();
     let listed = listed(&information, &chosen, &mut losses);
     if !listed.is_empty() {
         let more = chosen.iter().filter(|name| !listed.contains(name)).count();
         if more > 0 {
-            let what = format!("{more} further files of messages stand in the folder and are not read: {METADATA} does not list them");
+            let what = format!(
+                "{more} further files of messages stand in the folder and are not read: \
+                                {METADATA} does not list them"
+            );
             losses.add("files that do not belong to the bag", || METADATA.into(), || what);
         }
         chosen = listed;
@@ -103,7 +121,10 @@ pub(crate) fn open(path: &Path, names: &[String]) -> Result<Contents, FormatErro
     let mut last_error = None;
     for name in chosen.iter().take(MOST_FILES) {
         match open_file(&path.join(name)) {
-            Ok(contents) => all = Some(all.take().map_or_else(|| first(path, &contents), Ok)?).map(|all| join(all, contents, name)),
+            Ok(contents) => {
+                all = Some(all.take().map_or_else(|| first(path, &contents), Ok)?)
+                    .map(|all| join(all, contents, name))
+            }
             Err(error) => {
                 losses.add("files of the bag that cannot be read", || name.clone(), || error.found.clone());
                 last_error = Some(error);
@@ -111,8 +132,10 @@ pub(crate) fn open(path: &Path, names: &[String]) -> Result<Contents, FormatErro
         }
     }
     let Some(mut all) = all else {
-        let missing =
-            || FormatError::new(path, "the folder has no file of messages", "copy the whole bag").expected(format!("{METADATA} and .db3 or .mcap files"));
+        let missing = || {
+            FormatError::new(path, "the folder has no file of messages", "copy the whole bag")
+                .expected(format!("{METADATA} and .db3 or .mcap files"))
+        };
         return Err(last_error.unwrap_or_else(missing));
     };
     if path.join(METADATA).is_file() {
@@ -137,8 +160,17 @@ fn information(path: &Path, losses: &mut Losses) -> Information {
     match text.as_deref().map(serde_saphyr::from_str::<Metadata>) {
         Some(Ok(metadata)) => metadata.rosbag2_bagfile_information,
         found => {
-            let what = if found.is_some() { "it is no description of a bag" } else { "it is missing or cannot be read" };
-            losses.add("descriptions that cannot be read", || METADATA.into(), || format!("{what}; the files were read in the order of their names"));
+            let what = if found.is_some() {
+                "it is no description of a bag"
+            } else {
+                "it is missing or \
+                                                            cannot be read"
+            };
+            losses.add(
+                "descriptions that cannot be read",
+                || METADATA.into(),
+                || format!("{what}; the files were read in the order of their names"),
+            );
             Information::default()
         }
     }
@@ -151,12 +183,19 @@ fn listed(information: &Information, there: &[String], losses: &mut Losses) -> V
         // Older bags name them with their folder.
         let name = entry.rsplit('/').next().unwrap_or_default();
         let plain = name.strip_suffix(".zstd").unwrap_or(name);
-        match there.iter().find(|other| *other == name || *other == plain || other.strip_suffix(".zstd") == Some(name)) {
+        match there
+            .iter()
+            .find(|other| *other == name || *other == plain || other.strip_suffix(".zstd") == Some(name))
+        {
             Some(found) if !listed.contains(found) => listed.push(found.clone()),
             Some(_) => {}
             None => {
                 let name = label(name.as_bytes());
-                losses.add("files of the bag that are missing", || name.clone(), || format!("{METADATA} lists it, and it is not in the folder"));
+                losses.add(
+                    "files of the bag that are missing",
+                    || name.clone(),
+                    || format!("{METADATA} lists it, and it is not in the folder"),
+                );
             }
         }
     }
@@ -166,7 +205,8 @@ fn listed(information: &Information, there: &[String], losses: &mut Losses) -> V
 /// Nothing yet, in a folder whose first file is `contents`.
 fn first(path: &Path, contents: &Contents) -> Result<Contents, FormatError> {
     let container = contents.parts.first().map(|part| part.container);
-    let container = container.ok_or_else(|| FormatError::new(path, "a file of the bag has no content", "copy the whole bag"))?;
+    let container = container
+        .ok_or_else(|| FormatError::new(path, "a file of the bag has no content", "copy the whole bag"))?;
     let mut all = Contents::new(path, 0, container);
     all.parts.clear();
     all.files.clear();
@@ -184,7 +224,8 @@ fn join(mut all: Contents, next: Contents, name: &str) -> Contents {
     all.size = all.size.saturating_add(next.size);
     all.topics.extend(next.topics.into_iter().map(|topic| Topic { id: topic.id + first_id, ..topic }));
     all.pieces.extend(next.pieces.into_iter().map(|piece| {
-        let counts = piece.counts.map(|counts| counts.into_iter().map(|(id, count)| (id + first_id, count)).collect());
+        let counts =
+            piece.counts.map(|counts| counts.into_iter().map(|(id, count)| (id + first_id, count)).collect());
         Piece { file, counts, ..piece }
     }));
     all.files.extend(next.files);

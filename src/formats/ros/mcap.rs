@@ -1,8 +1,9 @@
 //! MCAP files: finds the chunks and the topics of a file.
 //!
-//! An MCAP file is eight magic bytes, then records: an opcode, a u64 length, content; then the magic bytes again. Messages stand in chunks, which may be
-//! compressed, or as they are between them. A summary before the end names channels and chunks; where it is missing, records are gone over one by one.
-//! Source: the MCAP specification, version 0 of the format.
+//! An MCAP file is eight magic bytes, then records: an opcode, a u64 length, content; then the magic bytes
+//! again. Messages stand in chunks, which may be compressed, or as they are between them. A summary before
+//! the end names channels and chunks; where it is missing, records are gone over one by one. Source: the MCAP
+//! specification, version 0 of the format.
 //!
 //! Limits: checksums are not compared; attachments and metadata are not read.
 
@@ -126,13 +127,22 @@ fn outer(file: &mut File, size: u64, at: u64) -> std::io::Result<Option<(u8, u64
 ///
 /// # Errors
 /// `Ok(Err)` says why there is nothing to read there.
-pub(crate) fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<Result<Source, String>> {
+pub(crate) fn open_piece(
+    mut file: File,
+    size: u64,
+    piece: &Piece,
+) -> std::io::Result<Result<Source, String>> {
     if let Some(length) = piece.length {
         file.seek(SeekFrom::Start(piece.at))?;
         return Ok(Ok(Source::plain(file, length.min(size - piece.at))));
     }
-    let Some((CHUNK, length)) = outer(&mut file, size, piece.at)? else { return Ok(Err("no chunk begins where the index says".into())) };
-    // Times of the first and the last message, size, checksum; then the name of the compression and the length of the records.
+    let Some((CHUNK, length)) = outer(&mut file, size, piece.at)? else {
+        return Ok(Err("no chunk begins \
+                                                            where the index says"
+            .into()));
+    };
+    // Times of the first and the last message, size, checksum; then the name of the compression and the
+    // length of the records.
     let mut head = [0; 32];
     let available = size - piece.at - 9;
     if length.min(available) < 40 {
@@ -164,7 +174,11 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
     let mut magic = Vec::new();
     (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
     if magic != MAGIC {
-        return Err(FormatError::new(path, "this is no MCAP file: its first bytes are others", "check the path"));
+        return Err(FormatError::new(
+            path,
+            "this is no MCAP file: its first bytes are others",
+            "check the path",
+        ));
     }
     let mut contents = Contents::new(path, size, Container::Mcap);
     let mut losses = Losses::default();
@@ -185,7 +199,9 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
         contents.topics.clear();
         contents.pieces = find_pieces(&mut file, size, start, &mut losses).map_err(io)?;
         if summary == Summary::Missing {
-            let what = "the file has no end record: its recorder was stopped, or it is cut off; its records were read one by one".into();
+            let what = "the file has no end record: its recorder was stopped, or it is cut off; its records \
+                        were read one by one"
+                .into();
             losses.add("summaries that are missing or damaged", || format!("byte {size}"), || what);
         }
         contents.losses = losses;
@@ -263,7 +279,11 @@ fn read_summary(file: &mut File, size: u64, contents: &mut Contents) -> std::io:
     contents.pieces.sort_by_key(|piece| piece.at);
     // Messages may stand outside of chunks, where no index points to them; and channels need not be repeated.
     let nothing = total == Some(0);
-    Ok(if nothing || !contents.topics.is_empty() && !contents.pieces.is_empty() { Summary::Whole } else { Summary::Short })
+    Ok(if nothing || !contents.topics.is_empty() && !contents.pieces.is_empty() {
+        Summary::Whole
+    } else {
+        Summary::Short
+    })
 }
 
 /// A chunk, from its entry in the summary, and the name of its compression.
@@ -297,15 +317,32 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
     let mut pieces = Vec::new();
     let mut run: Option<u64> = None;
     let mut at = first;
-    let whole = |from: u64, to: u64| Piece { file: 0, at: from, length: Some(to - from), rows: None, received: (0, 0), counts: None };
+    let whole = |from: u64, to: u64| Piece {
+        file: 0,
+        at: from,
+        length: Some(to - from),
+        rows: None,
+        received: (0, 0),
+        counts: None,
+    };
     while let Some((op, length)) = outer(file, size, at)? {
         if matches!(op, DATA_END | FOOTER) {
             break;
         }
         let end = at.saturating_add(9).saturating_add(length);
         if op == 0 || end > size && op != CHUNK {
-            let what = if op == 0 { "no record begins here; what follows is lost" } else { "the record is cut off; it and what follows are lost" };
-            losses.add_by(Cause::Cut, "ends that are cut off", 1, || format!("bytes {at} to {size}"), || what.into());
+            let what = if op == 0 {
+                "no record begins here; what follows is lost"
+            } else {
+                "the record is cut off; it and what follows are lost"
+            };
+            losses.add_by(
+                Cause::Cut,
+                "ends that are cut off",
+                1,
+                || format!("bytes {at} to {size}"),
+                || what.into(),
+            );
             break;
         }
         match op {
@@ -326,7 +363,13 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
     }
     pieces.extend(run.map(|from| whole(from, at)));
     if at < size && outer(file, size, at)?.is_none() {
-        losses.add_by(Cause::Cut, "ends that are cut off", 1, || format!("bytes {at} to {size}"), || "the file ends within a record".into());
+        losses.add_by(
+            Cause::Cut,
+            "ends that are cut off",
+            1,
+            || format!("bytes {at} to {size}"),
+            || "the file ends within a record".into(),
+        );
     }
     Ok(pieces)
 }

@@ -1,6 +1,7 @@
 //! The ROS messages that hold events and pictures, field by field.
 //!
-//! Sources: the `.msg` files of dvs_msgs, prophesee_event_msgs, event_camera_msgs and sensor_msgs. A message that ends early answers `None`.
+//! Sources: the `.msg` files of dvs_msgs, prophesee_event_msgs, event_camera_msgs and sensor_msgs. A message
+//! that ends early answers `None`.
 
 use super::wire::{Layout, Stamp, Wire};
 use photocurrent_core::Extent;
@@ -64,7 +65,8 @@ fn header(wire: &mut Wire<'_>) -> Option<Stamp> {
     Some(stamp)
 }
 
-/// Width and height as an extent; `None` where a driver did not fill them in, or where no pixel array is so large.
+/// Width and height as an extent; `None` where a driver did not fill them in, or where no pixel array is so
+/// large.
 fn extent(width: u32, height: u32) -> Option<Extent> {
     let sound = |side: u32| (1..=1 << 16).contains(&side);
     (sound(width) && sound(height)).then_some(Extent { width, height })
@@ -84,7 +86,8 @@ pub(crate) struct EventArray {
 }
 
 impl EventArray {
-    /// Bytes of an event in ROS 1: x, y, seconds, nanoseconds, polarity. CDR aligns them, and no event is shorter.
+    /// Bytes of an event in ROS 1: x, y, seconds, nanoseconds, polarity. CDR aligns them, and no event is
+    /// shorter.
     pub(crate) const EVENT_BYTES: usize = 13;
 
     /// Reads what stands before the events.
@@ -150,7 +153,16 @@ impl<'a> EventPacket<'a> {
         let encoding = wire.string()?;
         let big = wire.u8()? != 0;
         let events = wire.sequence()?;
-        Some(EventPacket { stamp, extent: extent(width, height), sequence, time_base, encoding, big, events, at: wire.at() - events.len() })
+        Some(EventPacket {
+            stamp,
+            extent: extent(width, height),
+            sequence,
+            time_base,
+            encoding,
+            big,
+            events,
+            at: wire.at() - events.len(),
+        })
     }
 }
 
@@ -192,7 +204,8 @@ impl<'a> ImageHead<'a> {
 pub(crate) struct CompressedHead<'a> {
     /// When it was taken, as the driver says.
     pub stamp: Stamp,
-    /// What was compressed and how, as the driver says: `jpeg`, `bgr8; jpeg compressed bgr8`, `16UC1; png compressed`.
+    /// What was compressed and how, as the driver says: `jpeg`, `bgr8; jpeg compressed bgr8`,
+    /// `16UC1; png compressed`.
     pub format: &'a [u8],
     /// Bytes of the picture, as claimed.
     pub length: u32,

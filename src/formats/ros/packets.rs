@@ -1,10 +1,12 @@
 //! Decodes the bytes of `event_camera_msgs/EventPacket`, in every encoding that drivers write.
 //!
-//! `evt3`, `evt2`, `evt21`: the sensor's own words (see [`crate::evt`]). `mono`: 64-bit words of a time since `time_base`, a pixel and a polarity.
-//! `trigger`: the same without a pixel, edges of a trigger line. `libcaer`: DAVIS events of 8 bytes with microseconds since `time_base`. `libcaer_cmp`: those
-//! packed into 16-bit words. Source: the documentation and decoders of event_camera_msgs and event_camera_codecs.
+//! `evt3`, `evt2`, `evt21`: the sensor's own words (see [`crate::evt`]). `mono`: 64-bit words of a time since
+//! `time_base`, a pixel and a polarity. `trigger`: the same without a pixel, edges of a trigger line.
+//! `libcaer`: DAVIS events of 8 bytes with microseconds since `time_base`. `libcaer_cmp`: those packed into
+//! 16-bit words. Source: the documentation and decoders of event_camera_msgs and event_camera_codecs.
 //!
-//! The first five count on the sensor's clock, the last two on the ROS clock: see [`Encoding::has_sensor_clock`].
+//! The first five count on the sensor's clock, the last two on the ROS clock: see
+//! [`Encoding::has_sensor_clock`].
 
 use crate::chunk::{Edge, EventChunk, Trigger};
 use crate::evt::{Evt2Decoder, Evt3Decoder, Evt21Decoder, Faults};
@@ -65,7 +67,8 @@ impl Encoding {
         !matches!(self, Encoding::Libcaer | Encoding::LibcaerCmp)
     }
 
-    /// After which time the stored times begin again, ns; `None` where a packet says on its own what it counts from.
+    /// After which time the stored times begin again, ns; `None` where a packet says on its own what it
+    /// counts from.
     pub(crate) fn wrap_ns(self) -> Option<i64> {
         match self {
             Encoding::Evt3 => Some((1 << 24) * 1000),
@@ -137,16 +140,19 @@ impl PacketDecoder {
         }
     }
 
-    /// Begins a packet: what its times count from, and the order of its bytes. Words of Prophesee are little-endian whatever the machine.
+    /// Begins a packet: what its times count from, and the order of its bytes. Words of Prophesee are
+    /// little-endian whatever the machine.
     pub(crate) fn begin(&mut self, time_base: u64, big: bool) {
         if let Words::Own(own) = &mut self.words {
-            // A base beyond 2^61 ns (73 years) is damaged; times must stay so small that their sums are no overflow.
+            // A base beyond 2^61 ns (73 years) is damaged; times must stay so small that their sums are no
+            // overflow.
             let base = i64::try_from(time_base).unwrap_or(i64::MAX).min(1 << 61);
             *own = Own { big, base, x: own.x, ..Own::default() };
         }
     }
 
-    /// Decodes the next bytes of a packet, an even number of words but at its end; appends events and edges, ns on the encoding's clock.
+    /// Decodes the next bytes of a packet, an even number of words but at its end; appends events and edges,
+    /// ns on the encoding's clock.
     pub(crate) fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) {
         match &mut self.words {
             Words::Evt3(decoder) => {
@@ -199,7 +205,12 @@ impl Own {
     fn mono(&mut self, bytes: &[u8], sink: &mut Sink<'_>) {
         for word in bytes.as_chunks::<8>().0 {
             let word = self.word(*word);
-            sink.put(self.base + (word & 0xffff_ffff) as i64, (word >> 32) as u16, (word >> 48) as u16 & 0x7fff, word >> 63 == 1);
+            sink.put(
+                self.base + (word & 0xffff_ffff) as i64,
+                (word >> 32) as u16,
+                (word >> 48) as u16 & 0x7fff,
+                word >> 63 == 1,
+            );
         }
     }
 
@@ -208,11 +219,16 @@ impl Own {
         for word in bytes.as_chunks::<8>().0 {
             let word = self.word(*word);
             let edge = if word >> 63 == 1 { Edge::Rising } else { Edge::Falling };
-            triggers.push(Trigger { t: self.base + (word & 0xffff_ffff) as i64, line: (word >> 48) as u16 & 0x7fff, edge });
+            triggers.push(Trigger {
+                t: self.base + (word & 0xffff_ffff) as i64,
+                line: (word >> 48) as u16 & 0x7fff,
+                edge,
+            });
         }
     }
 
-    /// Two words of 32 bits: from the low bit, valid, polarity, 15 of row, 15 of column; then us since the base, which begin again after 2^31.
+    /// Two words of 32 bits: from the low bit, valid, polarity, 15 of row, 15 of column; then us since the
+    /// base, which begin again after 2^31.
     fn libcaer(&mut self, bytes: &[u8], sink: &mut Sink<'_>) {
         for word in bytes.as_chunks::<8>().0 {
             let word = u64::from_le_bytes(*word);
@@ -221,11 +237,17 @@ impl Own {
                 self.wraps = self.wraps.saturating_add((1 << 31) * 1000).min(1 << 61);
             }
             self.last = us;
-            sink.put(self.base + self.wraps + i64::from(us) * 1000, (data >> 17) as u16, (data >> 2) as u16 & 0x7fff, data & 2 != 0);
+            sink.put(
+                self.base + self.wraps + i64::from(us) * 1000,
+                (data >> 17) as u16,
+                (data >> 2) as u16 & 0x7fff,
+                data & 2 != 0,
+            );
         }
     }
 
-    /// Words of 16 bits, their kind in the upper four; a column holds until the next, and vectors run down it. Gives the number of unknown words.
+    /// Words of 16 bits, their kind in the upper four; a column holds until the next, and vectors run down
+    /// it. Gives the number of unknown words.
     fn libcaer_cmp(&mut self, bytes: &[u8], sink: &mut Sink<'_>) -> u64 {
         let mut unknown = 0;
         for word in bytes.as_chunks::<2>().0 {

@@ -1,8 +1,10 @@
 //! Pictures of one image topic, by index.
 //!
-//! Their stamps are in the messages, so all image messages are gone over once, their heads only; that happens when pictures are first asked for.
-//! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are. Compressed pictures
-//! (`sensor_msgs/CompressedImage`) are PNG or JPEG, by their first bytes; their `format` names the mosaic when it was compressed as one channel.
+//! Their stamps are in the messages, so all image messages are gone over once, their heads only; that happens
+//! when pictures are first asked for. A picture's place is kept as (piece, byte), 16 bytes; its values are
+//! read when they are wanted. Stored values are given as they are. Compressed pictures
+//! (`sensor_msgs/CompressedImage`) are PNG or JPEG, by their first bytes; their `format` names the mosaic
+//! when it was compressed as one channel.
 
 use super::contents::Contents;
 use super::messages::{CompressedHead, ImageHead, Kind, Serial};
@@ -35,7 +37,8 @@ struct Pixels {
 }
 
 /// Names of the encodings that are read, for messages.
-const NAMES: &str = "mono8, mono16, 8UC1, 8UC3, 8UC4, 16UC1, 16UC3, 16UC4, 32FC1, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
+const NAMES: &str = "mono8, mono16, 8UC1, 8UC3, 8UC4, 16UC1, 16UC3, 16UC4, 32FC1, rgb8, bgr8, rgba8, bgra8, \
+                     rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
 
 fn pixels(encoding: &[u8]) -> Option<Pixels> {
     let of = |colour, bits, stored, blue_first| Some(Pixels { colour, bits, stored, blue_first });
@@ -63,7 +66,8 @@ fn pixels(encoding: &[u8]) -> Option<Pixels> {
     }
 }
 
-/// How the values of a message stand. A driver may state `mono8` and send colour: rows are then three or four times as long, and so are all values.
+/// How the values of a message stand. A driver may state `mono8` and send colour: rows are then three or four
+/// times as long, and so are all values.
 ///
 /// `davis_ros_driver` did so for every DAVIS346 with a colour filter (uzh-rpg/rpg_dvs_ros#77).
 fn pixels_of(head: &ImageHead<'_>) -> Option<Pixels> {
@@ -72,7 +76,12 @@ fn pixels_of(head: &ImageHead<'_>) -> Option<Pixels> {
     let is_grey = stated.stored == 1 && stated.colour == Colour::Mono && stated.bits == 8;
     let all = u64::from(head.step) * height;
     match u64::from(head.step).checked_div(width) {
-        Some(stored @ (3 | 4)) if is_grey && width > 1 && u64::from(head.step) == stored * width && u64::from(head.length) == all => {
+        Some(stored @ (3 | 4))
+            if is_grey
+                && width > 1
+                && u64::from(head.step) == stored * width
+                && u64::from(head.length) == all =>
+        {
             Some(Pixels { colour: Colour::Rgb, stored: stored as usize, blue_first: true, ..stated })
         }
         _ => Some(stated),
@@ -92,7 +101,12 @@ fn row_note(head: &ImageHead<'_>, pixels: &Pixels) -> Option<String> {
             if channels == 3 { "bgr8" } else { "bgra8" },
         ));
     }
-    (step != needed).then(|| format!("rows have {step} bytes, and {encoding} of {width} columns needs {needed}: the others are taken as padding"))
+    (step != needed).then(|| {
+        format!(
+            "rows have {step} bytes, and {encoding} of {width} columns needs \
+                                      {needed}: the others are taken as padding"
+        )
+    })
 }
 
 impl Pixels {
@@ -111,8 +125,20 @@ impl Pixels {
     fn push_row(&self, row: &[u8], big: bool, values: &mut Vec<f32>) {
         match self.bits {
             8 => self.push(row.iter().map(|&value| f32::from(value)), values),
-            16 => self.push(row.as_chunks::<2>().0.iter().map(|&b| f32::from(if big { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) })), values),
-            _ => self.push(row.as_chunks::<4>().0.iter().map(|&b| if big { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) }), values),
+            16 => self.push(
+                row.as_chunks::<2>()
+                    .0
+                    .iter()
+                    .map(|&b| f32::from(if big { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) })),
+                values,
+            ),
+            _ => self.push(
+                row.as_chunks::<4>()
+                    .0
+                    .iter()
+                    .map(|&b| if big { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) }),
+                values,
+            ),
         }
     }
 
@@ -160,7 +186,15 @@ enum Not {
 
 /// Looks at a message, of which `body` is the beginning.
 fn found(kind: Kind, serial: Option<Serial>, envelope: Envelope, body: &[u8]) -> Result<Found, Not> {
-    let none = || Not::Sound(Cause::Damage, "messages that are no picture", "the message is no picture; it is left out".into());
+    let none = || {
+        Not::Sound(
+            Cause::Damage,
+            "messages that are no picture",
+            "the message is no picture; it \
+                                                            is left out"
+                .into(),
+        )
+    };
     let wire = serial.and_then(|serial| serial.wire(body)).ok_or_else(none)?;
     if kind == Kind::Image {
         let head = ImageHead::read(wire).ok_or_else(none)?;
@@ -170,7 +204,13 @@ fn found(kind: Kind, serial: Option<Serial>, envelope: Envelope, body: &[u8]) ->
             return Err(Not::Sound(Cause::Cut, "pictures that are cut off", what.into()));
         }
         let note = row_note(&head, &pixels);
-        return Ok(Found { stamp: head.stamp, extent: head.extent, form: Form::Raw(pixels), name: label(head.encoding), note });
+        return Ok(Found {
+            stamp: head.stamp,
+            extent: head.extent,
+            form: Form::Raw(pixels),
+            name: label(head.encoding),
+            note,
+        });
     }
     let head = CompressedHead::read(wire).ok_or_else(none)?;
     let start = body.get(head.at..).unwrap_or_default();
@@ -179,14 +219,30 @@ fn found(kind: Kind, serial: Option<Serial>, envelope: Envelope, body: &[u8]) ->
         format => Not::Known(label(format)),
     })?;
     if head.at as u64 + u64::from(head.length) > envelope.length {
-        return Err(Not::Sound(Cause::Cut, "pictures that are cut off", "the picture claims more bytes than the message holds; it is left out".into()));
+        return Err(Not::Sound(
+            Cause::Cut,
+            "pictures that are cut off",
+            "the picture claims more bytes than \
+                                                            the message holds; it is left out"
+                .into(),
+        ));
     }
     let start = &start[..start.len().min(head.length as usize)];
     let inner = decode::head_of(coding, start, head.length.into());
-    let inner =
-        inner.map_err(|error| Not::Sound(Cause::Damage, "pictures that cannot be read", format!("the picture cannot be read ({error}); it is left out")))?;
+    let inner = inner.map_err(|error| {
+        Not::Sound(
+            Cause::Damage,
+            "pictures that cannot be read",
+            format!("the picture cannot be read ({error}); it is left out"),
+        )
+    })?;
     // One channel of a mosaic, as its format says.
-    let mosaic = head.format.split(|byte| *byte == b';').next().and_then(|name| pixels(name.trim_ascii())).filter(|pixels| pixels.colour.is_mosaic());
+    let mosaic = head
+        .format
+        .split(|byte| *byte == b';')
+        .next()
+        .and_then(|name| pixels(name.trim_ascii()))
+        .filter(|pixels| pixels.colour.is_mosaic());
     let colour = mosaic.filter(|_| inner.colour == Colour::Mono).map_or(inner.colour, |pixels| pixels.colour);
     Ok(Found {
         stamp: head.stamp,
@@ -214,11 +270,16 @@ pub(crate) struct Images {
 }
 
 impl Images {
-    /// Goes over all messages of the topic; `note` joins those on the pictures. `None` when none holds a picture.
+    /// Goes over all messages of the topic; `note` joins those on the pictures. `None` when none holds a
+    /// picture.
     ///
     /// # Errors
     /// When the file has gone, or its pictures have an encoding that is not read.
-    pub(crate) fn survey(contents: &Arc<Contents>, group: &Group, note: Option<String>) -> Result<(Option<Images>, Losses), FormatError> {
+    pub(crate) fn survey(
+        contents: &Arc<Contents>,
+        group: &Group,
+        note: Option<String>,
+    ) -> Result<(Option<Images>, Losses), FormatError> {
         let head_bytes = if group.kind == Kind::Image { HEAD_BYTES } else { COMPRESSED_HEAD_BYTES };
         let mut walker = Walker::new(contents, &group.ids()).heads(head_bytes);
         let mut images: Option<Images> = None;
@@ -228,7 +289,9 @@ impl Images {
             let at = || format!("message received at {} ns on {}", envelope.received, group.name);
             let head = match found(group.kind, group.serial(envelope.id), envelope, &walker.body) {
                 Ok(head) => head,
-                Err(Not::Known(name)) if images.is_none() => return Err(unknown_encoding(contents, group, &name)),
+                Err(Not::Known(name)) if images.is_none() => {
+                    return Err(unknown_encoding(contents, group, &name));
+                }
                 Err(Not::Known(_)) => {
                     others += 1;
                     continue;
@@ -245,17 +308,26 @@ impl Images {
             }
             let stamped = head.stamp.is_sound() && head.stamp.ns != 0;
             stampless += u64::from(!stamped);
-            images.about.stamps.push(FrameStamp { at: if stamped { head.stamp.ns } else { envelope.received }, exposure: None });
+            images.about.stamps.push(FrameStamp {
+                at: if stamped { head.stamp.ns } else { envelope.received },
+                exposure: None,
+            });
             images.places.push((u32::try_from(walker.piece()).unwrap_or(u32::MAX), envelope.offset));
         }
         losses.append(walker.losses, |at| at);
         if let Some(images) = &mut images {
             images.about.notes.extend(note);
             if stampless > 0 {
-                images.about.notes.push(format!("{stampless} pictures have no `header.stamp`; the time when their message was received stands in"));
+                images.about.notes.push(format!(
+                    "{stampless} pictures have no `header.stamp`; the time when \
+                                                 their message was received stands in"
+                ));
             }
             if others > 0 {
-                images.about.notes.push(format!("{others} pictures differ from the first in size or encoding; they are left out"));
+                images.about.notes.push(format!(
+                    "{others} pictures differ from the first in size or \
+                                                 encoding; they are left out"
+                ));
             }
         }
         Ok((images, losses))
@@ -266,11 +338,30 @@ impl Images {
             Form::Raw(pixels) => (pixels.colour, pixels.bits),
             Form::Packed(_, colour, bits) => (colour, bits),
         };
-        let mut notes = vec![format!("pictures are those of {}, as {}; their stamps are `header.stamp`", group.name, head.name)];
+        let mut notes = vec![format!(
+            "pictures are those of {}, as {}; their stamps are `header.stamp`",
+            group.name, head.name
+        )];
         notes.extend(head.note.clone());
-        let about = FramesAbout { extent: head.extent, colour, bits, stamps: Vec::new(), stamp_role: None, row_time_ns: None, transfer: None, notes };
+        let about = FramesAbout {
+            extent: head.extent,
+            colour,
+            bits,
+            stamps: Vec::new(),
+            stamp_role: None,
+            row_time_ns: None,
+            transfer: None,
+            notes,
+        };
         let walker = Mutex::new(Walker::new(contents, &group.ids()));
-        Images { contents: contents.clone(), group: group.clone(), form: head.form, about, places: Vec::new(), walker }
+        Images {
+            contents: contents.clone(),
+            group: group.clone(),
+            form: head.form,
+            about,
+            places: Vec::new(),
+            walker,
+        }
     }
 }
 
@@ -280,11 +371,21 @@ fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> Forma
     if group.kind == Kind::CompressedImage {
         let hint = match is_depth(encoding.as_bytes()) {
             true => "depth is no picture of a camera: choose another topic by `frame_camera`",
-            false => "republish the topic as raw (`image_transport republish compressed raw`), or choose another by `frame_camera`",
+            false => {
+                "republish the topic as raw (`image_transport republish compressed raw`), or choose \
+                      another by `frame_camera`"
+            }
         };
-        return FormatError::new(&contents.path, found, hint).expected("PNG or JPEG in sensor_msgs/CompressedImage");
+        return FormatError::new(&contents.path, found, hint)
+            .expected("PNG or JPEG in sensor_msgs/CompressedImage");
     }
-    FormatError::new(&contents.path, found, "convert the topic with image_proc or cv_bridge, or choose another by `frame_camera`").expected(NAMES)
+    FormatError::new(
+        &contents.path,
+        found,
+        "convert the topic with image_proc or cv_bridge, or choose \
+                                             another by `frame_camera`",
+    )
+    .expected(NAMES)
 }
 
 impl Pictures for Images {
@@ -293,7 +394,10 @@ impl Pictures for Images {
     }
 
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
-        let refuse = |what: &str| FormatError::new(&self.contents.path, what.to_string(), "record or copy the file again").at(format!("picture {frame}"));
+        let refuse = |what: &str| {
+            FormatError::new(&self.contents.path, what.to_string(), "record or copy the file again")
+                .at(format!("picture {frame}"))
+        };
         values.clear();
         let &(piece, offset) = self.places.get(frame).ok_or_else(|| refuse("there is no such picture"))?;
         let mut walker = self.walker.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -302,7 +406,9 @@ impl Pictures for Images {
         let changed = || refuse("the message has changed since the file was opened");
         match self.form {
             Form::Raw(pixels) => {
-                let fits = |head: &ImageHead<'_>| head.extent == self.about.extent && pixels.fits(head, walker.body.len() as u64);
+                let fits = |head: &ImageHead<'_>| {
+                    head.extent == self.about.extent && pixels.fits(head, walker.body.len() as u64)
+                };
                 let head = wire.and_then(ImageHead::read).filter(fits).ok_or_else(changed)?;
                 let row = pixels.row_bytes(head.extent.width) as usize;
                 values.reserve_exact(head.extent.pixels() * pixels.stored.min(3));
@@ -313,10 +419,16 @@ impl Pictures for Images {
             }
             Form::Packed(coding, colour, bits) => {
                 let head = wire.and_then(CompressedHead::read).ok_or_else(changed)?;
-                let bytes = walker.body.get(head.at..).and_then(|bytes| bytes.get(..head.length as usize)).ok_or_else(changed)?;
+                let bytes = walker
+                    .body
+                    .get(head.at..)
+                    .and_then(|bytes| bytes.get(..head.length as usize))
+                    .ok_or_else(changed)?;
                 let read = decode::read_of(coding, bytes, values);
                 let read = read.and_then(|inner| {
-                    let same = inner.extent == self.about.extent && inner.colour.channels() == colour.channels() && inner.bits == bits;
+                    let same = inner.extent == self.about.extent
+                        && inner.colour.channels() == colour.channels()
+                        && inner.bits == bits;
                     same.then_some(()).ok_or_else(|| "it has changed since the file was opened".into())
                 });
                 if let Err(error) = read {

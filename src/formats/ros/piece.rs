@@ -37,28 +37,43 @@ impl Source {
         Source::Plain(BufReader::with_capacity(FILE_BUFFER, file), length)
     }
 
-    /// `length` compressed bytes of a file from where it stands, which give `claimed` bytes. The compression by its name in bags and MCAP.
+    /// `length` compressed bytes of a file from where it stands, which give `claimed` bytes. The compression
+    /// by its name in bags and MCAP.
     ///
     /// # Errors
     /// When the compression is unknown, or claims too much.
-    pub(crate) fn packed(file: File, length: u64, compression: &[u8], claimed: u64) -> Result<Source, String> {
+    pub(crate) fn packed(
+        file: File,
+        length: u64,
+        compression: &[u8],
+        claimed: u64,
+    ) -> Result<Source, String> {
         if matches!(compression, b"" | b"none") {
             return Ok(Source::plain(file, length));
         }
         if claimed > MOST_CHUNK {
-            return Err(format!("the chunk claims {claimed} bytes uncompressed; {MOST_CHUNK} at most are read"));
+            return Err(format!(
+                "the chunk claims {claimed} bytes uncompressed; {MOST_CHUNK} at most are read"
+            ));
         }
         let bytes = BufReader::with_capacity(FILE_BUFFER, file).take(length);
         let reader: Box<dyn Read + Send> = match compression {
             b"bz2" => Box::new(bzip2::bufread::BzDecoder::new(bytes)),
             b"lz4" => Box::new(lz4_flex::frame::FrameDecoder::new(bytes)),
             b"zstd" => {
-                let mut decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(|error| error.to_string())?;
+                let mut decoder =
+                    zstd::stream::read::Decoder::with_buffer(bytes).map_err(|error| error.to_string())?;
                 // The window that a frame asks for is allocated at once; recorders ask for 8 MiB at most.
                 decoder.window_log_max(25).map_err(|error| error.to_string())?;
                 Box::new(decoder)
             }
-            other => return Err(format!("the chunk is compressed by `{}`, which is not read (none, bz2, lz4 and zstd are)", label(other))),
+            other => {
+                return Err(format!(
+                    "the chunk is compressed by `{}`, which is not read (none, bz2, lz4 \
+                                         and zstd are)",
+                    label(other)
+                ));
+            }
         };
         Ok(Source::Packed(reader, claimed))
     }
@@ -167,7 +182,8 @@ pub(crate) struct Envelope {
     pub id: u32,
     /// When it was received, ns.
     pub received: i64,
-    /// Where its record begins, in bytes of the piece; in a database, how many numbers of rows after the first.
+    /// Where its record begins, in bytes of the piece; in a database, how many numbers of rows after the
+    /// first.
     pub offset: u64,
     /// Bytes of the message, of which the buffer may hold fewer.
     pub length: u64,

@@ -41,7 +41,8 @@ struct Survey {
 /// Chooses topics and looks at their first messages.
 ///
 /// # Errors
-/// When it is not clear which topics are meant, or when events or pictures are in an encoding that is not read.
+/// When it is not clear which topics are meant, or when events or pictures are in an encoding that is not
+/// read.
 pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let contents = Arc::new(contents);
     let groups = topics::groups(&contents);
@@ -49,14 +50,19 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
     facts.push(("topics".into(), groups.iter().take(64).map(Group::describe).collect::<Vec<_>>().join("; ")));
     let received = contents.pieces.iter().map(|piece| piece.received).filter(|received| *received != (0, 0));
     if let Some((first, last)) = received.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) {
-        facts.push(("received".into(), format!("from {first} to {last} ns, {:.6} s", last.saturating_sub(first) as f64 * 1e-9)));
+        facts.push((
+            "received".into(),
+            format!("from {first} to {last} ns, {:.6} s", last.saturating_sub(first) as f64 * 1e-9),
+        ));
     }
     let sent = |group: &&Group| group.messages != Some(0);
 
     let mut candidates: Vec<Group> = Vec::new();
     let mut firsts: Vec<First> = Vec::new();
     let mut trigger_topics = Vec::new();
-    for group in groups.iter().filter(|group| matches!(group.kind, Kind::EventArray | Kind::EventPacket)).filter(sent) {
+    for group in
+        groups.iter().filter(|group| matches!(group.kind, Kind::EventArray | Kind::EventPacket)).filter(sent)
+    {
         match topics::first(&contents, group)? {
             First::Packet(Encoding::Trigger, _) => trigger_topics.push(group.clone()),
             First::Nothing => {}
@@ -66,8 +72,11 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
             }
         }
     }
-    let (chosen, which) = topics::choose(&contents, &candidates, declared.camera.as_deref(), None, "camera", "events")?.unzip();
-    let first = chosen.and_then(|chosen| candidates.iter().zip(&firsts).find(|(group, _)| std::ptr::eq(*group, chosen)).map(|(_, first)| first));
+    let (chosen, which) =
+        topics::choose(&contents, &candidates, declared.camera.as_deref(), None, "camera", "events")?.unzip();
+    let first = chosen.and_then(|chosen| {
+        candidates.iter().zip(&firsts).find(|(group, _)| std::ptr::eq(*group, chosen)).map(|(_, first)| first)
+    });
     let mut stream = None;
     let mut about = None;
     if let (Some(group), Some(first)) = (chosen, first) {
@@ -81,24 +90,60 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
     }
 
     let with_pictures = topics::with_pictures(&groups, declared.frame_camera.as_deref());
-    let chosen = topics::choose(&contents, &with_pictures, declared.frame_camera.as_deref(), chosen, "frame_camera", "pictures")?;
+    let chosen = topics::choose(
+        &contents,
+        &with_pictures,
+        declared.frame_camera.as_deref(),
+        chosen,
+        "frame_camera",
+        "pictures",
+    )?;
     let (image_topic, picture_note) = chosen.map(|(group, note)| (group.clone(), note)).unzip();
     let picture_note = picture_note.flatten();
     if let Some(group) = &image_topic {
         facts.push(("pictures".into(), group.name.clone()));
     }
     for group in groups.iter().filter(|group| topics::is_depth(group)).filter(sent) {
-        facts.push(("not read".into(), format!("{}: depth, which is no picture of a camera", group.describe())));
+        facts.push((
+            "not read".into(),
+            format!("{}: depth, which is no picture of a camera", group.describe()),
+        ));
     }
     if stream.is_none() && image_topic.is_none() {
-        let found = format!("no topic has events or pictures; there are: {}", groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; "));
-        let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, event_camera_msgs/EventPacket, sensor_msgs/Image or sensor_msgs/CompressedImage";
-        let lost = contents.losses.list().first().map(|loss| format!("; {}: {}", loss.at, loss.what)).unwrap_or_default();
-        return Err(FormatError::new(&contents.path, found + &lost, "record those topics, or check that the file is whole").expected(expected));
+        let found = format!(
+            "no topic has events or pictures; there are: {}",
+            groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; ")
+        );
+        let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, \
+                        event_camera_msgs/EventPacket, sensor_msgs/Image or sensor_msgs/CompressedImage";
+        let lost = contents
+            .losses
+            .list()
+            .first()
+            .map(|loss| format!("; {}: {}", loss.at, loss.what))
+            .unwrap_or_default();
+        return Err(FormatError::new(
+            &contents.path,
+            found + &lost,
+            "record those topics, or check that the \
+                                                            file is whole",
+        )
+        .expected(expected));
     }
     let losses = contents.losses.list();
-    let recording = Ros { contents, stream, about, trigger_topics, image_topic, picture_note, images: OnceLock::new(), facts, losses };
-    // Without events the pictures are all there is: then what is wrong with them is a reason to refuse the file.
+    let recording = Ros {
+        contents,
+        stream,
+        about,
+        trigger_topics,
+        image_topic,
+        picture_note,
+        images: OnceLock::new(),
+        facts,
+        losses,
+    };
+    // Without events the pictures are all there is: then what is wrong with them is a reason to refuse the
+    // file.
     if recording.stream.is_none()
         && let Some(group) = &recording.image_topic
     {
@@ -109,7 +154,12 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
 }
 
 /// What is known of an event topic from its first messages.
-fn event_stream(contents: &Arc<Contents>, group: &Group, first: &First, declared: Option<Extent>) -> Result<(Stream, EventsAbout), FormatError> {
+fn event_stream(
+    contents: &Arc<Contents>,
+    group: &Group,
+    first: &First,
+    declared: Option<Extent>,
+) -> Result<(Stream, EventsAbout), FormatError> {
     let mut notes = Vec::new();
     let mut shift_ns = 0;
     let (extent, encoding) = match first {
@@ -126,7 +176,11 @@ fn event_stream(contents: &Arc<Contents>, group: &Group, first: &First, declared
                      over the first {packets} packets, which spread by {spread_ns} ns"
                 ));
             }
-            None => notes.push("no packet at the start has both a stamp and an event: times are those of the sensor, not of ROS".into()),
+            None => notes.push(
+                "no packet at the start has both a stamp and an event: times are those of \
+                                the sensor, not of ROS"
+                    .into(),
+            ),
         }
     }
     if extent.is_none() && declared.is_none() {
@@ -135,7 +189,11 @@ fn event_stream(contents: &Arc<Contents>, group: &Group, first: &First, declared
     let stamps = match encoding {
         None => "u32 seconds and u32 nanoseconds".to_string(),
         Some(Encoding::Mono) => "mono: nanoseconds of the sensor's clock".into(),
-        Some(encoding) => format!("{}: microseconds of the {} clock", encoding.name(), if encoding.has_sensor_clock() { "sensor's" } else { "ROS" }),
+        Some(encoding) => format!(
+            "{}: microseconds of the {} clock",
+            encoding.name(),
+            if encoding.has_sensor_clock() { "sensor's" } else { "ROS" }
+        ),
     };
     let extent = declared.or(extent);
     let tick_ns = encoding.map_or(1, Encoding::tick_ns);
@@ -146,12 +204,18 @@ fn event_stream(contents: &Arc<Contents>, group: &Group, first: &First, declared
 impl Ros {
     fn survey(&self) -> Option<&Survey> {
         let group = self.image_topic.as_ref()?;
-        Some(self.images.get_or_init(|| match Images::survey(&self.contents, group, self.picture_note.clone()) {
-            Ok((images, losses)) => Survey { images: images.map(Arc::new), losses },
-            Err(error) => {
-                let mut survey = Survey::default();
-                survey.losses.add("topics whose pictures are not read", || group.name.clone(), || format!("{}; no picture is read", error.found));
-                survey
+        Some(self.images.get_or_init(|| {
+            match Images::survey(&self.contents, group, self.picture_note.clone()) {
+                Ok((images, losses)) => Survey { images: images.map(Arc::new), losses },
+                Err(error) => {
+                    let mut survey = Survey::default();
+                    survey.losses.add(
+                        "topics whose pictures are not read",
+                        || group.name.clone(),
+                        || format!("{}; no picture is read", error.found),
+                    );
+                    survey
+                }
             }
         }))
     }
@@ -163,7 +227,13 @@ impl Recording for Ros {
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        let stream = self.stream.clone().ok_or_else(|| FormatError::new(&self.contents.path, "the file has no topic with events", "use its pictures only"))?;
+        let stream = self.stream.clone().ok_or_else(|| {
+            FormatError::new(
+                &self.contents.path,
+                "the file has no topic with events",
+                "use its pictures only",
+            )
+        })?;
         Ok(Box::new(Cursor::new(stream)))
     }
 
@@ -175,8 +245,13 @@ impl Recording for Ros {
     fn triggers(&self) -> Result<Vec<Trigger>, FormatError> {
         let packets = self.stream.as_ref().filter(|stream| stream.encoding.is_some());
         let shift_ns = packets.map_or(0, |stream| stream.shift_ns);
-        let of_topic =
-            |group: &Group| Stream { contents: self.contents.clone(), group: group.clone(), encoding: Some(Encoding::Trigger), extent: None, shift_ns };
+        let of_topic = |group: &Group| Stream {
+            contents: self.contents.clone(),
+            group: group.clone(),
+            encoding: Some(Encoding::Trigger),
+            extent: None,
+            shift_ns,
+        };
         let streams = packets.cloned().into_iter().chain(self.trigger_topics.iter().map(of_topic));
         let mut triggers = Vec::new();
         for stream in streams {

@@ -1,7 +1,8 @@
-//! The records inside one piece of a recording: a compressed chunk, a run of records that stand in the file as they are, or rows of a database.
+//! The records inside one piece of a recording: a compressed chunk, a run of records that stand in the file
+//! as they are, or rows of a database.
 //!
-//! A piece is decompressed as it is read, and one message is held at a time: what a piece claims to need is never taken. Anything that is wrong
-//! ends the piece with a reason; the pieces after it can still be read.
+//! A piece is decompressed as it is read, and one message is held at a time: what a piece claims to need is
+//! never taken. Anything that is wrong ends the piece with a reason; the pieces after it can still be read.
 
 use super::bag;
 use super::mcap;
@@ -65,19 +66,28 @@ impl Records {
         Ok(())
     }
 
-    /// The next record; `None` at the end of the piece. `body` is replaced by the first `most` bytes of a message whose connection is `wanted`, and
-    /// emptied for any other record.
-    pub(crate) fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    /// The next record; `None` at the end of the piece. `body` is replaced by the first `most` bytes of a
+    /// message whose connection is `wanted`, and emptied for any other record.
+    pub(crate) fn next(
+        &mut self,
+        wanted: &dyn Fn(u32) -> bool,
+        most: u64,
+        body: &mut Vec<u8>,
+    ) -> Result<Option<Record>, String> {
         body.clear();
         let first = self.first_id;
         let wanted = |id: u32| wanted(id.wrapping_add(first));
         let record = match &mut self.inner {
             Inner::Rows(rows) => rows.next(&wanted, most, body)?,
-            Inner::Stream(stream) if stream.container == Container::Bag => stream.next_of_bag(&wanted, most, body)?,
+            Inner::Stream(stream) if stream.container == Container::Bag => {
+                stream.next_of_bag(&wanted, most, body)?
+            }
             Inner::Stream(stream) => stream.next_of_mcap(&wanted, most, body)?,
         };
         Ok(record.map(|record| match record {
-            Record::Message(envelope) => Record::Message(Envelope { id: envelope.id.wrapping_add(first), ..envelope }),
+            Record::Message(envelope) => {
+                Record::Message(Envelope { id: envelope.id.wrapping_add(first), ..envelope })
+            }
             Record::Topic(topic) => Record::Topic(Topic { id: topic.id.wrapping_add(first), ..topic }),
             other => other,
         }))
@@ -85,7 +95,12 @@ impl Records {
 }
 
 impl Stream {
-    fn next_of_bag(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    fn next_of_bag(
+        &mut self,
+        wanted: &dyn Fn(u32) -> bool,
+        most: u64,
+        body: &mut Vec<u8>,
+    ) -> Result<Option<Record>, String> {
         let Some(header_length) = self.source.u32()? else { return Ok(None) };
         if header_length > MOST_HEADER {
             return Err(format!("what should be the header of a record claims {header_length} bytes"));
@@ -119,7 +134,12 @@ impl Stream {
         Ok(Some(record))
     }
 
-    fn next_of_mcap(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    fn next_of_mcap(
+        &mut self,
+        wanted: &dyn Fn(u32) -> bool,
+        most: u64,
+        body: &mut Vec<u8>,
+    ) -> Result<Option<Record>, String> {
         let Some([op]) = self.source.array::<1>()? else { return Ok(None) };
         let length = u64::from_le_bytes(self.source.array::<8>()?.ok_or("the piece ends within a record")?);
         if op == 0 {
@@ -129,15 +149,25 @@ impl Stream {
         self.at = self.at.saturating_add(9).saturating_add(length);
         Ok(Some(match op {
             mcap::MESSAGE => {
-                let length = length.checked_sub(mcap::MESSAGE_HEAD as u64).ok_or("a message is shorter than its own head")?;
-                let head = self.source.array::<{ mcap::MESSAGE_HEAD }>()?.ok_or("the piece ends within a record")?;
+                let length = length.checked_sub(mcap::MESSAGE_HEAD as u64).ok_or(
+                    "a message is shorter than \
+                                                            its own head",
+                )?;
+                let head = self.source.array::<{ mcap::MESSAGE_HEAD }>()?.ok_or(
+                    "the piece ends within a \
+                                                            record",
+                )?;
                 let (id, received) = mcap::message_head(&head);
                 self.body(wanted(id), length, most, body)?;
                 Record::Message(Envelope { id, received, offset, length })
             }
             mcap::SCHEMA | mcap::CHANNEL if length <= MOST_DEFINITION => {
                 self.source.take(length, body)?;
-                let record = if op == mcap::SCHEMA { mcap::schema(body) } else { mcap::channel(body).map(Record::Topic) };
+                let record = if op == mcap::SCHEMA {
+                    mcap::schema(body)
+                } else {
+                    mcap::channel(body).map(Record::Topic)
+                };
                 body.clear();
                 record.ok_or("a definition of a topic ends early")?
             }

@@ -1,13 +1,18 @@
-//! Bags of ROS 2 in SQLite (`.db3`): finds the topics of a file, and the ranges of rows in which its messages stand.
+//! Bags of ROS 2 in SQLite (`.db3`): finds the topics of a file, and the ranges of rows in which its messages
+//! stand.
 //!
-//! rosbag2 keeps two tables: `topics` (id, name, type, serialization_format) and `messages` (id, topic_id, timestamp, data), where `id` is the row's own
-//! number and grows in the order of recording. A piece is a range of these numbers. Source: `rosbag2_storage_sqlite3`.
+//! rosbag2 keeps two tables: `topics` (id, name, type, serialization_format) and `messages` (id, topic_id,
+//! timestamp, data), where `id` is the row's own number and grows in the order of recording. A piece is a
+//! range of these numbers. Source: `rosbag2_storage_sqlite3`.
 //!
-//! A file may hold anything. It is opened read-only and as one that nobody changes (no lock, no journal is written), its schema may be hostile: only
-//! ordinary tables without computed columns are read, and only by the number of a row, so that no query does more than the file has rows. Where a
-//! page is damaged, rows behind it are looked for in growing steps. A value cannot be longer than the pages of the file: SQLite checks that itself.
+//! A file may hold anything. It is opened read-only and as one that nobody changes (no lock, no journal is
+//! written), its schema may be hostile: only ordinary tables without computed columns are read, and only by
+//! the number of a row, so that no query does more than the file has rows. Where a page is damaged, rows
+//! behind it are looked for in growing steps. A value cannot be longer than the pages of the file: SQLite
+//! checks that itself.
 //!
-//! Limits: messages that a recorder left in a write-ahead log (`.db3-wal`) are not read, with a loss that says how to bring them in.
+//! Limits: messages that a recorder left in a write-ahead log (`.db3-wal`) are not read, with a loss that
+//! says how to bring them in.
 
 use super::contents::{Contents, Database, Piece};
 use super::messages::Serial;
@@ -52,13 +57,15 @@ fn connect(path: &Path, cut: bool) -> Result<Connection, String> {
         }
     }
     uri.push_str("?mode=ro&immutable=1");
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let flags =
+        OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let open = || -> rusqlite::Result<Connection> {
         let connection = Connection::open_with_flags(&uri, flags)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
-        // A database that is shorter than its header says is read as far as it goes only in this mode; nothing is ever written.
+        // A database that is shorter than its header says is read as far as it goes only in this mode;
+        // nothing is ever written.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, !cut)?;
         connection.pragma_update(None, "writable_schema", cut)?;
         connection.pragma_update(None, "cell_size_check", true)?;
@@ -85,22 +92,28 @@ struct Line {
     length: u64,
 }
 
-/// Reads the rows whose number is above `after` and not above `last`, in order, [`BATCH`] at most, and says what stopped it before that.
+/// Reads the rows whose number is above `after` and not above `last`, in order, [`BATCH`] at most, and says
+/// what stopped it before that.
 fn lines(connection: &Connection, after: i64, last: i64, found: &mut VecDeque<Line>) -> Result<(), String> {
     let read = |found: &mut VecDeque<Line>| -> rusqlite::Result<bool> {
-        let query = "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE rowid > ?1 AND rowid <= ?2 ORDER BY rowid LIMIT ?3";
+        let query = "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE rowid > ?1 AND \
+                     rowid <= ?2 ORDER BY rowid LIMIT ?3";
         let mut statement = connection.prepare_cached(query)?;
         let mut rows = statement.query((after, last, BATCH as i64))?;
         let mut before = after;
         while let Some(row) = rows.next()? {
-            let number = |k: usize| row.get_ref(k).map(|value| if let ValueRef::Integer(number) = value { Some(number) } else { None });
+            let number = |k: usize| {
+                row.get_ref(k)
+                    .map(|value| if let ValueRef::Integer(number) = value { Some(number) } else { None })
+            };
             let Some(at) = number(0)?.filter(|row| *row > before) else { return Ok(false) };
             before = at;
             // A row without a topic, a time or data belongs to no connection.
-            let line = match (number(1)?, number(2)?, number(3)?.and_then(|length| u64::try_from(length).ok())) {
-                (Some(topic), Some(received), Some(length)) => Line { row: at, topic, received, length },
-                _ => Line { row: at, topic: i64::MIN, received: 0, length: 0 },
-            };
+            let line =
+                match (number(1)?, number(2)?, number(3)?.and_then(|length| u64::try_from(length).ok())) {
+                    (Some(topic), Some(received), Some(length)) => Line { row: at, topic, received, length },
+                    _ => Line { row: at, topic: i64::MIN, received: 0, length: 0 },
+                };
             found.push_back(line);
         }
         Ok(true)
@@ -123,12 +136,20 @@ pub(crate) fn open(path: &Path) -> Result<Contents, FormatError> {
     let mut head = Vec::new();
     (&mut file).take(HEAD as u64).read_to_end(&mut head).map_err(io)?;
     if !head.starts_with(MAGIC) {
-        return Err(FormatError::new(path, "this is no SQLite database: its first bytes are others", "check the path").expected("a bag of ROS 2 (.db3)"));
+        return Err(FormatError::new(
+            path,
+            "this is no SQLite database: its first bytes are others",
+            "check the path",
+        )
+        .expected("a bag of ROS 2 (.db3)"));
     }
     let mut losses = Losses::default();
     let cut = claimed(&head).is_some_and(|claimed| claimed > size);
     if cut {
-        let what = format!("the file is cut off: its header states {} bytes; what is before the cut is read", claimed(&head).unwrap_or(0));
+        let what = format!(
+            "the file is cut off: its header states {} bytes; what is before the cut is read",
+            claimed(&head).unwrap_or(0)
+        );
         losses.add("ends that are cut off", || format!("byte {size}"), || what);
     }
     for (end, what) in [("-wal", "write-ahead log"), ("-journal", "journal")] {
@@ -138,19 +159,35 @@ pub(crate) fn open(path: &Path) -> Result<Contents, FormatError> {
         if std::fs::metadata(&name).is_ok_and(|log| log.len() > 0) {
             let at = || name.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let hint = "copy both files and run `sqlite3 COPY \"PRAGMA wal_checkpoint(TRUNCATE)\"`";
-            losses.add("logs that were not merged", at, || format!("the recorder left a {what}, whose messages are not read; to bring them in, {hint}"));
+            losses.add("logs that were not merged", at, || {
+                format!(
+                    "the recorder left a {what}, whose \
+                                                            messages are not read; to bring them in, {hint}"
+                )
+            });
         }
     }
     let refuse = |what: String| {
-        let hint = "check that the file was copied whole; `sqlite3 FILE .recover` saves what can be saved of a damaged one";
+        let hint = "check that the file was copied whole; `sqlite3 FILE .recover` saves what can be saved \
+                    of a damaged one";
         FormatError::new(path, what, hint).expected("a bag of ROS 2, with tables `topics` and `messages`")
     };
-    let connection = connect(path, cut).map_err(|error| refuse(format!("the database cannot be opened: {error}")))?;
+    let connection = connect(path, cut).map_err(|error| {
+        refuse(format!(
+            "the database cannot be opened: \
+                                                            {error}"
+        ))
+    })?;
     check_tables(&connection).map_err(&refuse)?;
     let mut contents = Contents::new(path, size, Container::Sqlite);
     contents.facts.push(("container".into(), "rosbag2, SQLite".into()));
     let mut database = Database { cut, ids: BTreeMap::new() };
-    topics(&connection, &mut contents, &mut database).map_err(|error| refuse(format!("the table of topics cannot be read: {error}")))?;
+    topics(&connection, &mut contents, &mut database).map_err(|error| {
+        refuse(format!(
+            "the table of topics \
+                                                            cannot be read: {error}"
+        ))
+    })?;
     survey(&connection, &mut contents, &database, &mut losses);
     contents.parts[0].database = Arc::new(database);
     contents.losses = losses;
@@ -175,11 +212,20 @@ fn check_tables(connection: &Connection) -> Result<(), String> {
         let query = "SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = ?1 LIMIT 1";
         let sql: Option<String> = match connection.query_row(query, [table], |row| row.get(0)) {
             Ok(sql) => sql,
-            Err(rusqlite::Error::QueryReturnedNoRows) => return Err(format!("the database has no table `{table}`: it is no bag of ROS 2")),
+            Err(rusqlite::Error::QueryReturnedNoRows) => {
+                return Err(format!(
+                    "the database has no table \
+                                                            `{table}`: it is no bag of ROS 2"
+                ));
+            }
             Err(error) => return Err(format!("the database cannot be read: {}", said(&error))),
         };
         let start: String = sql.unwrap_or_default().chars().take(12).collect::<String>().to_uppercase();
-        let computed = connection.query_row("SELECT count(*) FROM pragma_table_xinfo(?1) WHERE hidden <> 0", [table], |row| row.get::<_, i64>(0));
+        let computed = connection.query_row(
+            "SELECT count(*) FROM pragma_table_xinfo(?1) WHERE hidden <> 0",
+            [table],
+            |row| row.get::<_, i64>(0),
+        );
         if start != "CREATE TABLE" || computed.map_err(|error| said(&error))? != 0 {
             return Err(format!("`{table}` is no ordinary table; such databases are not read"));
         }
@@ -191,7 +237,8 @@ fn topics(connection: &Connection, contents: &mut Contents, database: &mut Datab
     let mut read = || -> rusqlite::Result<()> {
         let mut statement = connection.prepare("SELECT * FROM topics LIMIT ?1")?;
         let column = |name: &str| statement.column_index(name);
-        let (id, name, kind, serial) = (column("id")?, column("name")?, column("type")?, column("serialization_format").ok());
+        let (id, name, kind, serial) =
+            (column("id")?, column("name")?, column("type")?, column("serialization_format").ok());
         let mut rows = statement.query([MOST_TOPICS as i64])?;
         while let Some(row) = rows.next()? {
             let ValueRef::Integer(number) = row.get_ref(id)? else { continue };
@@ -205,7 +252,14 @@ fn topics(connection: &Connection, contents: &mut Contents, database: &mut Datab
                 Some(_) => Serial::Other,
             };
             database.ids.insert(number, next);
-            contents.topics.push(Topic { id: next, name: text(row, name)?, type_name: text(row, kind)?, schema: 0, serial, messages: Some(0) });
+            contents.topics.push(Topic {
+                id: next,
+                name: text(row, name)?,
+                type_name: text(row, kind)?,
+                schema: 0,
+                serial,
+                messages: Some(0),
+            });
         }
         Ok(())
     };
@@ -231,7 +285,8 @@ fn survey(connection: &Connection, contents: &mut Contents, database: &Database,
         if let Some(first) = found.front() {
             if step > 1 {
                 let (from, to) = (good.max(0), first.row);
-                let what = "the rows between cannot be read: a page of the file is damaged or missing".to_string();
+                let what =
+                    "the rows between cannot be read: a page of the file is damaged or missing".to_string();
                 losses.add("rows that cannot be read", || format!("rows after {from}, up to {to}"), || what);
                 step = 1;
             }
@@ -259,7 +314,11 @@ fn survey(connection: &Connection, contents: &mut Contents, database: &Database,
         }
     }
     if step > 1 && gaps < MOST_GAPS {
-        losses.add("rows that cannot be read", || format!("rows after {}", good.max(0)), || "a page of the file is damaged or missing".into());
+        losses.add(
+            "rows that cannot be read",
+            || format!("rows after {}", good.max(0)),
+            || "a page of the file is damaged or missing".into(),
+        );
     }
     builder.close(contents);
     if orphans > 0 {
@@ -306,7 +365,14 @@ impl Builder {
         let done = std::mem::take(self);
         if let Some(rows) = done.rows {
             let counts = Some(done.counts.into_iter().collect());
-            contents.pieces.push(Piece { file: 0, at: 0, length: None, rows: Some(rows), received: done.received, counts });
+            contents.pieces.push(Piece {
+                file: 0,
+                at: 0,
+                length: None,
+                rows: Some(rows),
+                received: done.received,
+                counts,
+            });
         }
     }
 }
@@ -327,7 +393,11 @@ impl Rows {
     ///
     /// # Errors
     /// When the file can no longer be opened as a database.
-    pub(crate) fn open(path: &Path, database: &Arc<Database>, (first, last): (i64, i64)) -> Result<Rows, String> {
+    pub(crate) fn open(
+        path: &Path,
+        database: &Arc<Database>,
+        (first, last): (i64, i64),
+    ) -> Result<Rows, String> {
         let connection = connect(path, database.cut)?;
         Ok(Rows { connection, database: database.clone(), first, last, passed: None, ahead: VecDeque::new() })
     }
@@ -352,7 +422,12 @@ impl Rows {
     ///
     /// # Errors
     /// When the rows cannot be read further.
-    pub(crate) fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    pub(crate) fn next(
+        &mut self,
+        wanted: &dyn Fn(u32) -> bool,
+        most: u64,
+        body: &mut Vec<u8>,
+    ) -> Result<Option<Record>, String> {
         if self.ahead.is_empty() {
             let after = self.passed.unwrap_or(self.first.saturating_sub(1));
             let end = lines(&self.connection, after, self.last, &mut self.ahead);
@@ -369,16 +444,24 @@ impl Rows {
         }
         if wanted(id) {
             let mut fetch = || -> rusqlite::Result<()> {
-                let mut statement = self.connection.prepare_cached("SELECT data FROM messages WHERE rowid = ?1")?;
+                let mut statement =
+                    self.connection.prepare_cached("SELECT data FROM messages WHERE rowid = ?1")?;
                 statement.query_row([line.row], |row| {
                     if let ValueRef::Blob(data) = row.get_ref(0)? {
-                        body.extend_from_slice(&data[..data.len().min(usize::try_from(kept).unwrap_or(usize::MAX))]);
+                        body.extend_from_slice(
+                            &data[..data.len().min(usize::try_from(kept).unwrap_or(usize::MAX))],
+                        );
                     }
                     Ok(())
                 })
             };
             fetch().map_err(|error| said(&error))?;
         }
-        Ok(Some(Record::Message(Envelope { id, received: line.received, offset: self.offset(line.row), length: line.length })))
+        Ok(Some(Record::Message(Envelope {
+            id,
+            received: line.received,
+            offset: self.offset(line.row),
+            length: line.length,
+        })))
     }
 }

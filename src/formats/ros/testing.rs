@@ -1,4 +1,5 @@
-//! Writes small bags and MCAP files, message by message, after the published layouts: for tests, not for recordings.
+//! Writes small bags and MCAP files, message by message, after the published layouts: for tests, not for
+//! recordings.
 //!
 //! ```
 //! use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, event_array, image};
@@ -124,7 +125,12 @@ impl Fields {
 }
 
 /// `dvs_msgs/EventArray`: events of time (ns), x, y, ON.
-pub fn event_array(wire: Wire, stamp: i64, (width, height): (u32, u32), events: &[(i64, u16, u16, bool)]) -> Vec<u8> {
+pub fn event_array(
+    wire: Wire,
+    stamp: i64,
+    (width, height): (u32, u32),
+    events: &[(i64, u16, u16, bool)],
+) -> Vec<u8> {
     let mut fields = Fields::new(wire);
     fields.header(stamp);
     fields.u32(height);
@@ -140,7 +146,14 @@ pub fn event_array(wire: Wire, stamp: i64, (width, height): (u32, u32), events: 
 }
 
 /// `event_camera_msgs/EventPacket`.
-pub fn event_packet(wire: Wire, stamp: i64, (width, height): (u32, u32), (sequence, time_base): (u64, u64), encoding: &str, events: &[u8]) -> Vec<u8> {
+pub fn event_packet(
+    wire: Wire,
+    stamp: i64,
+    (width, height): (u32, u32),
+    (sequence, time_base): (u64, u64),
+    encoding: &str,
+    events: &[u8],
+) -> Vec<u8> {
     let mut fields = Fields::new(wire);
     fields.header(stamp);
     fields.u32(height);
@@ -154,7 +167,14 @@ pub fn event_packet(wire: Wire, stamp: i64, (width, height): (u32, u32), (sequen
 }
 
 /// `sensor_msgs/Image`, of values as they stand in it.
-pub fn image(wire: Wire, stamp: i64, (width, height): (u32, u32), encoding: &str, step: u32, values: &[u8]) -> Vec<u8> {
+pub fn image(
+    wire: Wire,
+    stamp: i64,
+    (width, height): (u32, u32),
+    encoding: &str,
+    step: u32,
+    values: &[u8],
+) -> Vec<u8> {
     let mut fields = Fields::new(wire);
     fields.header(stamp);
     fields.u32(height);
@@ -185,11 +205,15 @@ pub fn evt3(events: &[(i64, u16, u16, bool)]) -> Vec<u8> {
     words.flat_map(u16::to_le_bytes).collect()
 }
 
-/// A bag of ROS 2 in SQLite, as a file's bytes, with pages of 1 KiB: names and types of its topics; topic, time of receipt and body of its messages.
+/// A bag of ROS 2 in SQLite, as a file's bytes, with pages of 1 KiB: names and types of its topics; topic,
+/// time of receipt and body of its messages.
 ///
 /// # Errors
 /// When SQLite or the folder for temporary files refuses.
-pub fn db3(topics: &[(&str, &str)], messages: &[(u32, i64, Vec<u8>)]) -> std::result::Result<Vec<u8>, Box<dyn std::error::Error>> {
+pub fn db3(
+    topics: &[(&str, &str)],
+    messages: &[(u32, i64, Vec<u8>)],
+) -> std::result::Result<Vec<u8>, Box<dyn std::error::Error>> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("made.db3");
     let database = rusqlite::Connection::open(&path)?;
@@ -200,10 +224,14 @@ pub fn db3(topics: &[(&str, &str)], messages: &[(u32, i64, Vec<u8>)]) -> std::re
          CREATE INDEX timestamp_idx ON messages (timestamp ASC);",
     )?;
     for (k, (name, type_name)) in topics.iter().enumerate() {
-        database.execute("INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '')", (k as i64 + 1, name, type_name))?;
+        database
+            .execute("INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '')", (k as i64 + 1, name, type_name))?;
     }
     for (topic, received, body) in messages {
-        database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)", (i64::from(*topic) + 1, received, body))?;
+        database.execute(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)",
+            (i64::from(*topic) + 1, received, body),
+        )?;
     }
     database.execute_batch("COMMIT")?;
     drop(database);
@@ -254,7 +282,15 @@ impl BagWriter {
         let mut out = b"#ROSBAG V2.0\n".to_vec();
         out.extend(BagWriter::bag_header(0, 0, 0));
         let trouble = Ok(());
-        BagWriter { packing, chunk_bytes: 1 << 16, connections: vec![], out, chunk: Chunk::default(), infos: vec![], trouble }
+        BagWriter {
+            packing,
+            chunk_bytes: 1 << 16,
+            connections: vec![],
+            out,
+            chunk: Chunk::default(),
+            infos: vec![],
+            trouble,
+        }
     }
 
     /// Closes chunks at another size.
@@ -266,8 +302,12 @@ impl BagWriter {
 
     /// The first record, which is filled up to 4096 bytes.
     fn bag_header(index: u64, connections: u32, chunks: u32) -> Vec<u8> {
-        let header =
-            fields(&[("op", &[3]), ("index_pos", &index.to_le_bytes()), ("conn_count", &connections.to_le_bytes()), ("chunk_count", &chunks.to_le_bytes())]);
+        let header = fields(&[
+            ("op", &[3]),
+            ("index_pos", &index.to_le_bytes()),
+            ("conn_count", &connections.to_le_bytes()),
+            ("chunk_count", &chunks.to_le_bytes()),
+        ]);
         let padding = vec![b' '; 4096 - 8 - header.len()];
         record(&header, &padding)
     }
@@ -276,7 +316,12 @@ impl BagWriter {
     pub fn connect(&mut self, topic: &str, type_name: &str) -> u32 {
         let id = self.connections.len() as u32;
         let header = fields(&[("op", &[7]), ("topic", topic.as_bytes()), ("conn", &id.to_le_bytes())]);
-        let data = fields(&[("topic", topic.as_bytes()), ("type", type_name.as_bytes()), ("md5sum", b"*"), ("message_definition", b"")]);
+        let data = fields(&[
+            ("topic", topic.as_bytes()),
+            ("type", type_name.as_bytes()),
+            ("md5sum", b"*"),
+            ("message_definition", b""),
+        ]);
         let connection = record(&header, &data);
         self.chunk.bytes.extend(&connection);
         self.connections.push(connection);
@@ -307,7 +352,10 @@ impl BagWriter {
         };
         let at = self.out.len() as u64;
         let size = (chunk.bytes.len() as u32).to_le_bytes();
-        self.out.extend(record(&fields(&[("compression", self.packing.name().as_bytes()), ("op", &[5]), ("size", &size)]), &packed));
+        self.out.extend(record(
+            &fields(&[("compression", self.packing.name().as_bytes()), ("op", &[5]), ("size", &size)]),
+            &packed,
+        ));
         let mut counts = Vec::new();
         let mut sum = 0_u32;
         for id in 0..self.connections.len() as u32 {
@@ -315,9 +363,20 @@ impl BagWriter {
             if of.is_empty() {
                 continue;
             }
-            let entries: Vec<u8> = of.iter().flat_map(|(_, t, at)| [&bag_time(*t)[..], &(*at as u32).to_le_bytes()].concat()).collect();
+            let entries: Vec<u8> = of
+                .iter()
+                .flat_map(|(_, t, at)| [&bag_time(*t)[..], &(*at as u32).to_le_bytes()].concat())
+                .collect();
             let count = (of.len() as u32).to_le_bytes();
-            self.out.extend(record(&fields(&[("op", &[4]), ("ver", &1_u32.to_le_bytes()), ("conn", &id.to_le_bytes()), ("count", &count)]), &entries));
+            self.out.extend(record(
+                &fields(&[
+                    ("op", &[4]),
+                    ("ver", &1_u32.to_le_bytes()),
+                    ("conn", &id.to_le_bytes()),
+                    ("count", &count),
+                ]),
+                &entries,
+            ));
             counts.extend([id.to_le_bytes(), count].concat());
             sum += 1;
         }
@@ -424,7 +483,14 @@ impl McapWriter {
         let id = self.counts.len() as u16;
         let encoding = if wire == Wire::Ros1 { "ros1" } else { "cdr" };
         let schema = [&(id + 1).to_le_bytes()[..], &text(type_name), &text("ros2msg"), &text("")].concat();
-        let channel = [&id.to_le_bytes()[..], &(id + 1).to_le_bytes(), &text(topic), &text(encoding), &0_u32.to_le_bytes()].concat();
+        let channel = [
+            &id.to_le_bytes()[..],
+            &(id + 1).to_le_bytes(),
+            &text(topic),
+            &text(encoding),
+            &0_u32.to_le_bytes(),
+        ]
+        .concat();
         let definition = [mcap_record(3, &schema), mcap_record(4, &channel)].concat();
         if self.chunked {
             self.chunk.extend(&definition)
@@ -439,7 +505,8 @@ impl McapWriter {
     /// Adds a message that was received at a time.
     pub fn message(&mut self, id: u16, received: i64, body: &[u8]) {
         let time = (received as u64).to_le_bytes();
-        let message = mcap_record(5, &[&id.to_le_bytes()[..], &0_u32.to_le_bytes(), &time, &time, body].concat());
+        let message =
+            mcap_record(5, &[&id.to_le_bytes()[..], &0_u32.to_le_bytes(), &time, &time, body].concat());
         self.counts[usize::from(id)] += 1;
         if !self.chunked {
             self.out.extend(message);
@@ -473,7 +540,9 @@ impl McapWriter {
         let content = [&times[..], &size, &0_u32.to_le_bytes(), &name, &packed_size, &packed].concat();
         let chunk = mcap_record(6, &content);
         let places = [(self.out.len() as u64).to_le_bytes(), (chunk.len() as u64).to_le_bytes()].concat();
-        let index = [&times[..], &places, &0_u32.to_le_bytes(), &0_u64.to_le_bytes(), &name, &packed_size, &size].concat();
+        let index =
+            [&times[..], &places, &0_u32.to_le_bytes(), &0_u64.to_le_bytes(), &name, &packed_size, &size]
+                .concat();
         self.indices.push(mcap_record(8, &index));
         self.out.extend(chunk);
     }
@@ -487,7 +556,10 @@ impl McapWriter {
         self.trouble?;
         self.out.extend(mcap_record(15, &0_u32.to_le_bytes()));
         let summary = self.out.len() as u64;
-        let counts: Vec<u8> = (0_u16..).zip(&self.counts).flat_map(|(id, count)| [&id.to_le_bytes()[..], &count.to_le_bytes()].concat()).collect();
+        let counts: Vec<u8> = (0_u16..)
+            .zip(&self.counts)
+            .flat_map(|(id, count)| [&id.to_le_bytes()[..], &count.to_le_bytes()].concat())
+            .collect();
         let channels = self.counts.len() as u32;
         let statistics = [
             &self.counts.iter().sum::<u64>().to_le_bytes()[..],

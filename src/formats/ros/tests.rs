@@ -72,7 +72,11 @@ fn bag_of(packing: Packing, messages: i64, chunk: usize) -> BagWriter {
         bag.message(id, received, &event_array(Wire::Ros1, received, (8, 6), events));
         if m % 2 == 0 {
             let values: Vec<u8> = (0..48).map(|v| v + m as u8).collect();
-            bag.message(pictures, received, &image(Wire::Ros1, received - 500_000, (8, 6), "mono8", 8, &values));
+            bag.message(
+                pictures,
+                received,
+                &image(Wire::Ros1, received - 500_000, (8, 6), "mono8", 8, &values),
+            );
         }
     }
     bag
@@ -105,7 +109,10 @@ fn ways() -> Vec<(String, Vec<u8>)> {
     }
     for packing in [Packing::None, Packing::Lz4, Packing::Zstd] {
         for wire in [Wire::Ros1, Wire::Cdr, Wire::CdrBig] {
-            ways.push((format!("mcap {packing:?} {wire:?}"), mcap_of(packing, wire, 10, 400).finish().unwrap()));
+            ways.push((
+                format!("mcap {packing:?} {wire:?}"),
+                mcap_of(packing, wire, 10, 400).finish().unwrap(),
+            ));
         }
     }
     let mut plain = McapWriter::new(Packing::None).without_chunks();
@@ -123,7 +130,11 @@ fn every_container_and_serialisation_gives_the_same_events_and_pictures() {
         let about = recording.events_about().unwrap();
         assert_eq!(about.extent, Some(Extent { width: 8, height: 6 }), "{name}");
         let pictures = recording.pictures().unwrap();
-        assert_eq!((pictures.about().colour, pictures.about().bits, pictures.about().stamps.len()), (Colour::Mono, 8, 5), "{name}");
+        assert_eq!(
+            (pictures.about().colour, pictures.about().bits, pictures.about().stamps.len()),
+            (Colour::Mono, 8, 5),
+            "{name}"
+        );
         let mut values = Vec::new();
         // Back and forth: the place within a chunk is found again.
         for frame in [0, 4, 1, 3, 2] {
@@ -190,14 +201,19 @@ fn an_empty_topic_is_no_candidate_and_of_several_the_first_is_read_with_a_note()
     assert_eq!(events(&*open(&bag.finish().unwrap())).0, [(5, 1, 1, true)]);
 
     let mut bag = BagWriter::new(Packing::None);
-    let ids = ["/left/events", "/right/events"].map(|topic| bag.connect(topic, "prophesee_event_msgs/EventArray"));
+    let ids =
+        ["/left/events", "/right/events"].map(|topic| bag.connect(topic, "prophesee_event_msgs/EventArray"));
     for (x, id) in (0..).zip(ids) {
         bag.message(id, 1, &event_array(Wire::Ros1, 1, (4, 4), &[(5, x, 1, true)]));
     }
     let bytes = bag.finish().unwrap();
     let first = open(&bytes);
     assert_eq!(events(&*first).0, [(5, 0, 1, true)]);
-    assert_eq!(first.events_about().unwrap().notes, ["events are those of /left/events; not read: /right/events (`camera` chooses)"]);
+    assert_eq!(
+        first.events_about().unwrap().notes,
+        ["events are those of /left/events; not read: \
+                                                      /right/events (`camera` chooses)"]
+    );
     assert_eq!(events(&*opened(&bytes, &declared_camera("/right/events")).unwrap()).0, [(5, 1, 1, true)]);
     assert!(opened(&bytes, &declared_camera("/up/events")).err().unwrap().found.contains("/right/events"));
 }
@@ -205,7 +221,8 @@ fn an_empty_topic_is_no_candidate_and_of_several_the_first_is_read_with_a_note()
 /// A bag of two event cameras with pictures each, and of one camera that has no events.
 fn stereo(topics: &[&str]) -> Vec<u8> {
     let mut bag = BagWriter::new(Packing::None);
-    let events = ["/davis/right/events", "/davis/left/events"].map(|topic| bag.connect(topic, "dvs_msgs/EventArray"));
+    let events =
+        ["/davis/right/events", "/davis/left/events"].map(|topic| bag.connect(topic, "dvs_msgs/EventArray"));
     for (x, id) in (0..).zip(events) {
         bag.message(id, 1, &event_array(Wire::Ros1, 1, (4, 2), &[(5, x, 1, true)]));
     }
@@ -226,11 +243,19 @@ fn pictures_are_those_of_the_camera_whose_events_are_read() {
     };
     let left = open(&stereo(&topics));
     assert_eq!((events(&*left).0[0].1, value(&left)), (1, 1.0));
-    assert!(left.events_about().unwrap().notes.contains(&"events are those of /davis/left/events; not read: /davis/right/events (`camera` chooses)".into()));
+    assert!(
+        left.events_about().unwrap().notes.contains(
+            &"events are those of /davis/left/events; not read: \
+                                                          /davis/right/events (`camera` chooses)"
+                .into()
+        )
+    );
     let notes = left.pictures().unwrap().about().notes.clone();
     assert!(
         notes.contains(
-            &"pictures are those of /davis/left/image_raw; not read: /davis/right/image_raw, /camera/color/image_raw (`frame_camera` chooses)".into()
+            &"pictures are those of /davis/left/image_raw; not read: /davis/right/image_raw, \
+              /camera/color/image_raw (`frame_camera` chooses)"
+                .into()
         ),
         "{notes:?}"
     );
@@ -242,7 +267,8 @@ fn pictures_are_those_of_the_camera_whose_events_are_read() {
     assert!(refused.found.contains("/a/image_raw") && refused.found.contains("/b/image_raw"), "{refused}");
 }
 
-/// uzh-rpg/rpg_dvs_ros#77: the driver states mono8 for the colour frames of a DAVIS346, "so the encoding is wrong and it gets the sizes wrong too".
+/// uzh-rpg/rpg_dvs_ros#77: the driver states mono8 for the colour frames of a DAVIS346, "so the encoding is
+/// wrong and it gets the sizes wrong too".
 #[test]
 fn three_channels_under_the_name_of_one_are_colour_and_padding_is_read_over() {
     let of = |encoding: &str, step: u32, values: &[u8]| {
@@ -256,7 +282,8 @@ fn three_channels_under_the_name_of_one_are_colour_and_padding_is_read_over() {
         (pictures.about().colour, read, pictures.about().notes.join("; "))
     };
     let colour: Vec<u8> = (0..24).collect();
-    let red_first: Vec<f32> = (0..8).flat_map(|k| [3 * k + 2, 3 * k + 1, 3 * k]).map(|value| value as f32).collect();
+    let red_first: Vec<f32> =
+        (0..8).flat_map(|k| [3 * k + 2, 3 * k + 1, 3 * k]).map(|value| value as f32).collect();
     for encoding in ["mono8", "8UC1", "bgr8", "8UC3"] {
         let (kind, read, notes) = of(encoding, 12, &colour);
         assert_eq!((kind, &read), (Colour::Rgb, &red_first), "{encoding}");
@@ -270,7 +297,13 @@ fn three_channels_under_the_name_of_one_are_colour_and_padding_is_read_over() {
     // A step that is no whole number of pixels, or values that are not there, is padding.
     let (kind, read, notes) = of("mono8", 6, &(0..12).collect::<Vec<u8>>());
     assert_eq!((kind, read), (Colour::Mono, vec![0.0, 1.0, 2.0, 3.0, 6.0, 7.0, 8.0, 9.0]));
-    assert!(notes.contains("rows have 6 bytes, and mono8 of 4 columns needs 4: the others are taken as padding"), "{notes}");
+    assert!(
+        notes.contains(
+            "rows have 6 bytes, and mono8 of 4 columns needs 4: the others are taken as \
+                            padding"
+        ),
+        "{notes}"
+    );
     let (kind, read, _) = of("mono16", 10, &(0..20).collect::<Vec<u8>>());
     assert_eq!((kind, read[4]), (Colour::Mono, f32::from(u16::from_le_bytes([10, 11]))));
     let (kind, read, _) = of("bayer_rggb8", 6, &(0..12).collect::<Vec<u8>>());
@@ -286,11 +319,16 @@ fn long_packets() -> (Vec<u8>, Vec<Event>) {
     let mut wanted = Vec::new();
     for packet in 0..4_000_i64 {
         let us = 3_000_000 + packet * 10_000;
-        let events: Vec<Event> = (0..3).map(|k| (us + k * 1_000, (packet % 64) as u16, k as u16, k == 1)).collect();
+        let events: Vec<Event> =
+            (0..3).map(|k| (us + k * 1_000, (packet % 64) as u16, k as u16, k == 1)).collect();
         // The host learns of a packet at least 2 ms late; how late differs.
         let late = 2_000_000 + (packet * 7919 % 1000) * 1_000 * i64::from(packet != 5);
         let stamp = EPOCH + us * 1_000 + late;
-        bag.message(id, stamp + 50_000, &event_packet(Wire::Ros1, stamp, (64, 48), (packet as u64, 0), "evt3", &evt3(&events)));
+        bag.message(
+            id,
+            stamp + 50_000,
+            &event_packet(Wire::Ros1, stamp, (64, 48), (packet as u64, 0), "evt3", &evt3(&events)),
+        );
         wanted.extend(events.iter().map(|(t, x, y, on)| (EPOCH + 2_000_000 + t * 1_000, *x, *y, *on)));
     }
     (bag.finish().unwrap(), wanted)
@@ -314,7 +352,9 @@ fn after_a_seek_no_later_event_is_missing_and_wraps_are_known() {
     let mut cursor = recording.events().unwrap();
     let mut chunk = EventChunk::default();
     let end = wanted.last().unwrap().0;
-    for t in [i64::MIN, 0, wanted[0].0, wanted[3].0, wanted[6_001].0 + 1, wanted[9_500].0, end, end + 1, i64::MAX] {
+    for t in
+        [i64::MIN, 0, wanted[0].0, wanted[3].0, wanted[6_001].0 + 1, wanted[9_500].0, end, end + 1, i64::MAX]
+    {
         cursor.seek(t).unwrap();
         let mut all: Vec<Event> = Vec::new();
         while cursor.next(&mut chunk).unwrap() {
@@ -334,7 +374,14 @@ fn missing_packets_are_reported_and_their_wraps_are_found() {
     let id = bag.connect("/cam/events", "event_camera_msgs/EventPacket");
     // 40 s between both packets: two wraps that no word shows.
     for (sequence, us) in [(0_u64, 1_000_000_i64), (9, 41_000_000)] {
-        let body = event_packet(Wire::Ros1, EPOCH + us * 1_000, (64, 48), (sequence, 0), "evt3", &evt3(&[(us, 1, 2, true)]));
+        let body = event_packet(
+            Wire::Ros1,
+            EPOCH + us * 1_000,
+            (64, 48),
+            (sequence, 0),
+            "evt3",
+            &evt3(&[(us, 1, 2, true)]),
+        );
         bag.message(id, EPOCH + us * 1_000, &body);
     }
     let recording = open(&bag.finish().unwrap());
@@ -369,7 +416,10 @@ fn other_encodings_of_packets_are_read_or_refused_by_name() {
     let t = 5_000 + 4_098_000;
     assert_eq!(events(&*recording).0, [(t, 5, 7, true), (t, 5, 8, false), (t, 5, 10, false)]);
     let refused = packet("evt9", 0, &[0; 8]).err().unwrap();
-    assert!(refused.to_string().contains("`evt9`") && refused.to_string().contains("libcaer_cmp"), "{refused}");
+    assert!(
+        refused.to_string().contains("`evt9`") && refused.to_string().contains("libcaer_cmp"),
+        "{refused}"
+    );
 }
 
 #[test]
@@ -377,7 +427,8 @@ fn triggers_of_evt3_come_to_the_same_clock() {
     let mut bag = BagWriter::new(Packing::None);
     let id = bag.connect("/cam/events", "event_camera_msgs/EventPacket");
     // An event at 100 us, then time 150 us and a rising edge on line 6.
-    let words = [evt3(&[(100, 1, 2, true)]), [0x6000 | 150_u16, 0xa601].map(u16::to_le_bytes).concat()].concat();
+    let words =
+        [evt3(&[(100, 1, 2, true)]), [0x6000 | 150_u16, 0xa601].map(u16::to_le_bytes).concat()].concat();
     bag.message(id, EPOCH, &event_packet(Wire::Ros1, EPOCH, (64, 48), (0, 0), "evt3", &words));
     let triggers = open(&bag.finish().unwrap()).triggers().unwrap();
     assert_eq!(triggers, [crate::Trigger { t: EPOCH + 50_000, line: 6, edge: crate::Edge::Rising }]);
@@ -400,10 +451,19 @@ fn values_of_pictures_follow_encoding_step_and_byte_order() {
     };
     assert_eq!(read("rgb8", (1, 1), 3, &[1, 2, 3], false).unwrap(), ("rgb", 8, vec![1.0, 2.0, 3.0]));
     assert_eq!(read("bgr8", (1, 1), 3, &[1, 2, 3], false).unwrap(), ("rgb", 8, vec![3.0, 2.0, 1.0]));
-    assert_eq!(read("bgra8", (2, 1), 8, &[1, 2, 3, 9, 4, 5, 6, 9], false).unwrap().2, [3.0, 2.0, 1.0, 6.0, 5.0, 4.0]);
-    assert_eq!(read("mono16", (1, 2), 3, &[1, 2, 9, 3, 4], false).unwrap(), ("mono", 16, vec![513.0, 1027.0]));
+    assert_eq!(
+        read("bgra8", (2, 1), 8, &[1, 2, 3, 9, 4, 5, 6, 9], false).unwrap().2,
+        [3.0, 2.0, 1.0, 6.0, 5.0, 4.0]
+    );
+    assert_eq!(
+        read("mono16", (1, 2), 3, &[1, 2, 9, 3, 4], false).unwrap(),
+        ("mono", 16, vec![513.0, 1027.0])
+    );
     assert_eq!(read("mono16", (1, 2), 3, &[1, 2, 9, 3, 4], true).unwrap().2, [258.0, 772.0]);
-    assert_eq!(read("bayer_grbg8", (2, 2), 3, &[1, 2, 9, 3, 4], false).unwrap(), ("bayer_grbg", 8, vec![1.0, 2.0, 3.0, 4.0]));
+    assert_eq!(
+        read("bayer_grbg8", (2, 2), 3, &[1, 2, 9, 3, 4], false).unwrap(),
+        ("bayer_grbg", 8, vec![1.0, 2.0, 3.0, 4.0])
+    );
     let refused = read("yuv422", (2, 1), 4, &[0; 4], false).unwrap_err();
     assert!(refused.found.contains("`yuv422`") && refused.expected.unwrap().contains("mono8"));
 }
@@ -422,7 +482,10 @@ fn a_picture_without_a_stamp_has_the_time_of_receipt_and_says_so() {
 #[test]
 fn a_recording_without_an_index_is_read_and_says_so() {
     let wanted: Vec<Event> = arrays(10).concat();
-    let files = [bag_of(Packing::Lz4, 10, 400).unfinished().unwrap(), mcap_of(Packing::Zstd, Wire::Cdr, 10, 400).unfinished().unwrap()];
+    let files = [
+        bag_of(Packing::Lz4, 10, 400).unfinished().unwrap(),
+        mcap_of(Packing::Zstd, Wire::Cdr, 10, 400).unfinished().unwrap(),
+    ];
     for bytes in files {
         let recording = open(&bytes);
         assert_eq!(events(&*recording), (wanted.clone(), 0));
@@ -453,7 +516,11 @@ fn a_file_that_is_cut_off_gives_what_is_whole() {
             }
             let (got, losses) = events(&*recording);
             assert_eq!(got, wanted[..got.len()], "cut at {length}");
-            assert!(got.len() >= most, "cut at {length}: {} events where {most} were there before", got.len());
+            assert!(
+                got.len() >= most,
+                "cut at {length}: {} events where {most} were there before",
+                got.len()
+            );
             assert!(!recording.losses().is_empty() || losses > 0, "cut at {length}");
             most = got.len();
         }
@@ -469,7 +536,8 @@ fn what_stands_around_a_damaged_chunk_is_read() {
         let mut bytes = if finished { bag.finish().unwrap() } else { bag.unfinished().unwrap() };
         // The header of the second chunk: its header length becomes nonsense.
         let needle = b"compression=lz4";
-        let second = bytes.windows(needle.len()).enumerate().filter(|(_, window)| window == needle).nth(1).unwrap().0;
+        let second =
+            bytes.windows(needle.len()).enumerate().filter(|(_, window)| window == needle).nth(1).unwrap().0;
         bytes[second - 5] = 0xff;
         let recording = open(&bytes);
         let (got, losses) = events(&*recording);
@@ -510,7 +578,10 @@ fn read_path(path: &Path) {
 
 #[test]
 fn every_changed_byte_is_survived() {
-    for (name, bytes) in ways().into_iter().filter(|(name, _)| ["bag None", "bag Lz4", "mcap Zstd Cdr"].contains(&name.as_str())) {
+    for (name, bytes) in ways()
+        .into_iter()
+        .filter(|(name, _)| ["bag None", "bag Lz4", "mcap Zstd Cdr"].contains(&name.as_str()))
+    {
         let first = if name.starts_with("bag") { 4109 } else { 0 };
         for place in (0..100).chain(first..bytes.len()).step_by(7) {
             for change in [0x01, 0xff] {

@@ -67,11 +67,13 @@ pub(crate) fn groups(contents: &Contents) -> Vec<Group> {
 /// A topic that was chosen, and a note that names the others where it was not the only one.
 pub(crate) type Chosen<'a> = Option<(&'a Group, Option<String>)>;
 
-/// Chooses among topics: the one that is `named`; the only one; of several with events the first by name; of several with pictures the one of the camera
-/// whose events are read, which shares the beginning of its name with them ([`kin`]). `None` when there is none and none is named.
+/// Chooses among topics: the one that is `named`; the only one; of several with events the first by name; of
+/// several with pictures the one of the camera whose events are read, which shares the beginning of its name
+/// with them ([`kin`]). `None` when there is none and none is named.
 ///
 /// # Errors
-/// When no topic with pictures shares a name with the events more than the others, or when the named one is not there.
+/// When no topic with pictures shares a name with the events more than the others, or when the named one is
+/// not there.
 pub(crate) fn choose<'a>(
     contents: &Contents,
     groups: &'a [Group],
@@ -85,10 +87,18 @@ pub(crate) fn choose<'a>(
     match (named, groups) {
         (Some(name), _) => match groups.iter().find(|group| trim(&group.name) == trim(name)) {
             Some(group) => Ok(Some((group, None))),
-            None if groups.is_empty() => Err(FormatError::new(&contents.path, format!("the file has no topic with {what}"), format!("leave `{field}` out"))),
+            None if groups.is_empty() => Err(FormatError::new(
+                &contents.path,
+                format!(
+                    "the file has no \
+                                                            topic with {what}"
+                ),
+                format!("leave `{field}` out"),
+            )),
             None => {
                 let found = format!("no topic with {what} is called `{name}`; there are: {}", list());
-                Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`")).undeclared(field))
+                Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`"))
+                    .undeclared(field))
             }
         },
         (None, []) => Ok(None),
@@ -100,18 +110,33 @@ pub(crate) fn choose<'a>(
             };
             let Some(group) = first else {
                 let found = format!("{} topics have {what}: {}", groups.len(), list());
-                return Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`")).undeclared(field));
+                return Err(FormatError::new(
+                    &contents.path,
+                    found,
+                    format!("name one of them as `{field}`"),
+                )
+                .undeclared(field));
             };
-            let others: Vec<&str> = groups.iter().map(|group| group.name.as_str()).filter(|name| *name != group.name).take(32).collect();
+            let others: Vec<&str> = groups
+                .iter()
+                .map(|group| group.name.as_str())
+                .filter(|name| *name != group.name)
+                .take(32)
+                .collect();
             Ok(Some((group, Some(crate::recording::not_read(what, &group.name, &others, field)))))
         }
     }
 }
 
-/// The topic with most parts of its name in front equal to those of another: /davis/left/image_raw of /davis/left/events. Of several alike the one that
-/// ends in `image_raw`, as drivers call what comes from the camera; `None` when that is not one either, or when no part is equal.
+/// The topic with most parts of its name in front equal to those of another: /davis/left/image_raw of
+/// /davis/left/events. Of several alike the one that ends in `image_raw`, as drivers call what comes from the
+/// camera; `None` when that is not one either, or when no part is equal.
 fn kin<'a>(groups: &'a [Group], name: &str) -> Option<&'a Group> {
-    let parts = |name: &str| name.trim_start_matches('/').rsplit_once('/').map_or(Vec::new(), |(front, _)| front.split('/').map(String::from).collect());
+    let parts = |name: &str| {
+        name.trim_start_matches('/')
+            .rsplit_once('/')
+            .map_or(Vec::new(), |(front, _)| front.split('/').map(String::from).collect())
+    };
     let of = parts(name);
     let shared = |group: &Group| parts(&group.name).iter().zip(&of).take_while(|(a, b)| a == b).count();
     let most = groups.iter().map(shared).max().filter(|most| *most > 0)?;
@@ -129,16 +154,25 @@ pub(crate) fn is_depth(group: &Group) -> bool {
     group.kind == Kind::CompressedImage && group.name.ends_with("/compressedDepth")
 }
 
-/// The topics with pictures among which one is chosen: depth, and compressed copies of pictures that are there as they were, only when they are named.
+/// The topics with pictures among which one is chosen: depth, and compressed copies of pictures that are
+/// there as they were, only when they are named.
 pub(crate) fn with_pictures(groups: &[Group], named: Option<&str>) -> Vec<Group> {
-    let is_sent = |group: &&Group| matches!(group.kind, Kind::Image | Kind::CompressedImage) && group.messages != Some(0);
+    let is_sent = |group: &&Group| {
+        matches!(group.kind, Kind::Image | Kind::CompressedImage) && group.messages != Some(0)
+    };
     let all: Vec<&Group> = groups.iter().filter(is_sent).collect();
-    let is_named = |group: &Group| named.is_some_and(|named| named.trim_start_matches('/') == group.name.trim_start_matches('/'));
+    let is_named = |group: &Group| {
+        named.is_some_and(|named| named.trim_start_matches('/') == group.name.trim_start_matches('/'))
+    };
     let is_copy = |group: &Group| {
         let original = group.name.strip_suffix("/compressed");
-        group.kind == Kind::CompressedImage && all.iter().any(|other| other.kind == Kind::Image && Some(other.name.as_str()) == original)
+        group.kind == Kind::CompressedImage
+            && all.iter().any(|other| other.kind == Kind::Image && Some(other.name.as_str()) == original)
     };
-    all.iter().filter(|group| is_named(group) || !is_depth(group) && !is_copy(group)).map(|group| (*group).clone()).collect()
+    all.iter()
+        .filter(|group| is_named(group) || !is_depth(group) && !is_copy(group))
+        .map(|group| (*group).clone())
+        .collect()
 }
 
 /// What the first message of an event topic says.
@@ -161,7 +195,9 @@ pub(crate) enum First {
 pub(crate) fn first(contents: &Arc<Contents>, group: &Group) -> Result<First, FormatError> {
     let mut walker = Walker::new(contents, &group.ids());
     while let Some(envelope) = walker.advance()? {
-        let Some(wire) = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body)) else { continue };
+        let Some(wire) = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body)) else {
+            continue;
+        };
         if group.kind == Kind::EventArray {
             if let Some(array) = EventArray::read(wire) {
                 return Ok(First::Array(array.extent));
@@ -179,5 +215,11 @@ pub(crate) fn first(contents: &Arc<Contents>, group: &Group) -> Result<First, Fo
 /// The refusal of packets in an encoding that is not read.
 pub(crate) fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> FormatError {
     let found = format!("packets of {} have the encoding `{encoding}`", group.name);
-    FormatError::new(&contents.path, found, "convert the topic with event_camera_tools, or record it in one of these encodings").expected(packets::NAMES)
+    FormatError::new(
+        &contents.path,
+        found,
+        "convert the topic with event_camera_tools, or record it in one \
+                                             of these encodings",
+    )
+    .expected(packets::NAMES)
 }

@@ -19,7 +19,9 @@ pub(crate) fn open_piece(contents: &Contents, index: usize) -> Result<Result<Rec
     let Some(part) = contents.parts.get(piece.file) else { return Ok(Err("there is no such file".into())) };
     let io = |error: std::io::Error| FormatError::io(&part.path, &error);
     if let Some(rows) = piece.rows {
-        return Ok(Rows::open(&part.path, &part.database, rows).map(|rows| Records::of_rows(rows, part.first_id)));
+        return Ok(
+            Rows::open(&part.path, &part.database, rows).map(|rows| Records::of_rows(rows, part.first_id))
+        );
     }
     let file = File::open(&part.path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -51,7 +53,15 @@ pub(crate) struct Walker {
 impl Walker {
     /// Before the first message.
     pub(crate) fn new(contents: &Arc<Contents>, wanted: &[u32]) -> Walker {
-        Walker { contents: contents.clone(), wanted: wanted.to_vec(), most: u64::MAX, piece: 0, records: None, body: Vec::new(), losses: Losses::default() }
+        Walker {
+            contents: contents.clone(),
+            wanted: wanted.to_vec(),
+            most: u64::MAX,
+            piece: 0,
+            records: None,
+            body: Vec::new(),
+            losses: Losses::default(),
+        }
     }
 
     /// Keeps only the first bytes of every message.
@@ -75,7 +85,10 @@ impl Walker {
     /// Where the walker stands, in bytes of the file, to a piece.
     pub(crate) fn position(&self) -> u64 {
         let before = |file: usize| self.contents.parts.get(file).map_or(0, |part| part.before);
-        self.contents.pieces.get(self.piece).map_or(self.contents.size, |piece| before(piece.file).saturating_add(piece.at))
+        self.contents
+            .pieces
+            .get(self.piece)
+            .map_or(self.contents.size, |piece| before(piece.file).saturating_add(piece.at))
     }
 
     /// The next message; its bytes are in `body`.
@@ -86,7 +99,9 @@ impl Walker {
         let contents = self.contents.clone();
         while let Some(piece) = contents.pieces.get(self.piece) {
             if self.records.is_none() {
-                let has = |id: &u32| piece.counts.as_ref().is_none_or(|counts| counts.iter().any(|(known, _)| known == id));
+                let has = |id: &u32| {
+                    piece.counts.as_ref().is_none_or(|counts| counts.iter().any(|(known, _)| known == id))
+                };
                 if !self.wanted.iter().any(has) {
                     self.piece += 1;
                     continue;
@@ -100,13 +115,17 @@ impl Walker {
             let at = records.at();
             let wanted = &self.wanted;
             match records.next(&|id| wanted.contains(&id), self.most, &mut self.body) {
-                Ok(Some(Record::Message(envelope))) if self.wanted.contains(&envelope.id) => match packed::unpack(envelope, self.most, &mut self.body) {
-                    Ok(envelope) => return Ok(Some(envelope)),
-                    Err(what) => {
-                        let at = || format!("message received at {} ns", envelope.received);
-                        self.losses.add("messages that cannot be decompressed", at, || format!("{what}; it is left out"));
+                Ok(Some(Record::Message(envelope))) if self.wanted.contains(&envelope.id) => {
+                    match packed::unpack(envelope, self.most, &mut self.body) {
+                        Ok(envelope) => return Ok(Some(envelope)),
+                        Err(what) => {
+                            let at = || format!("message received at {} ns", envelope.received);
+                            self.losses.add("messages that cannot be decompressed", at, || {
+                                format!("{what}; it is left out")
+                            });
+                        }
                     }
-                },
+                }
                 Ok(Some(_)) => {}
                 Ok(None) => {
                     self.piece += 1;
@@ -122,7 +141,11 @@ impl Walker {
     ///
     /// # Errors
     /// When the file has gone; `Ok(Err)` says why the message cannot be read any more.
-    pub(crate) fn fetch(&mut self, piece: usize, offset: u64) -> Result<Result<Envelope, String>, FormatError> {
+    pub(crate) fn fetch(
+        &mut self,
+        piece: usize,
+        offset: u64,
+    ) -> Result<Result<Envelope, String>, FormatError> {
         if self.piece != piece || self.records.as_ref().is_none_or(|records| records.at() > offset) {
             self.piece = piece;
             self.records = None;
@@ -150,8 +173,16 @@ impl Walker {
     fn lose(&mut self, what: &str, within: Option<u64>) {
         let place = self.contents.place(self.piece);
         let of_rows = self.contents.pieces.get(self.piece).is_some_and(|piece| piece.rows.is_some());
-        let within = within.map(|at| if of_rows { format!(", {at} rows on") } else { format!(", {at} bytes into its content") }).unwrap_or_default();
-        let what = format!("{what}; the messages that follow in {} are lost", if of_rows { "these rows" } else { "this chunk" });
+        let within =
+            within
+                .map(|at| {
+                    if of_rows { format!(", {at} rows on") } else { format!(", {at} bytes into its content") }
+                })
+                .unwrap_or_default();
+        let what = format!(
+            "{what}; the messages that follow in {} are lost",
+            if of_rows { "these rows" } else { "this chunk" }
+        );
         self.losses.add("chunks that are damaged", || format!("{place}{within}"), || what);
         self.piece += 1;
         self.records = None;

@@ -1,8 +1,9 @@
 //! Reads the numbers of a ROS message, one field after another, in either of its two serialisations.
 //!
-//! ROS 1 puts fields side by side, little-endian, a string or sequence after its u32 length. ROS 2 uses CDR (OMG, "Common Data Representation"): four bytes
-//! that state the byte order, then the same fields, each aligned to its own size counted from there, and strings that end in a zero byte.
-//! Every read answers `None` at the end of the bytes: nothing is allocated, nothing panics.
+//! ROS 1 puts fields side by side, little-endian, a string or sequence after its u32 length. ROS 2 uses CDR
+//! (OMG, "Common Data Representation"): four bytes that state the byte order, then the same fields, each
+//! aligned to its own size counted from there, and strings that end in a zero byte. Every read answers `None`
+//! at the end of the bytes: nothing is allocated, nothing panics.
 
 /// How a message is serialised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +38,8 @@ impl<'a> Wire<'a> {
 
     /// The first field of a CDR message; `None` when its four bytes name another representation.
     pub(crate) fn cdr(bytes: &'a [u8]) -> Option<Wire<'a>> {
-        // The second byte: 0 and 1 are CDR, 6 and 7 plain CDR of the second version; odd is little-endian. Others hold parameter lists.
+        // The second byte: 0 and 1 are CDR, 6 and 7 plain CDR of the second version; odd is little-endian.
+        // Others hold parameter lists.
         let (big, widest) = match bytes.get(..2)? {
             [0, 0] => (true, 8),
             [0, 1] => (false, 8),
@@ -106,7 +108,8 @@ impl<'a> Wire<'a> {
         self.number().map(u64::from_le_bytes)
     }
 
-    /// The next field, a time of seconds and nanoseconds, in ns. Nanoseconds of a whole second or more are kept: see [`Stamp::is_sound`].
+    /// The next field, a time of seconds and nanoseconds, in ns. Nanoseconds of a whole second or more are
+    /// kept: see [`Stamp::is_sound`].
     #[inline]
     pub(crate) fn stamp(&mut self) -> Option<Stamp> {
         let seconds = self.u32()?;
@@ -118,7 +121,8 @@ impl<'a> Wire<'a> {
         Some(Stamp { ns: seconds * 1_000_000_000 + i64::from(nanoseconds), nanoseconds })
     }
 
-    /// The next field, a string without its final zero byte, or a sequence of bytes: which of both is the caller's to say.
+    /// The next field, a string without its final zero byte, or a sequence of bytes: which of both is the
+    /// caller's to say.
     pub(crate) fn string(&mut self) -> Option<&'a [u8]> {
         let bytes = self.sequence()?;
         Some(match self.layout {

@@ -1,8 +1,11 @@
-//! Readings of one recording held against each other: another unit, offset, pixel grid, polarity or pairing, each judged by how much of the frames' change its events explain.
+//! Readings of one recording held against each other: another unit, offset, pixel grid, polarity or pairing,
+//! each judged by how much of the frames' change its events explain.
 //!
-//! A shift in time can look like much: a wrong unit, a strobe that is read upside down, a picture shifted by a pixel along its motion. So nothing is concluded from one
-//! reading alone: [`compare`] counts the same events under every [`Alternative`] and measures each on pairs of frames that its thresholds and offset were not fitted on
-//! ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their distance decide, or that nothing does ([`decided`]).
+//! A shift in time can look like much: a wrong unit, a strobe that is read upside down, a picture shifted by
+//! a pixel along its motion. So nothing is concluded from one reading alone: [`compare`] counts the same
+//! events under every [`Alternative`] and measures each on pairs of frames that its thresholds and offset
+//! were not fitted on ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their
+//! distance decide, or that nothing does ([`decided`]).
 //!
 //! ```no_run
 //! # fn f(recording: &dyn photocurrent_formats::Recording) -> Result<(), photocurrent_formats::FormatError> {
@@ -21,11 +24,13 @@
 //! # }
 //! ```
 //!
-//! A reading with an offset of its own explains whatever is a constant shift (a strobe read upside down, a stamp that means the exposure's end): hold readings without one
-//! against each other first, and let an offset be fitted where none of them is clear.
+//! A reading with an offset of its own explains whatever is a constant shift (a strobe read upside down, a
+//! stamp that means the exposure's end): hold readings without one against each other first, and let an
+//! offset be fitted where none of them is clear.
 //!
-//! Limits: no reading is preferred where nothing moves. Of a picture that moves one way, a shift along the motion and lateness explain the same; that shows as two readings close
-//! to each other. Of [`PAIRS`] pairs of frames the [`A_PAIR`] tiles that change most are evaluated.
+//! Limits: no reading is preferred where nothing moves. Of a picture that moves one way, a shift along the
+//! motion and lateness explain the same; that shows as two readings close to each other. Of [`PAIRS`] pairs
+//! of frames the [`A_PAIR`] tiles that change most are evaluated.
 
 use super::interval::Interval;
 use super::pictures::middle;
@@ -56,7 +61,8 @@ pub const LEAST_EXPLAINED: f64 = 0.05;
 /// Share of the change by which the second best must be behind, at least.
 pub const LEAST_AHEAD: f64 = 0.02;
 
-/// How the events of a recording could be meant. Nothing is changed where nothing is stated: [`Alternative::new`] is the recording as it was read.
+/// How the events of a recording could be meant. Nothing is changed where nothing is stated:
+/// [`Alternative::new`] is the recording as it was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Alternative {
     /// What it is, for reports.
@@ -65,7 +71,8 @@ pub struct Alternative {
     pub scale: f64,
     /// Then this is added, ns.
     pub offset_ns: i64,
-    /// Is an offset of up to a frame period to each side fitted too, on the half of the pairs that is not measured?
+    /// Is an offset of up to a frame period to each side fitted too, on the half of the pairs that is not
+    /// measured?
     pub fits_offset: bool,
     /// Columns and rows exchanged, before anything else is done to places.
     pub swapped: bool,
@@ -77,7 +84,8 @@ pub struct Alternative {
     pub shifted: (i32, i32),
     /// ON and OFF exchanged.
     pub inverted: bool,
-    /// Middles of the exposures of row 0 of every frame, ns, in place of those of the recording: another strobe, another pairing, another meaning of the stamp.
+    /// Middles of the exposures of row 0 of every frame, ns, in place of those of the recording: another
+    /// strobe, another pairing, another meaning of the stamp.
     pub mids_ns: Option<Arc<[i64]>>,
     /// Delay from row to row of the frames, ns, in place of the one that is recorded.
     pub row_time_ns: Option<i64>,
@@ -163,7 +171,8 @@ impl Alternative {
 
     /// A stamp in this reading.
     fn time(&self, t_ns: i64) -> i64 {
-        // A product of floats has steps of a quarter of a microsecond for clocks of the day; without a scale nothing is rounded.
+        // A product of floats has steps of a quarter of a microsecond for clocks of the day; without a scale
+        // nothing is rounded.
         let scaled = if self.scale == 1.0 { t_ns } else { (t_ns as f64 * self.scale) as i64 };
         scaled.saturating_add(self.offset_ns)
     }
@@ -172,7 +181,8 @@ impl Alternative {
 /// How much is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Much {
-    /// First and last stamp of the events as they are read, ns, where that is known: otherwise the events are read once more for it. Strays are best left out.
+    /// First and last stamp of the events as they are read, ns, where that is known: otherwise the events are
+    /// read once more for it. Strays are best left out.
     pub span_ns: Option<(i64, i64)>,
     /// Events that are read, at most.
     pub events: u64,
@@ -193,27 +203,36 @@ pub struct Scored {
     pub alternative: usize,
     /// Its name.
     pub name: String,
-    /// Share of the frames' log change that its events explain on held-out pairs of frames, with its 95 % interval; 1 = all, 0 = none.
+    /// Share of the frames' log change that its events explain on held-out pairs of frames, with its 95 %
+    /// interval; 1 = all, 0 = none.
     pub explained: Interval,
-    /// How much more the best one explains, with the interval of that difference over the same parts of the picture.
+    /// How much more the best one explains, with the interval of that difference over the same parts of the
+    /// picture.
     pub behind: Interval,
     /// Correlation of what the events predict with the change, on held-out pairs.
     pub correlation: f64,
-    /// The offset that was fitted, ns: events are later by so much, in the time of this reading; zero where none is fitted.
+    /// The offset that was fitted, ns: events are later by so much, in the time of this reading; zero where
+    /// none is fitted.
     pub late_ns: f64,
-    /// Thresholds that fit, ON and OFF, natural-log units: proportions of places of one pixel, no proposal for a sensor.
+    /// Thresholds that fit, ON and OFF, natural-log units: proportions of places of one pixel, no proposal
+    /// for a sensor.
     pub thresholds: (f64, f64),
     /// Pairs of frames that have events between them, and all that were evaluated.
     pub pairs: (usize, usize),
 }
 
-/// The best of some scored readings, best first, where it is clear: it explains something, and the second best less.
+/// The best of some scored readings, best first, where it is clear: it explains something, and the second
+/// best less.
 pub fn decided(scored: &[Scored]) -> Option<&Scored> {
     let best = scored.first().filter(|best| best.explained.ci95.0 > LEAST_EXPLAINED)?;
-    scored.get(1).is_none_or(|second| second.behind.ci95.0 > 0.0 && second.behind.value > LEAST_AHEAD).then_some(best)
+    scored
+        .get(1)
+        .is_none_or(|second| second.behind.ci95.0 > 0.0 && second.behind.value > LEAST_AHEAD)
+        .then_some(best)
 }
 
-/// The pixels on which frames and events are compared: those of the events where the frames are a whole multiple of them, otherwise those of the frames.
+/// The pixels on which frames and events are compared: those of the events where the frames are a whole
+/// multiple of them, otherwise those of the frames.
 #[derive(Clone, Copy, Debug)]
 struct Canvas {
     width: usize,
@@ -230,9 +249,13 @@ impl Canvas {
         let (f, e) = (frames.extent, events.unwrap_or(frames.extent));
         let multiple = |a: Extent, b: Extent| {
             let times = a.width / b.width.max(1);
-            (times > 0 && (b.width * times, b.height * times) == (a.width, a.height)).then_some(times as usize)
+            (times > 0 && (b.width * times, b.height * times) == (a.width, a.height))
+                .then_some(times as usize)
         };
-        let (times, divides) = (multiple(f, e).unwrap_or(1), if multiple(f, e).is_some() { 1 } else { multiple(e, f).unwrap_or(1) });
+        let (times, divides) = (
+            multiple(f, e).unwrap_or(1),
+            if multiple(f, e).is_some() { 1 } else { multiple(e, f).unwrap_or(1) },
+        );
         let (width, height) = (f.width as usize / times, f.height as usize / times);
         (width >= TILE && height >= TILE && f.pixels() <= MOST_PIXELS).then_some(Canvas {
             width,
@@ -252,7 +275,9 @@ impl Canvas {
         let mut sums = vec![0.0f32; self.width * self.height];
         for (y, values) in values.chunks_exact(row).take(self.height * self.times).enumerate() {
             let sums = &mut sums[y / self.times * self.width..][..self.width];
-            sums.iter_mut().zip(values.chunks_exact(self.times * self.channels)).for_each(|(sum, values)| *sum += values.iter().sum::<f32>());
+            sums.iter_mut()
+                .zip(values.chunks_exact(self.times * self.channels))
+                .for_each(|(sum, values)| *sum += values.iter().sum::<f32>());
         }
         let scale = 1.0 / (self.times * self.times * self.channels) as f32;
         Some(sums.into_iter().map(|sum| libm::logf((sum * scale).max(0.0) + dark.max(1e-6))).collect())
@@ -284,19 +309,34 @@ impl Canvas {
     }
 }
 
-/// Scores every alternative by the share of the frames' log change that its events explain on pairs of frames that were not fitted, best first.
+/// Scores every alternative by the share of the frames' log change that its events explain on pairs of frames
+/// that were not fitted, best first.
 ///
-/// Empty where there are no events or fewer than two pairs of frames that change, or where sizes are not known.
+/// Empty where there are no events or fewer than two pairs of frames that change, or where sizes are not
+/// known.
 ///
 /// # Errors
 /// When the file cannot be read any more. A frame that cannot be read is left out.
-pub fn compare(recording: &dyn Recording, alternatives: &[Alternative], much: &Much) -> Result<Vec<Scored>, FormatError> {
-    let (Some(pictures), Some(events)) = (recording.pictures(), recording.events_about()) else { return Ok(Vec::new()) };
+pub fn compare(
+    recording: &dyn Recording,
+    alternatives: &[Alternative],
+    much: &Much,
+) -> Result<Vec<Scored>, FormatError> {
+    let (Some(pictures), Some(events)) = (recording.pictures(), recording.events_about()) else {
+        return Ok(Vec::new());
+    };
     let about = pictures.about();
     let Some(canvas) = Canvas::of(about, much.extent.or(events.extent)) else { return Ok(Vec::new()) };
-    let Some(span) = much.span_ns.map_or_else(|| span(recording, much), |span| Ok(Some(span)))? else { return Ok(Vec::new()) };
+    let Some(span) = much.span_ns.map_or_else(|| span(recording, much), |span| Ok(Some(span)))? else {
+        return Ok(Vec::new());
+    };
     let read: Vec<i64> = about.stamps.iter().map(middle).collect();
-    let mids = |of: &Alternative| of.mids_ns.as_deref().filter(|mids| mids.len() == read.len()).map_or_else(|| read.clone(), <[i64]>::to_vec);
+    let mids = |of: &Alternative| {
+        of.mids_ns
+            .as_deref()
+            .filter(|mids| mids.len() == read.len())
+            .map_or_else(|| read.clone(), <[i64]>::to_vec)
+    };
     let chosen = pairs(alternatives, span, mids);
     // Frames: the tiles that change most, and where each lies.
     let (mut changes, mut kept, mut tile_of): (Changes, Vec<usize>, Vec<Vec<u16>>) = Default::default();
@@ -310,7 +350,11 @@ pub fn compare(recording: &dyn Recording, alternatives: &[Alternative], much: &M
         canvas.log(&values, dark)
     };
     for later in chosen {
-        let earlier = before.take().filter(|(frame, _)| frame + 1 == later).map(|(_, log)| log).or_else(|| log(later - 1));
+        let earlier = before
+            .take()
+            .filter(|(frame, _)| frame + 1 == later)
+            .map(|(_, log)| log)
+            .or_else(|| log(later - 1));
         let after = log(later);
         if let (Some(earlier), Some(after)) = (&earlier, &after) {
             let change: Vec<f32> = after.iter().zip(earlier).map(|(after, before)| after - before).collect();
@@ -327,43 +371,62 @@ pub fn compare(recording: &dyn Recording, alternatives: &[Alternative], much: &M
     for some in alternatives.chunks(AT_ONCE) {
         let made = some.iter().map(|of| {
             let mids = mids(of);
-            Trial::new(&changes, &kept.iter().map(|later| (mids[later - 1], mids[*later])).collect::<Vec<_>>(), of.fits_offset)
+            Trial::new(
+                &changes,
+                &kept.iter().map(|later| (mids[later - 1], mids[*later])).collect::<Vec<_>>(),
+                of.fits_offset,
+            )
         });
         let mut made: Vec<Trial> = made.collect();
         count(recording, &canvas, about, some, &mut made, &tile_of, much)?;
         trials.extend(made);
     }
     let Some(found) = agreements(&changes, &trials) else { return Ok(Vec::new()) };
-    let scored = |(alternative, (found, of)): (usize, (photocurrent_sensor::estimate::Agreement, &Alternative))| Scored {
-        alternative,
-        name: of.name.clone(),
-        explained: found.explained.into(),
-        behind: found.behind.into(),
-        correlation: found.correlation,
-        late_ns: found.offset_ns,
-        thresholds: found.thresholds,
-        pairs: (found.pairs, kept.len()),
-    };
+    let scored =
+        |(alternative, (found, of)): (usize, (photocurrent_sensor::estimate::Agreement, &Alternative))| {
+            Scored {
+                alternative,
+                name: of.name.clone(),
+                explained: found.explained.into(),
+                behind: found.behind.into(),
+                correlation: found.correlation,
+                late_ns: found.offset_ns,
+                thresholds: found.thresholds,
+                pairs: (found.pairs, kept.len()),
+            }
+        };
     let mut scored: Vec<Scored> = found.into_iter().zip(alternatives).enumerate().map(scored).collect();
-    scored.sort_by(|a, b| b.explained.value.total_cmp(&a.explained.value).then(a.alternative.cmp(&b.alternative)));
+    scored.sort_by(|a, b| {
+        b.explained.value.total_cmp(&a.explained.value).then(a.alternative.cmp(&b.alternative))
+    });
     Ok(scored)
 }
 
-/// The later frames of the pairs that are evaluated, rising: of every reading some, spread over the time that its events and its frames share.
-fn pairs(alternatives: &[Alternative], span_ns: (i64, i64), mids: impl Fn(&Alternative) -> Vec<i64>) -> Vec<usize> {
+/// The later frames of the pairs that are evaluated, rising: of every reading some, spread over the time that
+/// its events and its frames share.
+fn pairs(
+    alternatives: &[Alternative],
+    span_ns: (i64, i64),
+    mids: impl Fn(&Alternative) -> Vec<i64>,
+) -> Vec<usize> {
     let mut chosen = BTreeSet::new();
     for of in alternatives {
         let mids = mids(of);
         let (first, last) = (of.time(span_ns.0), of.time(span_ns.1));
-        let shares = |later: &usize| mids[*later] >= first && mids[later - 1] <= last && mids[*later] > mids[later - 1];
+        let shares = |later: &usize| {
+            mids[*later] >= first && mids[later - 1] <= last && mids[*later] > mids[later - 1]
+        };
         let shared: Vec<usize> = (1..mids.len()).filter(shares).collect();
-        chosen.extend((0..PROPOSED.min(shared.len())).map(|n| shared[n * shared.len() / PROPOSED.min(shared.len())]));
+        chosen.extend(
+            (0..PROPOSED.min(shared.len())).map(|n| shared[n * shared.len() / PROPOSED.min(shared.len())]),
+        );
     }
     let chosen: Vec<usize> = chosen.into_iter().collect();
     (0..PAIRS.min(chosen.len())).map(|n| chosen[n * chosen.len() / PAIRS.min(chosen.len())]).collect()
 }
 
-/// The tiles of a pair that change most, each with its part of the picture; and of each tile of the picture its number among them.
+/// The tiles of a pair that change most, each with its part of the picture; and of each tile of the picture
+/// its number among them.
 fn tiles(canvas: &Canvas, change: &[f32]) -> (Vec<(usize, Vec<f32>)>, Vec<u16>) {
     let cells = canvas.across() * (canvas.height / TILE);
     let mut sizes: Vec<(f32, usize)> = Vec::new();
@@ -405,7 +468,10 @@ fn span(recording: &dyn Recording, much: &Much) -> Result<Option<(i64, i64)>, Fo
     }
     stamps.sort_unstable();
     let few = stamps.len() / 1000;
-    Ok(stamps.get(few).copied().zip(stamps.len().checked_sub(few + 1).and_then(|last| stamps.get(last)).copied()))
+    Ok(stamps
+        .get(few)
+        .copied()
+        .zip(stamps.len().checked_sub(few + 1).and_then(|last| stamps.get(last)).copied()))
 }
 
 /// Counts the events of the recording under some readings.
@@ -418,7 +484,10 @@ fn count(
     tile_of: &[Vec<u16>],
     much: &Much,
 ) -> Result<(), FormatError> {
-    let row_times: Vec<i64> = alternatives.iter().map(|of| of.row_time_ns.or(about.row_time_ns).unwrap_or(0).saturating_mul(canvas.times as i64)).collect();
+    let row_times: Vec<i64> = alternatives
+        .iter()
+        .map(|of| of.row_time_ns.or(about.row_time_ns).unwrap_or(0).saturating_mul(canvas.times as i64))
+        .collect();
     let mut put = |(x, y): (u16, u16), stamp: i64, earlier: i64, is_on: bool| {
         for ((of, trial), row_time_ns) in alternatives.iter().zip(trials.iter_mut()).zip(&row_times) {
             let Some((x, y)) = canvas.place(of, x, y) else { continue };
@@ -429,9 +498,15 @@ fn count(
             // The time from event to event scales with the stamps, up to a quarter of the frame period.
             let most = trial.period_ns() / 4;
             let earlier = ((earlier as f64 * of.scale) as i64).min(most);
-            let t = of.time(stamp).saturating_sub(earlier).saturating_sub(row_time_ns.saturating_mul(y as i64));
+            let t =
+                of.time(stamp).saturating_sub(earlier).saturating_sub(row_time_ns.saturating_mul(y as i64));
             let pixel = y % TILE * TILE + x % TILE;
-            trial.event(t, is_on != of.inverted, |pair| tile_of[pair].get(cell).filter(|tile| **tile != u16::MAX).map(|tile| (usize::from(*tile), pixel)));
+            trial.event(t, is_on != of.inverted, |pair| {
+                tile_of[pair]
+                    .get(cell)
+                    .filter(|tile| **tile != u16::MAX)
+                    .map(|tile| (usize::from(*tile), pixel))
+            });
         }
     };
     // Pixels by the coordinates that are stored: those of an unknown array are many, and are folded together.

@@ -71,13 +71,17 @@ impl Recording for Made {
     }
 }
 
-/// Logarithm of the light over its mean: waves of several lengths, in the lower half the other way unless all moves one way.
+/// Logarithm of the light over its mean: waves of several lengths, in the lower half the other way unless all
+/// moves one way.
 fn log_light(x: i64, y: i64, t_us: i64, is_one_way: bool) -> f64 {
     let s = t_us as f64 * 1e-6;
     let way = if is_one_way || y < HEIGHT / 2 { 1.0 } else { -1.0 };
     let (x, y) = (x as f64 - way * 150.0 * s, y as f64 + way * 60.0 * s);
     let wave = |a: f64, b: f64, phase: f64| libm::sin(a * x + b * y + phase);
-    0.3 * wave(0.41, 0.23, 0.0) + 0.2 * wave(0.17, -0.39, 1.0) + 0.2 * wave(-0.13, 0.61, 2.0) + 0.1 * wave(0.9, 0.3, 0.5)
+    0.3 * wave(0.41, 0.23, 0.0)
+        + 0.2 * wave(0.17, -0.39, 1.0)
+        + 0.2 * wave(-0.13, 0.61, 2.0)
+        + 0.1 * wave(0.9, 0.3, 0.5)
 }
 
 /// The scene, read as it is.
@@ -103,11 +107,25 @@ fn scene(is_one_way: bool, is_still: bool) -> Made {
     let mut chunk = EventChunk::default();
     events.into_iter().for_each(|(t, x, y, is_on)| chunk.push(1_000 * t, x as u16, y as u16, is_on));
     let start = |frame: i64| (10_000 + frame * PERIOD_US) * 1_000;
-    let stamp = |frame| FrameStamp { at: start(frame), exposure: Some((start(frame), start(frame) + EXPOSURE_US * 1_000)) };
-    let value = |frame: i64, x, y| (110.0 * libm::exp(at(x, y, start(frame) / 1_000 + EXPOSURE_US / 2))).round() as f32;
-    let picture = |frame| (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))).map(|(x, y)| value(frame, x, y)).collect();
+    let stamp = |frame| FrameStamp {
+        at: start(frame),
+        exposure: Some((start(frame), start(frame) + EXPOSURE_US * 1_000)),
+    };
+    let value = |frame: i64, x, y| {
+        (110.0 * libm::exp(at(x, y, start(frame) / 1_000 + EXPOSURE_US / 2))).round() as f32
+    };
+    let picture = |frame| {
+        (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))).map(|(x, y)| value(frame, x, y)).collect()
+    };
     Made {
-        about: EventsAbout { extent: Some(extent), tick_ns: 1000, count: None, has_t_in: false, stamps: "u64 microseconds".into(), notes: Vec::new() },
+        about: EventsAbout {
+            extent: Some(extent),
+            tick_ns: 1000,
+            count: None,
+            has_t_in: false,
+            stamps: "u64 microseconds".into(),
+            notes: Vec::new(),
+        },
         events: chunk,
         frames: FramesAbout {
             extent,
@@ -139,7 +157,8 @@ fn stored(made: &Made, event: impl Fn(i64, i64, i64) -> (i64, i64, i64)) -> Made
 /// As read, and everything that the other cases are; each with an offset of its own.
 fn alternatives(made: &Made) -> Vec<Alternative> {
     // An active-low strobe: the picture is exposed while the line is low.
-    let flipped = made.frames.stamps.iter().map(|stamp| middle(stamp).saturating_add(PERIOD_US * 500)).collect();
+    let flipped =
+        made.frames.stamps.iter().map(|stamp| middle(stamp).saturating_add(PERIOD_US * 500)).collect();
     let all = [
         Alternative::new("as read"),
         Alternative::new("milliseconds"),
@@ -196,20 +215,30 @@ fn a_recording_that_is_read_well_stays_as_it_is() {
     let all = scored(&made);
     let (first, second) = (&all[0], &all[1]);
     // A fitted offset has nothing to add: both are near each other, and the offset near none.
-    assert!(["as read", "late"].contains(&first.name.as_str()) && ["as read", "late"].contains(&second.name.as_str()), "{all:#?}");
-    assert!(first.explained.value > 0.6 && second.behind.value < 0.05 && all[2].behind.ci95.0 > 0.2, "{all:#?}");
+    assert!(
+        ["as read", "late"].contains(&first.name.as_str())
+            && ["as read", "late"].contains(&second.name.as_str()),
+        "{all:#?}"
+    );
+    assert!(
+        first.explained.value > 0.6 && second.behind.value < 0.05 && all[2].behind.ci95.0 > 0.2,
+        "{all:#?}"
+    );
     let late = all.iter().find(|one| one.name == "late").unwrap();
     assert!(late.late_ns.abs() < 1.5e6, "{late:?}");
     // With one of the two alone the answer is clear.
     let without: Vec<Alternative> = alternatives(&made).into_iter().filter(|of| of.name != "late").collect();
-    let found = compare(&made, &without, &Much { span_ns: Some((0, 260_000_000)), ..Much::default() }).unwrap();
+    let found =
+        compare(&made, &without, &Much { span_ns: Some((0, 260_000_000)), ..Much::default() }).unwrap();
     assert_eq!(decided(&found).map(|best| best.alternative), Some(0), "{found:#?}");
 }
 
 #[test]
 fn a_strobe_that_is_read_upside_down_is_not_the_offset_that_would_make_up_for_it() {
     let mut made = scene(false, false);
-    made.frames.stamps.iter_mut().for_each(|stamp| stamp.exposure = stamp.exposure.map(|(start, end)| (start - PERIOD_US * 500, end - PERIOD_US * 500)));
+    made.frames.stamps.iter_mut().for_each(|stamp| {
+        stamp.exposure = stamp.exposure.map(|(start, end)| (start - PERIOD_US * 500, end - PERIOD_US * 500))
+    });
     let fixed: Vec<Alternative> = alternatives(&made).into_iter().filter(|of| !of.fits_offset).collect();
     let found = compare(&made, &fixed, &Much::default()).unwrap();
     assert_eq!(decided(&found).map(|best| best.name.as_str()), Some("other frames"), "{found:#?}");
@@ -223,7 +252,11 @@ fn a_strobe_that_is_read_upside_down_is_not_the_offset_that_would_make_up_for_it
 fn where_all_moves_one_way_a_shift_is_close_to_lateness() {
     // At 150 pixels a second, 8 ms late is 1.2 pixels behind.
     let made = stored(&scene(true, false), |t, x, y| (t + 8_000_000, x, y));
-    let three = [Alternative::new("shifted").shifted(1, 0), Alternative::new("late").fitting_offset(), Alternative::new("as read")];
+    let three = [
+        Alternative::new("shifted").shifted(1, 0),
+        Alternative::new("late").fitting_offset(),
+        Alternative::new("as read"),
+    ];
     let found = compare(&made, &three, &Much::default()).unwrap();
     assert_eq!((found[0].name.as_str(), found[2].name.as_str()), ("late", "as read"), "{found:#?}");
     assert!(found[1].behind.value < 0.6 * found[2].behind.value, "{found:#?}");
@@ -249,6 +282,10 @@ fn what_does_not_move_or_has_no_frames_decides_nothing() {
     few.frames.stamps.truncate(1);
     assert_eq!(scored(&few), []);
     // Spans that a file only claims: nothing is allocated for them.
-    wide.frames.stamps.iter_mut().zip([i64::MIN, -5, 0, i64::MAX / 2, i64::MAX]).for_each(|(stamp, at)| *stamp = FrameStamp { at, exposure: None });
+    wide.frames
+        .stamps
+        .iter_mut()
+        .zip([i64::MIN, -5, 0, i64::MAX / 2, i64::MAX])
+        .for_each(|(stamp, at)| *stamp = FrameStamp { at, exposure: None });
     assert!(decided(&scored(&wide)).is_none_or(|best| best.explained.value <= 1.0));
 }

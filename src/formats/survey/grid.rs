@@ -1,7 +1,8 @@
-//! Whether events and frames lie on one pixel grid, where their sizes agree: patches of the busiest parts of some pairs of frames, with the events of each pixel.
+//! Whether events and frames lie on one pixel grid, where their sizes agree: patches of the busiest parts of
+//! some pairs of frames, with the events of each pixel.
 //!
-//! [`photocurrent_sensor::estimate::displacement`] holds the two against each other. Limits: of [`PAIRS`] pairs the [`A_PAIR`] patches that change most; frames must
-//! have the events' pixels or a whole multiple.
+//! [`photocurrent_sensor::estimate::displacement`] holds the two against each other. Limits: of [`PAIRS`]
+//! pairs the [`A_PAIR`] patches that change most; frames must have the events' pixels or a whole multiple.
 
 use super::interval::Interval;
 use crate::recording::FramesAbout;
@@ -15,7 +16,8 @@ pub const PAIRS: usize = 24;
 pub const A_PAIR: usize = 48;
 /// Steps of time from frame to frame.
 const STEPS: i64 = 16;
-/// Offsets in time to each side of the best one of the whole picture at which a shift is looked for, and their distance as a part of the frame period.
+/// Offsets in time to each side of the best one of the whole picture at which a shift is looked for, and
+/// their distance as a part of the frame period.
 const AROUND: i64 = 3;
 /// See [`AROUND`].
 const OFFSET_STEP: f64 = 0.125;
@@ -29,7 +31,8 @@ pub struct GridSurvey {
     pub right_px: Interval,
     /// Event pixels by which it lies below.
     pub down_px: Interval,
-    /// Correlation at that shift and the offset in time that suits it best, and without a shift at the offset that suits that best.
+    /// Correlation at that shift and the offset in time that suits it best, and without a shift at the offset
+    /// that suits that best.
     pub correlation: (f64, f64),
     /// Whole pixels right and down that agree best at the latter offset, and the correlation there.
     pub at_one_offset: ((i32, i32), f64),
@@ -61,14 +64,31 @@ pub(super) struct Grid {
 
 impl Grid {
     /// For pairs of frames (the later one, and the middles of both exposures); none where sizes do not agree.
-    pub(super) fn new(about: &FramesAbout, events: Extent, pairs: &[(usize, i64, i64)], period_ns: i64) -> Option<Grid> {
+    pub(super) fn new(
+        about: &FramesAbout,
+        events: Extent,
+        pairs: &[(usize, i64, i64)],
+        period_ns: i64,
+    ) -> Option<Grid> {
         let times = about.extent.width / events.width.max(1);
-        if times == 0 || (events.width * times, events.height * times) != (about.extent.width, about.extent.height) || pairs.is_empty() {
+        if times == 0
+            || (events.width * times, events.height * times) != (about.extent.width, about.extent.height)
+            || pairs.is_empty()
+        {
             return None;
         }
         let every = pairs.len().div_ceil(PAIRS);
         let wanted = pairs.iter().copied().step_by(every).collect();
-        Some(Grid { events, times: times as usize, channels: about.colour.channels() as usize, dark: 0.0, period_ns, wanted, before: None, pairs: Vec::new() })
+        Some(Grid {
+            events,
+            times: times as usize,
+            channels: about.colour.channels() as usize,
+            dark: 0.0,
+            period_ns,
+            wanted,
+            before: None,
+            pairs: Vec::new(),
+        })
     }
 
     /// Takes the values of a frame; `dark` is added before the logarithm.
@@ -114,13 +134,18 @@ impl Grid {
 
     /// The patches of a pair that change most.
     fn pair(&self, change: &[f32], mids_ns: (i64, i64)) -> Pair {
-        let (width, height, across) = (self.events.width as usize, self.events.height as usize, self.across());
+        let (width, height, across) =
+            (self.events.width as usize, self.events.height as usize, self.across());
         let down = height / SIDE;
         let fits = |cell: usize, of: usize| cell * SIDE >= REACH && (cell + 1) * SIDE + REACH <= of;
         let mut cells: Vec<(f32, usize, Vec<f32>)> = Vec::new();
-        for cell in (0..across * down).filter(|cell| fits(cell % across, width) && fits(cell / across, height)) {
+        for cell in
+            (0..across * down).filter(|cell| fits(cell % across, width) && fits(cell / across, height))
+        {
             let (left, top) = (cell % across * SIDE - REACH, cell / across * SIDE - REACH);
-            let patch: Vec<f32> = (0..FRAME_SIDE).flat_map(|y| change[(top + y) * width + left..][..FRAME_SIDE].iter().copied()).collect();
+            let patch: Vec<f32> = (0..FRAME_SIDE)
+                .flat_map(|y| change[(top + y) * width + left..][..FRAME_SIDE].iter().copied())
+                .collect();
             let mean = patch.iter().sum::<f32>() / patch.len() as f32;
             let size = patch.iter().map(|change| (change - mean) * (change - mean)).sum::<f32>();
             if size.is_finite() {
@@ -154,7 +179,11 @@ impl Grid {
         // Pairs are in order of time, and no four of them overlap.
         let after = self.pairs.partition_point(|pair| pair.start_ns <= t_ns);
         for pair in self.pairs[after.saturating_sub(4)..after].iter_mut().filter(|pair| t_ns <= pair.end_ns) {
-            if let Some(patch) = pair.patch_of.get(row * across + column).and_then(|patch| pair.patches.get_mut(usize::from(*patch))) {
+            if let Some(patch) = pair
+                .patch_of
+                .get(row * across + column)
+                .and_then(|patch| pair.patches.get_mut(usize::from(*patch)))
+            {
                 patch.event(t_ns, x % SIDE, y % SIDE, is_on);
             }
         }
@@ -163,7 +192,8 @@ impl Grid {
     /// What they show, with events later than frames by about `offset_ns`.
     pub(super) fn survey(self, offset_ns: f64) -> Option<GridSurvey> {
         let patches: Vec<Patch> = self.pairs.into_iter().flat_map(|pair| pair.patches).collect();
-        let offsets: Vec<f64> = (-AROUND..=AROUND).map(|n| offset_ns + n as f64 * OFFSET_STEP * self.period_ns as f64).collect();
+        let offsets: Vec<f64> =
+            (-AROUND..=AROUND).map(|n| offset_ns + n as f64 * OFFSET_STEP * self.period_ns as f64).collect();
         displacement(&patches, &offsets).map(|found| GridSurvey {
             right_px: found.right.into(),
             down_px: found.down.into(),

@@ -1,7 +1,7 @@
 //! Trigger lines: do edges come in pairs, and at even times?
 //!
-//! A line that follows a shutter goes up and down in turn. Two edges of one kind in a row mean that one was missed; a pair that is far from the usual
-//! period means that a whole pulse was.
+//! A line that follows a shutter goes up and down in turn. Two edges of one kind in a row mean that one was
+//! missed; a pair that is far from the usual period means that a whole pulse was.
 
 use super::pictures::Spread;
 use crate::chunk::{Edge, Trigger};
@@ -38,19 +38,28 @@ pub fn survey(triggers: &[Trigger]) -> Vec<LineSurvey> {
 
 fn one(line: u16, mut edges: Vec<Trigger>) -> LineSurvey {
     edges.sort_by_key(|trigger| trigger.t);
-    let of = |edge: Edge| edges.iter().filter(|trigger| trigger.edge == edge).map(|trigger| trigger.t).collect::<Vec<i64>>();
+    let of = |edge: Edge| {
+        edges.iter().filter(|trigger| trigger.edge == edge).map(|trigger| trigger.t).collect::<Vec<i64>>()
+    };
     let (rising, falling) = (of(Edge::Rising), of(Edge::Falling));
     let beats = if rising.is_empty() { &falling } else { &rising };
     let periods: Vec<i64> = beats.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     let period = Spread::of(periods.clone());
     let usual = period.map_or(i64::MAX, |period| period.median_ns) as f64;
     let has_both = !rising.is_empty() && !falling.is_empty();
-    let highs = edges.windows(2).filter(|pair| (pair[0].edge, pair[1].edge) == (Edge::Rising, Edge::Falling)).map(|pair| pair[1].t.saturating_sub(pair[0].t));
+    let highs = edges
+        .windows(2)
+        .filter(|pair| (pair[0].edge, pair[1].edge) == (Edge::Rising, Edge::Falling))
+        .map(|pair| pair[1].t.saturating_sub(pair[0].t));
     LineSurvey {
         line,
         rising: rising.len() as u64,
         falling: falling.len() as u64,
-        unpaired: if has_both { edges.windows(2).filter(|pair| pair[0].edge == pair[1].edge).count() as u64 } else { 0 },
+        unpaired: if has_both {
+            edges.windows(2).filter(|pair| pair[0].edge == pair[1].edge).count() as u64
+        } else {
+            0
+        },
         period,
         high: Spread::of(highs.collect()),
         gaps: periods.iter().filter(|period| **period as f64 > 1.5 * usual).count() as u64,
@@ -64,8 +73,10 @@ mod tests {
 
     #[test]
     fn a_missed_edge_and_a_missed_pulse_show() {
-        let mut edges: Vec<Trigger> =
-            (0..10).flat_map(|k| [(k * 100, Edge::Rising), (k * 100 + 20, Edge::Falling)]).map(|(t, edge)| Trigger { t, line: 3, edge }).collect();
+        let mut edges: Vec<Trigger> = (0..10)
+            .flat_map(|k| [(k * 100, Edge::Rising), (k * 100 + 20, Edge::Falling)])
+            .map(|(t, edge)| Trigger { t, line: 3, edge })
+            .collect();
         assert_eq!(survey(&edges)[0].unpaired, 0);
         edges.drain(10..12);
         edges.remove(3);

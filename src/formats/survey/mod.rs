@@ -1,7 +1,7 @@
 //! One pass over a recording: everything about it that a person, or [`crate::hazard`], wants to know.
 //!
-//! Events are read once, in pieces, frames by index; memory does not grow with the recording. What is known about hazards is not decided here: this counts, and
-//! [`crate::hazard::findings`] judges.
+//! Events are read once, in pieces, frames by index; memory does not grow with the recording. What is known
+//! about hazards is not decided here: this counts, and [`crate::hazard::findings`] judges.
 //!
 //! - [`stamps`]: the step that stamps really have, equal ones, time that goes back.
 //! - [`rate`]: events over time.
@@ -11,9 +11,11 @@
 //! - [`lines`]: trigger edges.
 //! - [`grid`]: whether events and frames lie on one pixel grid.
 //! - [`alternatives`]: units, offsets, mirrored pictures and pairings held against each other.
-//! - [`lag`]: what frames and events say of the same change: how late events are, and whether their clocks drift apart.
+//! - [`lag`]: what frames and events say of the same change: how late events are, and whether their clocks
+//!   drift apart.
 //!
-//! Limits: values of up to 64 frames are looked at ([`Most`]), spread over the recording; counters of single pixels up to sixteen million of them.
+//! Limits: values of up to 64 frames are looked at ([`Most`]), spread over the recording; counters of single
+//! pixels up to sixteen million of them.
 
 pub mod alternatives;
 pub mod grid;
@@ -164,12 +166,23 @@ impl From<Loss> for LossSurvey {
     }
 }
 
-/// Reads a recording once. `progress` is called now and then with the part of the events that is read, 0 to 1.
+/// Reads a recording once. `progress` is called now and then with the part of the events that is read, 0 to
+/// 1.
 ///
 /// # Errors
 /// When the file cannot be read any more. What is damaged is no error: it stands in [`Survey::losses`].
-pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress: impl FnMut(f64)) -> Result<Survey, FormatError> {
-    let mut found = Survey { format: format.to_owned(), has_sensor: recording.sensor_text().is_some(), facts: recording.facts(), ..Survey::default() };
+pub fn survey(
+    recording: &dyn Recording,
+    format: &str,
+    most: &Most,
+    mut progress: impl FnMut(f64),
+) -> Result<Survey, FormatError> {
+    let mut found = Survey {
+        format: format.to_owned(),
+        has_sensor: recording.sensor_text().is_some(),
+        facts: recording.facts(),
+        ..Survey::default()
+    };
     let mut losses = recording.losses();
     let (mut phase, mut panel) = (None, None);
     let extent = recording.events_about().and_then(|about| about.extent);
@@ -178,13 +191,21 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress
         let mut frames = pictures::times(about);
         let chosen = pictures::chosen(about.stamps.len(), most.frames);
         let has_events = recording.events_about().is_some();
-        let mut building = has_events.then(|| Panel::new(about, extent, &chosen, &stated(recording))).flatten();
+        let mut building =
+            has_events.then(|| Panel::new(about, extent, &chosen, &stated(recording))).flatten();
         frames.values = pictures::read(&*pictures, &chosen, |frame, values| {
             if let Some(panel) = &mut building {
                 panel.picture(frame, values);
             }
         });
-        phase = has_events.then(|| Phase::new(about.stamps.iter().map(pictures::begins).collect(), extent.unwrap_or(about.extent))).flatten();
+        phase = has_events
+            .then(|| {
+                Phase::new(
+                    about.stamps.iter().map(pictures::begins).collect(),
+                    extent.unwrap_or(about.extent),
+                )
+            })
+            .flatten();
         panel = building;
         found.frames = Some(frames);
     }
@@ -213,9 +234,11 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress
     Ok(found)
 }
 
-/// What the description that travels with a recording states about time; nothing of one with a mistake, which its reader reports.
+/// What the description that travels with a recording states about time; nothing of one with a mistake, which
+/// its reader reports.
 fn stated(recording: &dyn Recording) -> Stated {
-    let parsed = recording.sensor_text().and_then(|text| Sensor::parse(&Source::new("sensor", "", text)).ok());
+    let parsed =
+        recording.sensor_text().and_then(|text| Sensor::parse(&Source::new("sensor", "", text)).ok());
     let Some(sensor) = parsed else { return Stated::default() };
     let seconds = |of: photocurrent_core::quantity::Duration| of.ns() as f64 * 1e-9;
     // Without a photocurrent that frames show there is no light to take the time constant at.
@@ -242,7 +265,15 @@ struct Counted {
 impl Counted {
     fn new(tick_ns: i64, has_t_in: bool) -> Counted {
         let in_pixel = has_t_in.then_some((0, i64::MAX, 0.0, i64::MIN));
-        Counted { count: 0, on: 0, span: None, rate: Rate::new(), stamps: Stamps::new(tick_ns), places: Places::new(), in_pixel }
+        Counted {
+            count: 0,
+            on: 0,
+            span: None,
+            rate: Rate::new(),
+            stamps: Stamps::new(tick_ns),
+            places: Places::new(),
+            in_pixel,
+        }
     }
 
     fn add(&mut self, chunk: &EventChunk, mut phase: Option<&mut Phase>, mut panel: Option<&mut Panel>) {
@@ -280,7 +311,10 @@ impl Counted {
             rate: self.rate.survey(),
             stamps: self.stamps.survey(),
             places: if self.count > 0 { self.places.survey(extent) } else { PlacesSurvey::default() },
-            in_pixel: in_pixel.map(|(early, least, sum, most)| InPixelSurvey { early, latency_ns: (least, sum / self.count as f64, most) }),
+            in_pixel: in_pixel.map(|(early, least, sum, most)| InPixelSurvey {
+                early,
+                latency_ns: (least, sum / self.count as f64, most),
+            }),
             ..EventsSurvey::default()
         }
     }

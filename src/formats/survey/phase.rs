@@ -1,8 +1,10 @@
 //! Events in step with the frames.
 //!
-//! In a camera that takes frames and events with one photodiode, the switching of the frame path can fire pixels: bursts of one sign, at the same time in
-//! every frame. So the time from each frame's stamp to the next is cut into bins, and events are counted by bin, frame by frame. What a scene does is
-//! at another place in the next frame; what is at one place in nearly all is the sensor's, or a simulator's that works frame by frame.
+//! In a camera that takes frames and events with one photodiode, the switching of the frame path can fire
+//! pixels: bursts of one sign, at the same time in every frame. So the time from each frame's stamp to the
+//! next is cut into bins, and events are counted by bin, frame by frame. What a scene does is at another
+//! place in the next frame; what is at one place in nearly all is the sensor's, or a simulator's that works
+//! frame by frame.
 
 use super::readout::{Readout, ReadoutSurvey};
 use photocurrent_core::Extent;
@@ -20,7 +22,8 @@ pub struct PhaseSurvey {
     pub frames: u64,
     /// Length of a bin, ns, at the middle period.
     pub bin_ns: i64,
-    /// Share of a frame's events in each bin, mean over the frames, times the number of bins: 1 everywhere where nothing is in step.
+    /// Share of a frame's events in each bin, mean over the frames, times the number of bins: 1 everywhere
+    /// where nothing is in step.
     pub profile: Vec<f64>,
     /// Share of ON events in each bin.
     pub on_share: Vec<f64>,
@@ -50,7 +53,8 @@ pub(super) struct Phase {
 }
 
 impl Phase {
-    /// With the instants at which frames begin, and the pixels whose rows are distinguished; none when there are too few frames to be in step with.
+    /// With the instants at which frames begin, and the pixels whose rows are distinguished; none when there
+    /// are too few frames to be in step with.
     pub(super) fn new(mut starts: Vec<i64>, extent: Extent) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();
@@ -112,7 +116,8 @@ impl Phase {
         if self.frames < 2 {
             return None;
         }
-        let mut periods: Vec<i64> = self.starts.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+        let mut periods: Vec<i64> =
+            self.starts.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
         periods.sort_unstable();
         let profile: Vec<f64> = self.sums.iter().map(|sum| sum / self.frames as f64).collect();
         let peak = (0..PHASES).max_by(|a, b| profile[*a].total_cmp(&profile[*b])).unwrap_or(0);
@@ -125,9 +130,17 @@ impl Phase {
             peak_sigma,
             frames: self.frames,
             bin_ns: periods[periods.len() / 2] / PHASES as i64,
-            on_share: self.on.iter().zip(&self.all).map(|(on, all)| *on as f64 / (*all).max(1) as f64).collect(),
+            on_share: self
+                .on
+                .iter()
+                .zip(&self.all)
+                .map(|(on, all)| *on as f64 / (*all).max(1) as f64)
+                .collect(),
             peak_frames: self.over[peak],
-            readout: self.readout.as_ref().map_or_else(Vec::new, |readout| readout.survey(periods[periods.len() / 2] as f64)),
+            readout: self
+                .readout
+                .as_ref()
+                .map_or_else(Vec::new, |readout| readout.survey(periods[periods.len() / 2] as f64)),
             profile,
             peak,
         })
@@ -162,6 +175,9 @@ mod tests {
             (0..600).for_each(|k| phase.add(frame * 6_400 + frame * 100 + k % 100, 3, 1));
         }
         let found = phase.survey().unwrap();
-        assert!(found.peak_frames <= 1 && found.profile.iter().all(|over| (over - 1.0).abs() < 1e-9), "{found:?}");
+        assert!(
+            found.peak_frames <= 1 && found.profile.iter().all(|over| (over - 1.0).abs() < 1e-9),
+            "{found:?}"
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! Frames: their times, and values of some of them.
 //!
-//! Times are those of every frame. Values are read from up to [`Most::frames`] frames: all of a short recording, otherwise runs of neighbours spread evenly
-//! over it, so that pictures that are there twice show.
+//! Times are those of every frame. Values are read from up to [`Most::frames`] frames: all of a short
+//! recording, otherwise runs of neighbours spread evenly over it, so that pictures that are there twice show.
 
 use crate::error::FormatError;
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
@@ -29,7 +29,11 @@ impl Spread {
     /// Of some times; none of none.
     pub fn of(mut times: Vec<i64>) -> Option<Spread> {
         times.sort_unstable();
-        Some(Spread { min_ns: *times.first()?, median_ns: times[(times.len() - 1) / 2], max_ns: *times.last()? })
+        Some(Spread {
+            min_ns: *times.first()?,
+            median_ns: times[(times.len() - 1) / 2],
+            max_ns: *times.last()?,
+        })
     }
 }
 
@@ -67,7 +71,8 @@ pub struct ValuesSurvey {
     pub mean: f64,
     /// Largest finite value.
     pub max: f64,
-    /// Share of the finite values at the largest one, where so many are there that they look clipped; otherwise 0.
+    /// Share of the finite values at the largest one, where so many are there that they look clipped;
+    /// otherwise 0.
     pub clipped_share: f64,
     /// Frames in which every value is the same.
     pub constant: Vec<usize>,
@@ -132,7 +137,8 @@ pub(super) fn middle(stamp: &FrameStamp) -> i64 {
     stamp.exposure.map_or(stamp.at, |(start, end)| start.saturating_add(end.saturating_sub(start) / 2))
 }
 
-/// Which of `count` frames are read when at most `most` may be: runs of neighbours from the first to the last.
+/// Which of `count` frames are read when at most `most` may be: runs of neighbours from the first to the
+/// last.
 pub fn chosen(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -156,17 +162,25 @@ pub fn chosen(count: usize, most: usize) -> Vec<usize> {
 /// Times and notes; values are filled in by [`Values`].
 pub(super) fn times(about: &FramesAbout) -> FramesSurvey {
     let stamps = &about.stamps;
-    let periods: Vec<i64> = stamps.windows(2).map(|pair| begins(&pair[1]).saturating_sub(begins(&pair[0]))).collect();
+    let periods: Vec<i64> =
+        stamps.windows(2).map(|pair| begins(&pair[1]).saturating_sub(begins(&pair[0]))).collect();
     let exposures: Vec<(i64, i64)> = stamps.iter().filter_map(|stamp| stamp.exposure).collect();
     let first = stamps.iter().map(begins).min();
-    let last = stamps.iter().map(|stamp| stamp.exposure.map_or(stamp.at, |exposure| exposure.1.max(exposure.0))).max();
+    let last = stamps
+        .iter()
+        .map(|stamp| stamp.exposure.map_or(stamp.at, |exposure| exposure.1.max(exposure.0)))
+        .max();
     let period = Spread::of(periods.iter().copied().filter(|period| *period > 0).collect());
     let usual = period.map_or(i64::MAX, |period| period.median_ns);
     let gaps: Vec<Gap> = periods
         .iter()
         .enumerate()
         .filter(|(_, period)| **period as f64 > 1.5 * usual as f64)
-        .map(|(n, period)| Gap { frame: n + 1, length_ns: *period, missing: ((*period as f64 / usual as f64).round() as i64 - 1).max(1) })
+        .map(|(n, period)| Gap {
+            frame: n + 1,
+            length_ns: *period,
+            missing: ((*period as f64 / usual as f64).round() as i64 - 1).max(1),
+        })
         .collect();
     FramesSurvey {
         count: stamps.len() as u64,
@@ -182,13 +196,18 @@ pub(super) fn times(about: &FramesAbout) -> FramesSurvey {
         row_time_ns: about.row_time_ns,
         transfer: about.transfer,
         // Of a rate that is no whole number of steps, periods are of two lengths, a step apart.
-        is_constant_rate: stamps.len() > 8 && period.is_some_and(|period| period.max_ns - period.min_ns <= 1_000.min(period.median_ns / 1_000)),
+        is_constant_rate: stamps.len() > 8
+            && period
+                .is_some_and(|period| period.max_ns - period.min_ns <= 1_000.min(period.median_ns / 1_000)),
         gap_count: gaps.len() as u64,
         gaps: gaps.into_iter().take(MOST_LISTED).collect(),
         backward: periods.iter().filter(|period| **period < 0).count() as u64,
         equal_stamps: periods.iter().filter(|period| **period == 0).count() as u64,
         empty_exposures: exposures.iter().filter(|(start, end)| end <= start).count() as u64,
-        overlapping: stamps.windows(2).filter(|pair| pair[0].exposure.is_some_and(|(_, end)| end > begins(&pair[1]))).count() as u64,
+        overlapping: stamps
+            .windows(2)
+            .filter(|pair| pair[0].exposure.is_some_and(|(_, end)| end > begins(&pair[1])))
+            .count() as u64,
         values: ValuesSurvey::default(),
         notes: about.notes.clone(),
     }
@@ -270,7 +289,11 @@ impl Values {
 }
 
 /// Reads frames and hands each on, with what could not be read reported to `values`.
-pub(super) fn read(pictures: &dyn Pictures, frames: &[usize], mut each: impl FnMut(usize, &[f32])) -> ValuesSurvey {
+pub(super) fn read(
+    pictures: &dyn Pictures,
+    frames: &[usize],
+    mut each: impl FnMut(usize, &[f32]),
+) -> ValuesSurvey {
     let mut values = Values::default();
     let mut buffer = Vec::new();
     for &frame in frames {
@@ -292,7 +315,16 @@ mod tests {
 
     fn about(stamps: Vec<FrameStamp>) -> FramesAbout {
         let extent = Extent { width: 4, height: 3 };
-        FramesAbout { extent, colour: Colour::Mono, bits: 8, stamps, stamp_role: None, row_time_ns: None, transfer: None, notes: Vec::new() }
+        FramesAbout {
+            extent,
+            colour: Colour::Mono,
+            bits: 8,
+            stamps,
+            stamp_role: None,
+            row_time_ns: None,
+            transfer: None,
+            notes: Vec::new(),
+        }
     }
 
     fn at(at: i64) -> FrameStamp {

@@ -1,7 +1,8 @@
 //! Where events come from: pixels, rows, columns.
 //!
-//! Counters of every pixel up to [`MOST_PIXELS`]; beyond, of rows and columns only. What a scene looks like is smooth over a few pixels; a pixel that fires a
-//! hundred times as often as those around it, a row that is silent between rows that are not, and columns that alternate, are the sensor's.
+//! Counters of every pixel up to [`MOST_PIXELS`]; beyond, of rows and columns only. What a scene looks like
+//! is smooth over a few pixels; a pixel that fires a hundred times as often as those around it, a row that is
+//! silent between rows that are not, and columns that alternate, are the sensor's.
 
 use photocurrent_core::Extent;
 use serde::Serialize;
@@ -12,7 +13,8 @@ pub const MOST_PIXELS: usize = 1 << 24;
 const MOST_LISTED: usize = 16;
 /// A hot pixel has at least so many events: fewer may be chance.
 const FEWEST_OF_HOT: u32 = 32;
-/// And so many times as many as the second of the eight around it, one being added to those: the pixels of a line have two like themselves.
+/// And so many times as many as the second of the eight around it, one being added to those: the pixels of a
+/// line have two like themselves.
 const HOT_TIMES: u32 = 24;
 /// A row or column is silent when its neighbours have so many events on average.
 const FEWEST_AROUND: f64 = 50.0;
@@ -86,7 +88,8 @@ pub struct PlacesSurvey {
 }
 
 impl PlacesSurvey {
-    /// The time below which a share of the same-sign intervals of a pixel lies, ns, within a factor of two; none without intervals.
+    /// The time below which a share of the same-sign intervals of a pixel lies, ns, within a factor of two;
+    /// none without intervals.
     pub fn interval_quantile_ns(&self, share: f64) -> Option<f64> {
         let all: u64 = self.intervals.iter().sum();
         let mut below = 0;
@@ -104,7 +107,8 @@ impl PlacesSurvey {
 pub(super) struct Places {
     rows: Vec<u64>,
     columns: Vec<u64>,
-    /// By row, grown as rows are met: events of each pixel, and the last one's time with its sign in the lowest bit.
+    /// By row, grown as rows are met: events of each pixel, and the last one's time with its sign in the
+    /// lowest bit.
     pixels: Vec<Vec<(u32, i64)>>,
     held: usize,
     is_held: bool,
@@ -179,7 +183,10 @@ impl Places {
     pub(super) fn survey(self, stated: Option<Extent>) -> PlacesSurvey {
         let mut found = PlacesSurvey {
             largest: (self.largest.0.into(), self.largest.1.into()),
-            smallest: (self.smallest.0.min(self.largest.0).into(), self.smallest.1.min(self.largest.1).into()),
+            smallest: (
+                self.smallest.0.min(self.largest.0).into(),
+                self.smallest.1.min(self.largest.1).into(),
+            ),
             counted_pixels: self.is_held,
             duplicates: self.duplicates,
             intervals: self.intervals.to_vec(),
@@ -204,7 +211,8 @@ impl Places {
     }
 
     fn hot(&self, found: &mut PlacesSurvey) -> Vec<HotPixel> {
-        let of = |x: usize, y: usize| self.pixels.get(y).and_then(|row| row.get(x)).map_or(0, |(count, _)| *count);
+        let of =
+            |x: usize, y: usize| self.pixels.get(y).and_then(|row| row.get(x)).map_or(0, |(count, _)| *count);
         let (mut hot, mut events, mut all) = (Vec::new(), 0u64, 0u64);
         for (y, row) in self.pixels.iter().enumerate() {
             for (x, (count, _)) in row.iter().enumerate() {
@@ -215,8 +223,11 @@ impl Places {
                 }
                 // Beyond the edge the edge goes on; so a corner has no neighbours, and is never hot.
                 let (right, bottom) = (self.columns.len() - 1, self.rows.len() - 1);
-                let mut around = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)]
-                    .map(|(dx, dy): (isize, isize)| of(x.saturating_add_signed(dx).min(right), y.saturating_add_signed(dy).min(bottom)));
+                let mut around = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)].map(
+                    |(dx, dy): (isize, isize)| {
+                        of(x.saturating_add_signed(dx).min(right), y.saturating_add_signed(dy).min(bottom))
+                    },
+                );
                 around.sort_unstable();
                 if *count > HOT_TIMES * (1 + around[6]) {
                     hot.push(HotPixel { x: x as u32, y: y as u32, events: *count });
@@ -241,11 +252,14 @@ fn lines(counts: &[u64]) -> LinesSurvey {
     for (line, &count) in counts.iter().enumerate() {
         let from = line.saturating_sub(WINDOW);
         let to = (line + WINDOW + 1).min(counts.len());
-        let mut neighbours: Vec<u64> = (from..to).filter(|other| *other != line).map(|other| counts[other]).collect();
+        let mut neighbours: Vec<u64> =
+            (from..to).filter(|other| *other != line).map(|other| counts[other]).collect();
         neighbours.sort_unstable();
         let middle = neighbours.get(neighbours.len() / 2).copied().unwrap_or(0) as f64;
-        // An edge of the picture has neighbours on one side only: lines outside of the scene are not silent lines.
-        let is_between = from + WINDOW == line && to == line + WINDOW + 1 && counts[line - 1] > 0 && counts[line + 1] > 0;
+        // An edge of the picture has neighbours on one side only: lines outside of the scene are not silent
+        // lines.
+        let is_between =
+            from + WINDOW == line && to == line + WINDOW + 1 && counts[line - 1] > 0 && counts[line + 1] > 0;
         if count == 0 && is_between && middle >= FEWEST_AROUND {
             found.silent += 1;
             found.silent_list.push(line as u32);
@@ -254,8 +268,9 @@ fn lines(counts: &[u64]) -> LinesSurvey {
             found.loud += 1;
             found.loud_list.push(line as u32);
         }
-        ratios
-            .push((middle >= FEWEST_AROUND && count > 0).then(|| libm::log(count as f64 / (neighbours.iter().sum::<u64>() as f64 / neighbours.len() as f64))));
+        ratios.push((middle >= FEWEST_AROUND && count > 0).then(|| {
+            libm::log(count as f64 / (neighbours.iter().sum::<u64>() as f64 / neighbours.len() as f64))
+        }));
     }
     found.silent_list.truncate(MOST_LISTED);
     found.loud_list.truncate(MOST_LISTED);
@@ -270,19 +285,30 @@ fn pattern(ratios: &[Option<f64>], period: usize) -> Option<LinePattern> {
     const FEWEST: usize = 8;
     /// A difference of less than this is nothing that anyone needs to know.
     const LEAST: f64 = 0.05;
-    /// Standard errors: of the thirty phases of all periods one is this far off by chance in a hundred million recordings.
+    /// Standard errors: of the thirty phases of all periods one is this far off by chance in a hundred
+    /// million recordings.
     const SURE: f64 = 7.0;
     let mut strongest: Option<LinePattern> = None;
     for phase in 0..period {
         let of: Vec<f64> = ratios.iter().skip(phase).step_by(period).flatten().copied().collect();
-        let others: Vec<f64> = ratios.iter().enumerate().filter(|(line, _)| line % period != phase).filter_map(|(_, ratio)| *ratio).collect();
+        let others: Vec<f64> = ratios
+            .iter()
+            .enumerate()
+            .filter(|(line, _)| line % period != phase)
+            .filter_map(|(_, ratio)| *ratio)
+            .collect();
         if of.len() < FEWEST || others.len() < FEWEST {
             return None;
         }
         let ((a, sa), (b, sb)) = (mean_and_error(&of), mean_and_error(&others));
         let sigma = (a - b).abs() / (sa * sa + sb * sb).sqrt().max(1e-12);
         if (a - b).abs() > LEAST && sigma > SURE && strongest.is_none_or(|found| sigma > found.sigma) {
-            strongest = Some(LinePattern { period: period as u32, phase: phase as u32, ratio: libm::exp(a - b), sigma });
+            strongest = Some(LinePattern {
+                period: period as u32,
+                phase: phase as u32,
+                ratio: libm::exp(a - b),
+                sigma,
+            });
         }
     }
     strongest
@@ -291,7 +317,8 @@ fn pattern(ratios: &[Option<f64>], period: usize) -> Option<LinePattern> {
 fn mean_and_error(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
-    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0).max(1.0);
+    let variance =
+        values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0).max(1.0);
     (mean, (variance / n).sqrt())
 }
 
@@ -343,7 +370,10 @@ mod tests {
         let found = noisy(|x, _| if x % 2 == 1 { 1.3 } else { 1.0 });
         let pattern = found.columns.pattern.unwrap();
         assert_eq!(pattern.period, 2);
-        assert!((pattern.ratio - 1.3).abs() < 0.06 || (pattern.ratio - 1.0 / 1.3).abs() < 0.05, "{pattern:?}");
+        assert!(
+            (pattern.ratio - 1.3).abs() < 0.06 || (pattern.ratio - 1.0 / 1.3).abs() < 0.05,
+            "{pattern:?}"
+        );
         assert_eq!((found.rows.pattern, noisy(|_, _| 1.0).columns.pattern), (None, None));
     }
 

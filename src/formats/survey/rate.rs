@@ -1,6 +1,7 @@
 //! How many events there are over time, in bins that grow with the recording.
 //!
-//! A stream does not say beforehand how long it is. So bins begin narrow, and are joined two by two whenever an event falls outside.
+//! A stream does not say beforehand how long it is. So bins begin narrow, and are joined two by two whenever
+//! an event falls outside.
 
 use serde::Serialize;
 
@@ -24,11 +25,13 @@ pub struct RateSurvey {
 }
 
 impl RateSurvey {
-    /// The stretch of `bins` neighbouring bins that holds most events: how many, and their earliest and latest stamp, ns. None without events.
+    /// The stretch of `bins` neighbouring bins that holds most events: how many, and their earliest and
+    /// latest stamp, ns. None without events.
     pub fn densest(&self, bins: usize) -> Option<(u64, i64, i64)> {
         let bins = bins.clamp(1, self.counts.len().max(1));
         let held = |from: usize| self.counts[from..from + bins].iter().sum::<u64>();
-        let from = (0..=self.counts.len().checked_sub(bins)?).max_by_key(|from| (held(*from), std::cmp::Reverse(*from)))?;
+        let from = (0..=self.counts.len().checked_sub(bins)?)
+            .max_by_key(|from| (held(*from), std::cmp::Reverse(*from)))?;
         let ends = self.ends.get(from..from + bins)?.iter().flatten();
         let (first, last) = ends.copied().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         Some((held(from), first, last))
@@ -76,7 +79,9 @@ impl Rate {
                 return at;
             }
             let joined: Vec<u64> = self.counts.chunks(2).map(|pair| pair.iter().sum()).collect();
-            let both = |pair: &[Option<(i64, i64)>]| pair.iter().flatten().copied().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+            let both = |pair: &[Option<(i64, i64)>]| {
+                pair.iter().flatten().copied().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+            };
             let joined_ends: Vec<Option<(i64, i64)>> = self.ends.chunks(2).map(both).collect();
             (self.counts, self.ends) = (vec![0; BINS], vec![None; BINS]);
             let from = if at < 0 { BINS / 2 } else { 0 };
@@ -90,7 +95,9 @@ impl Rate {
     }
 
     pub(super) fn survey(self) -> RateSurvey {
-        let (Some(first), Some(last)) = (self.counts.iter().position(|n| *n > 0), self.counts.iter().rposition(|n| *n > 0)) else {
+        let (Some(first), Some(last)) =
+            (self.counts.iter().position(|n| *n > 0), self.counts.iter().rposition(|n| *n > 0))
+        else {
             return RateSurvey::default();
         };
         let start = self.start + first as i128 * i128::from(self.bin);

@@ -1,10 +1,13 @@
 //! Events in step with the readout of the frames, row by row.
 //!
-//! Where reading a row of a frame fires its pixels, events lie on a line over row and time since the frame began: one delay from row to row, the same in every frame.
-//! Events of each sign are counted by band of rows and phase of the frame period, in groups of frames. The line with most events over those around it is looked
-//! for in half of the groups and measured in the other half, so that what chance finds in one half is not found in the other.
+//! Where reading a row of a frame fires its pixels, events lie on a line over row and time since the frame
+//! began: one delay from row to row, the same in every frame. Events of each sign are counted by band of rows
+//! and phase of the frame period, in groups of frames. The line with most events over those around it is
+//! looked for in half of the groups and measured in the other half, so that what chance finds in one half is
+//! not found in the other.
 //!
-//! Limits: lines whose delay over the whole height is at most a frame period; a line that crosses the end of the period goes on at its start.
+//! Limits: lines whose delay over the whole height is at most a frame period; a line that crosses the end of
+//! the period goes on at its start.
 
 use photocurrent_core::Extent;
 use serde::Serialize;
@@ -71,15 +74,19 @@ impl Readout {
         if u32::from(y) >= self.height {
             return;
         }
-        let (band, bin) = (usize::from(y) * BANDS / self.height as usize, ((phase * BINS as f64) as usize).min(BINS - 1));
+        let (band, bin) =
+            (usize::from(y) * BANDS / self.height as usize, ((phase * BINS as f64) as usize).min(BINS - 1));
         let of_sign = &mut self.of_sign[usize::from(on & 1)];
         of_sign.all += 1;
         of_sign.counts[((frame % GROUPS) * BANDS + band) * BINS + bin] += 1;
     }
 
-    /// The lines of both signs, OFF first; those of a sign with few events, or without a group to measure in, are left out.
+    /// The lines of both signs, OFF first; those of a sign with few events, or without a group to measure in,
+    /// are left out.
     pub(super) fn survey(&self, period_ns: f64) -> Vec<ReadoutSurvey> {
-        let found = |sign: usize| Some(ReadoutSurvey { is_on: sign == 1, ..self.of_sign[sign].line(period_ns, self.height)? });
+        let found = |sign: usize| {
+            Some(ReadoutSurvey { is_on: sign == 1, ..self.of_sign[sign].line(period_ns, self.height)? })
+        };
         (0..2).filter_map(found).collect()
     }
 }
@@ -137,7 +144,8 @@ impl Counts {
         let mut sums = vec![0; BINS];
         for group in (0..GROUPS).filter(|group| takes(*group)) {
             for band in 0..BANDS {
-                let shift = ((sweep as f64 * (band as f64 + 0.5) / BANDS as f64).round() as i64).rem_euclid(BINS as i64) as usize;
+                let shift = ((sweep as f64 * (band as f64 + 0.5) / BANDS as f64).round() as i64)
+                    .rem_euclid(BINS as i64) as usize;
                 let row = &self.counts[(group * BANDS + band) * BINS..][..BINS];
                 let (before, after) = row.split_at(shift);
                 sums.iter_mut().zip(after.iter().chain(before)).for_each(|(sum, count)| *sum += count);
@@ -170,7 +178,12 @@ mod tests {
         let (mut readout, mut random) = (Readout::new(EXTENT).unwrap(), Random::new(5, &[]));
         for frame in 0..16 {
             for _ in 0..4_000 {
-                readout.add(frame, random.uniform(), (random.uniform() * 128.0) as u16, u8::from(random.uniform() < 0.5));
+                readout.add(
+                    frame,
+                    random.uniform(),
+                    (random.uniform() * 128.0) as u16,
+                    u8::from(random.uniform() < 0.5),
+                );
             }
             let start_ns = if wanders { random.uniform() * PERIOD_NS } else { 19e6 };
             for y in 0..128 {

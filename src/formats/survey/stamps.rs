@@ -1,7 +1,8 @@
 //! Time stamps: what step they really have, whether they go back, whether they were floats once.
 //!
-//! A file that says "microseconds" may hold stamps of a millisecond, stamps in clumps, stamps of a counter that starts again, or stamps that were
-//! single-precision seconds. All of it shows in the differences from one event to the next, in file order, and in how each stamp lies on coarser grids.
+//! A file that says "microseconds" may hold stamps of a millisecond, stamps in clumps, stamps of a counter
+//! that starts again, or stamps that were single-precision seconds. All of it shows in the differences from
+//! one event to the next, in file order, and in how each stamp lies on coarser grids.
 //!
 //! Limits: a grid that is not a whole number of nanoseconds shows as the coarsest whole one that fits.
 
@@ -11,7 +12,8 @@ use serde::Serialize;
 const EXACT: usize = 4096;
 /// Steps back that are kept as examples.
 const MOST_EXAMPLES: usize = 8;
-/// A single-precision second must be so many steps of the file apart for its grid to be reported from the file's own.
+/// A single-precision second must be so many steps of the file apart for its grid to be reported from the
+/// file's own.
 const FLOAT_STEPS: f64 = 8.0;
 
 /// A place at which time goes back.
@@ -77,7 +79,8 @@ pub(super) struct Stamps {
 impl Stamps {
     pub(super) fn new(tick_ns: i64) -> Stamps {
         let tick_ns = tick_ns.max(1);
-        // Singles of [2^k, 2^(k+1)) seconds are 2^(k-23) s apart: the first octave in which that is wide enough.
+        // Singles of [2^k, 2^(k+1)) seconds are 2^(k-23) s apart: the first octave in which that is wide
+        // enough.
         let seconds = libm::exp2(libm::ceil(libm::log2(FLOAT_STEPS * tick_ns as f64 * 1e-9)) + 23.0);
         let float_from_ns = if seconds < 9e9 { (seconds * 1e9) as i64 } else { i64::MAX };
         Stamps {
@@ -144,10 +147,18 @@ impl Stamps {
     fn back(&mut self, t: i64) {
         self.backward += 1;
         self.furthest = self.furthest.max(self.before.saturating_sub(t));
-        let is_large = self.examples.iter().map(|one| one.from_ns.saturating_sub(one.to_ns)).min().is_none_or(|least| self.before.saturating_sub(t) > least);
+        let is_large = self
+            .examples
+            .iter()
+            .map(|one| one.from_ns.saturating_sub(one.to_ns))
+            .min()
+            .is_none_or(|least| self.before.saturating_sub(t) > least);
         if self.examples.len() < MOST_EXAMPLES {
             self.examples.push(StepBack { event: self.events, from_ns: self.before, to_ns: t });
-        } else if is_large && let Some(least) = self.examples.iter_mut().min_by_key(|one| one.from_ns.saturating_sub(one.to_ns)) {
+        } else if is_large
+            && let Some(least) =
+                self.examples.iter_mut().min_by_key(|one| one.from_ns.saturating_sub(one.to_ns))
+        {
             // The furthest ones say most.
             *least = StepBack { event: self.events, from_ns: self.before, to_ns: t };
         }
@@ -155,7 +166,12 @@ impl Stamps {
 
     pub(super) fn survey(mut self) -> StampsSurvey {
         self.examples.sort_by_key(|one| one.event);
-        let common = self.exact.iter().enumerate().max_by_key(|(steps, count)| (**count, std::cmp::Reverse(*steps))).filter(|(_, count)| **count > 0);
+        let common = self
+            .exact
+            .iter()
+            .enumerate()
+            .max_by_key(|(steps, count)| (**count, std::cmp::Reverse(*steps)))
+            .filter(|(_, count)| **count > 0);
         StampsSurvey {
             tick_ns: self.tick_ns,
             step_ns: i64::try_from(self.step).unwrap_or(i64::MAX),
@@ -171,7 +187,8 @@ impl Stamps {
         }
     }
 
-    /// Exact where the median lies among the differences that were counted one by one, otherwise within a factor of 1.4.
+    /// Exact where the median lies among the differences that were counted one by one, otherwise within a
+    /// factor of 1.4.
     fn median(&self) -> i64 {
         let all: u64 = self.coarse.iter().sum();
         let mut below = 0;
@@ -230,7 +247,10 @@ mod tests {
     #[test]
     fn seconds_that_were_single_precision_lie_on_its_grid() {
         let microseconds = |k: i64| 130_000_000 + 37 * k;
-        let rounded = of(1_000, (0..5_000).map(|k| (f64::from((microseconds(k) as f64 * 1e-6) as f32) * 1e6) as i64 * 1_000));
+        let rounded = of(
+            1_000,
+            (0..5_000).map(|k| (f64::from((microseconds(k) as f64 * 1e-6) as f32) * 1e6) as i64 * 1_000),
+        );
         assert_eq!((rounded.float_tested, rounded.float_hits), (5_000, 5_000));
         let exact = of(1_000, (0..5_000).map(|k| microseconds(k) * 1_000));
         assert!(exact.float_hits * 3 < exact.float_tested, "{} of {}", exact.float_hits, exact.float_tested);

@@ -1,4 +1,5 @@
-//! Changed files of every format: none may panic, loop, or break what readers promise. The long run is `cargo run --release --example fuzz`.
+//! Changed files of every format: none may panic, loop, or break what readers promise. The long run is
+//! `cargo run --release --example fuzz`.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -22,8 +23,18 @@ fn every_format_has_a_seed_that_is_read_whole() {
             let folder = tempfile::tempdir().unwrap();
             let path = seed.write(folder.path(), None);
             let outcome = read(&path, format, &seed.declared);
-            assert!(outcome.opened, "{}: {}", seed.format, (format.open)(&path, &seed.declared).err().unwrap());
-            assert!(outcome.events >= 40 || outcome.pictures >= 2, "{} {}: {outcome:?}", seed.format, seed.files[0].0);
+            assert!(
+                outcome.opened,
+                "{}: {}",
+                seed.format,
+                (format.open)(&path, &seed.declared).err().unwrap()
+            );
+            assert!(
+                outcome.events >= 40 || outcome.pictures >= 2,
+                "{} {}: {outcome:?}",
+                seed.format,
+                seed.files[0].0
+            );
         }
     }
 }

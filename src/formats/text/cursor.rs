@@ -96,7 +96,8 @@ impl TextCursor {
         Ok(())
     }
 
-    /// The place of the next line in the block, and whether a line feed ends it; `None` at the end of the file.
+    /// The place of the next line in the block, and whether a line feed ends it; `None` at the end of the
+    /// file.
     #[inline]
     fn line(&mut self) -> Result<Option<(usize, usize, bool)>, FormatError> {
         loop {
@@ -114,7 +115,11 @@ impl TextCursor {
                     if !self.overlong {
                         let number = self.line;
                         let what = || format!("the line is longer than {BLOCK} bytes and was left out");
-                        self.losses.add("lines of no plausible length were left out", || format!("line {number}"), what);
+                        self.losses.add(
+                            "lines of no plausible length were left out",
+                            || format!("line {number}"),
+                            what,
+                        );
                     }
                     self.overlong = true;
                     self.unread = 0..0;
@@ -150,7 +155,13 @@ impl TextCursor {
                     || format!("the file ends inside the line {shown}; its event is lost"),
                 );
             }
-            Err(wrong) => self.losses.add_by(wrong.cause(), wrong.kind(), 1, || format!("line {number}"), || wrong.what(line, &self.layout)),
+            Err(wrong) => self.losses.add_by(
+                wrong.cause(),
+                wrong.kind(),
+                1,
+                || format!("line {number}"),
+                || wrong.what(line, &self.layout),
+            ),
         }
     }
 }

@@ -54,7 +54,11 @@ impl<'a> Iterator for Fields<'a> {
         };
         match ends {
             Some(end) => {
-                self.rest = Some(if self.separator == Separator::Space { rest[end..].trim_ascii_start() } else { &rest[end + 1..] });
+                self.rest = Some(if self.separator == Separator::Space {
+                    rest[end..].trim_ascii_start()
+                } else {
+                    &rest[end + 1..]
+                });
                 Some(rest[..end].trim_ascii())
             }
             None => {

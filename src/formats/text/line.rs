@@ -58,10 +58,20 @@ impl Wrong {
     pub(crate) fn what(self, line: &[u8], layout: &Layout) -> String {
         let shown = shown(line);
         match self {
-            Wrong::Short(found) => format!("{found} of {} columns in {shown}; the line was left out", layout.columns.len()),
-            Wrong::NoNumber(column) => format!("column {} of {shown} is no number; the line was left out", column + 1),
-            Wrong::Time => format!("the stamp of {shown} does not fit into 64 bits of nanoseconds; the event was left out"),
-            Wrong::Polarity => format!("the polarity of {shown} is none of 0, 1, -1, true, false; the event was left out"),
+            Wrong::Short(found) => {
+                format!("{found} of {} columns in {shown}; the line was left out", layout.columns.len())
+            }
+            Wrong::NoNumber(column) => {
+                format!("column {} of {shown} is no number; the line was left out", column + 1)
+            }
+            Wrong::Time => format!(
+                "the stamp of {shown} does not fit into 64 bits of nanoseconds; the \
+                                    event was left out"
+            ),
+            Wrong::Polarity => format!(
+                "the polarity of {shown} is none of 0, 1, -1, true, false; the event \
+                                        was left out"
+            ),
             Wrong::Outside => match layout.extent {
                 Some(extent) => format!("the pixel of {shown} lies outside {extent}; the event was left out"),
                 None => format!("the pixel of {shown} lies outside any array; the event was left out"),
@@ -73,7 +83,8 @@ impl Wrong {
 /// The beginning of a line, for messages.
 pub(crate) fn shown(line: &[u8]) -> String {
     const MOST: usize = 60;
-    let cut: String = String::from_utf8_lossy(&line[..line.len().min(4 * MOST)]).trim().chars().take(MOST).collect();
+    let cut: String =
+        String::from_utf8_lossy(&line[..line.len().min(4 * MOST)]).trim().chars().take(MOST).collect();
     format!("`{}`{}", cut.escape_debug(), if cut.len() < line.trim_ascii().len() { " ..." } else { "" })
 }
 
@@ -94,7 +105,10 @@ pub(crate) fn stored(line: &[u8], layout: &Layout) -> Result<Stored, Wrong> {
     let mut fields = layout.separator.fields(line);
     for (index, column) in layout.columns.iter().enumerate() {
         // An empty field of a line that goes on is a column that is there.
-        let field = fields.next().filter(|field| !(field.is_empty() && layout.separator == Separator::Space)).ok_or(Wrong::Short(index))?;
+        let field = fields
+            .next()
+            .filter(|field| !(field.is_empty() && layout.separator == Separator::Space))
+            .ok_or(Wrong::Short(index))?;
         match column {
             Column::Skip => {}
             Column::T => event.t = time(field, index, layout)?,
@@ -113,8 +127,19 @@ pub(crate) fn read(line: &[u8], layout: &Layout) -> Result<Event, Wrong> {
     let stored = stored(line, layout)?;
     let on = layout.rules.on(stored.p).ok_or(Wrong::Polarity)?;
     let (width, height) = layout.extent.map_or((1 << 16, 1 << 16), |extent| (extent.width, extent.height));
-    let inside = |place: i64, limit: u32| u16::try_from(layout.rules.pixel(place)).ok().filter(|place| u32::from(*place) < limit).ok_or(Wrong::Outside);
-    Ok(Event { t: stored.t, x: inside(stored.x, width)?, y: inside(stored.y, height)?, on, t_in: stored.t_in })
+    let inside = |place: i64, limit: u32| {
+        u16::try_from(layout.rules.pixel(place))
+            .ok()
+            .filter(|place| u32::from(*place) < limit)
+            .ok_or(Wrong::Outside)
+    };
+    Ok(Event {
+        t: stored.t,
+        x: inside(stored.x, width)?,
+        y: inside(stored.y, height)?,
+        on,
+        t_in: stored.t_in,
+    })
 }
 
 #[inline]

@@ -1,7 +1,8 @@
-//! Events as lines of text: how a line is laid out ([`sniff`]), how it is read ([`line`]), and a cursor over a file of any size ([`cursor`]).
+//! Events as lines of text: how a line is laid out ([`sniff`]), how it is read ([`line`]), and a cursor over
+//! a file of any size ([`cursor`]).
 //!
-//! What the lines mean comes from a header line, from comments, or from the user. Lines are parsed by hand, without memory taken per line; decimal
-//! seconds become nanoseconds exactly.
+//! What the lines mean comes from a header line, from comments, or from the user. Lines are parsed by hand,
+//! without memory taken per line; decimal seconds become nanoseconds exactly.
 
 pub(crate) mod cursor;
 pub(crate) mod fields;

@@ -1,7 +1,8 @@
 //! What the first lines of a text file say: separator, names of columns, unit, extent.
 //!
-//! A header line may hold units (`t [us]`, `timestamp_us`) and the size of the array as faery writes it (`x@320`). A comment may hold them too
-//! (`# time_unit=us width=346 height=260`), or the names of the columns, as numpy writes them. E2VID's files begin with a line `width height`.
+//! A header line may hold units (`t [us]`, `timestamp_us`) and the size of the array as faery writes it
+//! (`x@320`). A comment may hold them too (`# time_unit=us width=346 height=260`), or the names of the
+//! columns, as numpy writes them. E2VID's files begin with a line `width height`.
 
 use super::fields::{Separator, is_comment};
 use crate::decimal::Decimal;
@@ -49,7 +50,9 @@ pub(crate) fn sniff(path: &Path) -> Result<Sniffed, FormatError> {
         file.take(LOOK).read_to_end(&mut tail).map_err(io)?;
     }
     if head.starts_with(b"\xff\xfe") || head.starts_with(b"\xfe\xff") {
-        return Err(FormatError::new(path, "this text is in UTF-16", "convert it to UTF-8").expected("text in UTF-8"));
+        return Err(
+            FormatError::new(path, "this text is in UTF-16", "convert it to UTF-8").expected("text in UTF-8")
+        );
     }
     Ok(look(&head, &tail, bytes))
 }
@@ -180,14 +183,22 @@ fn names(line: &[u8], separator: Separator) -> Vec<String> {
     for field in separator.fields(line) {
         let field = String::from_utf8_lossy(field).into_owned();
         match names.last_mut() {
-            Some(last) if separator == Separator::Space && field.starts_with(['[', '(']) => last.push_str(&field),
+            Some(last) if separator == Separator::Space && field.starts_with(['[', '(']) => {
+                last.push_str(&field)
+            }
             _ => names.push(field),
         }
     }
     names
 }
 
-fn header(line: &[u8], separator: Separator, found: &mut Sniffed, width: &mut Option<u32>, height: &mut Option<u32>) {
+fn header(
+    line: &[u8],
+    separator: Separator,
+    found: &mut Sniffed,
+    width: &mut Option<u32>,
+    height: &mut Option<u32>,
+) {
     found.header = Some(super::line::shown(line));
     let mut columns = Vec::new();
     for text in names(line, separator) {
@@ -203,8 +214,15 @@ fn header(line: &[u8], separator: Separator, found: &mut Sniffed, width: &mut Op
     found.columns = Some(columns);
 }
 
-/// `key=value` pairs of a comment, names of columns in it, and a sentence such as "timestamps in microseconds".
-fn comment(line: &[u8], found: &mut Sniffed, width: &mut Option<u32>, height: &mut Option<u32>, columns: &mut Option<Vec<Column>>) {
+/// `key=value` pairs of a comment, names of columns in it, and a sentence such as "timestamps in
+/// microseconds".
+fn comment(
+    line: &[u8],
+    found: &mut Sniffed,
+    width: &mut Option<u32>,
+    height: &mut Option<u32>,
+    columns: &mut Option<Vec<Column>>,
+) {
     let text = String::from_utf8_lossy(line);
     let text = text.trim().trim_start_matches(['#', '%']).trim();
     let words: Vec<&str> = text.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty()).collect();
@@ -213,41 +231,57 @@ fn comment(line: &[u8], found: &mut Sniffed, width: &mut Option<u32>, height: &m
             // "unit: us" leaves the value to the next word.
             let value = if value.is_empty() { words.get(index + 1).copied().unwrap_or("") } else { value };
             match key.to_ascii_lowercase().as_str() {
-                "time_unit" | "unit" | "timestamp_unit" | "t" => found.unit = found.unit.or(unit_named(value)),
+                "time_unit" | "unit" | "timestamp_unit" | "t" => {
+                    found.unit = found.unit.or(unit_named(value))
+                }
                 "width" => *width = width.or(value.parse().ok()),
                 "height" => *height = height.or(value.parse().ok()),
                 _ => {}
             }
         }
-        if word.eq_ignore_ascii_case("in") && (text.to_ascii_lowercase().contains("time") || text.to_ascii_lowercase().starts_with('t')) {
-            found.unit = found.unit.or(words.get(index + 1).and_then(|word| unit_named(word.trim_matches(['.', '[', ']', '(', ')']))));
+        if word.eq_ignore_ascii_case("in")
+            && (text.to_ascii_lowercase().contains("time") || text.to_ascii_lowercase().starts_with('t'))
+        {
+            found.unit = found.unit.or(words
+                .get(index + 1)
+                .and_then(|word| unit_named(word.trim_matches(['.', '[', ']', '(', ')']))));
         }
     }
     let named = names(text.as_bytes(), Separator::of(text.as_bytes()));
     let read: Vec<(Column, Option<TimeUnit>, Option<u32>)> = named.iter().map(|text| name(text)).collect();
     let has = |wanted: Column| read.iter().any(|(column, ..)| *column == wanted);
     if columns.is_none() && [Column::T, Column::X, Column::Y, Column::P].into_iter().all(has) {
-        found.unit = found.unit.or(read.iter().find_map(|(column, unit, _)| unit.filter(|_| *column == Column::T)));
+        found.unit =
+            found.unit.or(read.iter().find_map(|(column, unit, _)| unit.filter(|_| *column == Column::T)));
         *columns = Some(read.into_iter().map(|(column, ..)| column).collect());
     }
 }
 
 /// Which column seems to hold what, for a message: the names of [`Column`] from the left.
 pub(crate) fn proposal(sample: &[Vec<Option<Decimal>>], fields: usize) -> Option<Vec<Column>> {
-    let column = |index: usize| -> Option<Vec<f64>> { sample.iter().map(|line| line.get(index).copied().flatten().map(Decimal::value)).collect() };
+    let column = |index: usize| -> Option<Vec<f64>> {
+        sample.iter().map(|line| line.get(index).copied().flatten().map(Decimal::value)).collect()
+    };
     let columns: Vec<Option<Vec<f64>>> = (0..fields.min(16)).map(column).collect();
     let is_polarity = |values: &[f64]| values.iter().all(|value| [0.0, 1.0, -1.0].contains(value));
-    let is_sorted = |values: &[f64]| values.windows(2).all(|pair| pair[0] <= pair[1]) && values.first() < values.last();
+    let is_sorted =
+        |values: &[f64]| values.windows(2).all(|pair| pair[0] <= pair[1]) && values.first() < values.last();
     let of = |index: usize| columns[index].as_deref().unwrap_or_default();
     let known: Vec<usize> = (0..columns.len()).filter(|index| columns[*index].is_some()).collect();
     let p = known.iter().copied().rfind(|index| is_polarity(of(*index)))?;
     // Of few lines a coordinate may be sorted too; stamps have fractions, or are the larger numbers.
-    let rank = |index: &usize| (of(*index).iter().any(|value| value.fract() != 0.0), of(*index).last().copied().unwrap_or(0.0));
+    let rank = |index: &usize| {
+        (of(*index).iter().any(|value| value.fract() != 0.0), of(*index).last().copied().unwrap_or(0.0))
+    };
     let better = |a: &usize, b: &usize| rank(a).0.cmp(&rank(b).0).then(rank(a).1.total_cmp(&rank(b).1));
     let t = known.iter().copied().filter(|index| *index != p && is_sorted(of(*index))).max_by(better)?;
     let mut rest = (0..columns.len()).filter(|index| *index != p && *index != t && columns[*index].is_some());
     let (x, y) = (rest.next()?, rest.next()?);
-    let named = |index: usize| [(t, Column::T), (x, Column::X), (y, Column::Y), (p, Column::P)].into_iter().find(|(at, _)| *at == index);
+    let named = |index: usize| {
+        [(t, Column::T), (x, Column::X), (y, Column::Y), (p, Column::P)]
+            .into_iter()
+            .find(|(at, _)| *at == index)
+    };
     Some((0..fields).map(|index| named(index).map_or(Column::Skip, |(_, column)| column)).collect())
 }
 
@@ -268,5 +302,10 @@ pub(crate) fn column_names(columns: &[Column]) -> String {
 pub(crate) fn unit_note(stated: Option<TimeUnit>, declared: Option<TimeUnit>) -> Option<String> {
     let (stated, declared) = (stated?, declared?);
     let (file, user) = (unit_name(stated), unit_name(declared));
-    (stated != declared).then(|| format!("the file says that its stamps are in {file}; they were read in {user}, as declared"))
+    (stated != declared).then(|| {
+        format!(
+            "the file says that its stamps are in {file}; they were read in \
+                                          {user}, as declared"
+        )
+    })
 }

@@ -74,7 +74,11 @@ fn every_separator_header_and_polarity_reads_the_same() {
         "t_ns,x,y,p\n5e3,1,2,1\n7000.0,3,4,0\n",
     ] {
         let (events, losses, csv) = open(text.as_bytes(), &Declared::default()).unwrap();
-        assert_eq!((events.t, events.x, events.y, events.on), (vec![5000, 7000], vec![1, 3], vec![2, 4], vec![1, 0]), "{text}");
+        assert_eq!(
+            (events.t, events.x, events.y, events.on),
+            (vec![5000, 7000], vec![1, 3], vec![2, 4], vec![1, 0]),
+            "{text}"
+        );
         assert_eq!(losses, [], "{text}");
         assert!(is_recognised(text.as_bytes()), "{text}");
         assert_eq!(csv.events_about().unwrap().count, None);
@@ -93,8 +97,13 @@ fn a_missing_unit_is_asked_for_with_evidence() {
     let us = Declared { time_unit: Some(TimeUnit::Us), ..Declared::default() };
     let (events, losses, csv) = open(text.as_bytes(), &us).unwrap();
     assert_eq!((events.len(), losses.len()), (1999, 0));
-    assert_eq!(csv.events_about().unwrap().extent, Some(Extent { width: 320, height: 240 }), "faery writes the size into the header");
-    let error = open(b"t,x,y,p\n0.001,1,1,1\n0.002,1,1,1\n0.003,1,1,0\n", &Declared::default()).err().unwrap();
+    assert_eq!(
+        csv.events_about().unwrap().extent,
+        Some(Extent { width: 320, height: 240 }),
+        "faery writes the size into the header"
+    );
+    let error =
+        open(b"t,x,y,p\n0.001,1,1,1\n0.002,1,1,1\n0.003,1,1,0\n", &Declared::default()).err().unwrap();
     assert!(error.hint.contains("\"s\""), "{error}");
 }
 
@@ -108,9 +117,14 @@ fn columns_without_a_header_are_asked_for_and_proposed() {
     let (events, ..) = open(text, &declared(&TXYP, TimeUnit::Ms)).unwrap();
     assert_eq!(events.t, [100_000_000, 250_000_000, 250_000_000]);
     // Prophesee's samples have another order.
-    let (events, ..) = open(b"7,3,1,100\n2,9,0,250\n", &declared(&[Column::X, Column::Y, Column::P, Column::T], TimeUnit::Us)).unwrap();
+    let (events, ..) = open(
+        b"7,3,1,100\n2,9,0,250\n",
+        &declared(&[Column::X, Column::Y, Column::P, Column::T], TimeUnit::Us),
+    )
+    .unwrap();
     assert_eq!((events.x, events.on, events.t), (vec![7, 2], vec![1, 0], vec![100_000, 250_000]));
-    let error = open(text, &declared(&[Column::T, Column::X, Column::X, Column::P], TimeUnit::Us)).err().unwrap();
+    let error =
+        open(text, &declared(&[Column::T, Column::X, Column::X, Column::P], TimeUnit::Us)).err().unwrap();
     assert!(error.found.contains("one column `x`"), "{error}");
 }
 
@@ -157,7 +171,8 @@ fn a_million_damaged_lines_are_few_losses_and_an_endless_line_is_one() {
 
 #[test]
 fn first_line_of_width_and_height_is_the_extent() {
-    let (events, _, csv) = open(b"240 180\n0.5 1 2 1\n0.75 239 179 0\n", &declared(&TXYP, TimeUnit::S)).unwrap();
+    let (events, _, csv) =
+        open(b"240 180\n0.5 1 2 1\n0.75 239 179 0\n", &declared(&TXYP, TimeUnit::S)).unwrap();
     assert_eq!(events.t, [500_000_000, 750_000_000]);
     assert_eq!(csv.events_about().unwrap().extent, Some(Extent { width: 240, height: 180 }));
     assert_eq!(csv.events_about().unwrap().tick_ns, 10_000_000, "two places");
@@ -186,9 +201,20 @@ fn written(chunk: &EventChunk, unit: TimeUnit, extent: Option<Extent>) -> Vec<u8
 
 #[test]
 fn written_text_is_readable_by_people() {
-    let chunk = EventChunk { t: vec![1_500, -2_000], x: vec![1, 2], y: vec![3, 4], on: vec![1, 0], t_in: Some(vec![1_499, -2_001]) };
-    let text = String::from_utf8(written(&chunk, TimeUnit::Us, Some(Extent { width: 8, height: 6 }))).unwrap();
-    assert_eq!(text, "# photocurrent-events/1 time_unit=us width=8 height=6\nt,x,y,p,t_in\n1.500,1,3,1,1.499\n-2,2,4,0,-2.001\n");
+    let chunk = EventChunk {
+        t: vec![1_500, -2_000],
+        x: vec![1, 2],
+        y: vec![3, 4],
+        on: vec![1, 0],
+        t_in: Some(vec![1_499, -2_001]),
+    };
+    let text =
+        String::from_utf8(written(&chunk, TimeUnit::Us, Some(Extent { width: 8, height: 6 }))).unwrap();
+    assert_eq!(
+        text,
+        "# photocurrent-events/1 time_unit=us width=8 \
+                      height=6\nt,x,y,p,t_in\n1.500,1,3,1,1.499\n-2,2,4,0,-2.001\n"
+    );
 }
 
 proptest! {

@@ -1,12 +1,15 @@
-//! The report of finished runs: verdict first, then pictures, curves, one pixel, edges, the graph, the diagnosis, hazards, where it all comes from.
+//! The report of finished runs: verdict first, then pictures, curves, one pixel, edges, the graph, the
+//! diagnosis, hazards, where it all comes from.
 //!
-//! Every part that a run does not hold says what is missing and how to get it, so that nobody looks for it in vain.
+//! Every part that a run does not hold says what is missing and how to get it, so that nobody looks for it in
+//! vain.
 
 mod data;
 mod parts;
 
 pub use data::{
-    Bar, Card, Cell, Copy, Curve, Event, Film, Graph, Group, Hazard, Mark, NodeRow, Panel, Picture, Pixel, Residual, RunPage, Solved, Verdict, VerdictRow,
+    Bar, Card, Cell, Copy, Curve, Event, Film, Graph, Group, Hazard, Mark, NodeRow, Panel, Picture, Pixel,
+    Residual, RunPage, Solved, Verdict, VerdictRow,
 };
 
 use crate::shell::{Page, Script, Section};
@@ -29,14 +32,19 @@ impl RunPage {
             section("data", "Data", parts::hazards(self)),
             section("provenance", "Provenance", parts::provenance(self)),
         ];
-        let data = json!({ "copies": copies, "groups": self.groups, "pixels": self.pixels, "charts": panels });
+        let data =
+            json!({ "copies": copies, "groups": self.groups, "pixels": self.pixels, "charts": panels });
         Page {
             generator: "photocurrent report".into(),
             title: self.title.clone(),
             lead: parts::lead(self),
             sections,
             data,
-            scripts: if self.groups.is_empty() { vec![Script::Chart] } else { vec![Script::Chart, Script::Compare, Script::Probe] },
+            scripts: if self.groups.is_empty() {
+                vec![Script::Chart]
+            } else {
+                vec![Script::Chart, Script::Compare, Script::Probe]
+            },
         }
         .html()
     }

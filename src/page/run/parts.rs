@@ -20,7 +20,10 @@ fn list(rows: &[(String, String)]) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let rows: String = rows.iter().map(|(name, text)| format!("<dt>{}</dt><dd>{}</dd>\n", escaped(name), escaped(text))).collect();
+    let rows: String = rows
+        .iter()
+        .map(|(name, text)| format!("<dt>{}</dt><dd>{}</dd>\n", escaped(name), escaped(text)))
+        .collect();
     format!("<dl>\n{rows}</dl>\n")
 }
 
@@ -31,7 +34,9 @@ fn notes(texts: &[String]) -> String {
 /// Escaped text in which what stands in backquotes is code.
 fn code_spans(text: &str) -> String {
     let parts = text.split('`').enumerate();
-    parts.map(|(at, part)| if at % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) }).collect()
+    parts
+        .map(|(at, part)| if at % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) })
+        .collect()
 }
 
 pub(super) fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
@@ -48,11 +53,15 @@ pub(super) fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
 
 fn table(verdict: &Verdict, copies: &mut Vec<String>) -> String {
     let mut html = format!(
-        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"{0}\">\n<table>\n<caption>{0}</caption>\n<thead><tr>",
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" \
+         aria-label=\"{0}\">\n<table>\n<caption>{0}</caption>\n<thead><tr>",
         escaped(&verdict.caption)
     );
     verdict.names.iter().for_each(|name| html += &format!("<th scope=\"col\">{}</th>", escaped(name)));
-    verdict.columns.iter().for_each(|name| html += &format!("<th scope=\"col\" class=\"number\">{}</th>", escaped(name)));
+    verdict
+        .columns
+        .iter()
+        .for_each(|name| html += &format!("<th scope=\"col\" class=\"number\">{}</th>", escaped(name)));
     html += "</tr></thead>\n<tbody>\n";
     for row in &verdict.rows {
         html += "<tr>";
@@ -64,17 +73,32 @@ fn table(verdict: &Verdict, copies: &mut Vec<String>) -> String {
                 Mark::Second => (" second", "<span class=\"hidden\">, the second</span>"),
                 Mark::Missing => (" none", ""),
             };
-            let _ = write!(html, "<td class=\"number{class}\" title=\"{}\">{}{said}</td>", escaped(&cell.title), escaped(&cell.text));
+            let _ = write!(
+                html,
+                "<td class=\"number{class}\" title=\"{}\">{}{said}</td>",
+                escaped(&cell.title),
+                escaped(&cell.text)
+            );
         }
         html += "</tr>\n";
     }
     html += "</tbody>\n</table>\n</div>\n<div class=\"controls\"><span class=\"note\">Copy as</span>";
     for copy in &verdict.copies {
-        let _ = write!(html, "<button type=\"button\" data-copy=\"{}\">{}</button>", copies.len(), escaped(&copy.name));
+        let _ = write!(
+            html,
+            "<button type=\"button\" data-copy=\"{}\">{}</button>",
+            copies.len(),
+            escaped(&copy.name)
+        );
         copies.push(copy.text.clone());
     }
-    let missing: Vec<String> =
-        verdict.rows.iter().flat_map(|row| &row.cells).filter(|cell| cell.mark == Mark::Missing).map(|cell| cell.title.clone()).collect();
+    let missing: Vec<String> = verdict
+        .rows
+        .iter()
+        .flat_map(|row| &row.cells)
+        .filter(|cell| cell.mark == Mark::Missing)
+        .map(|cell| cell.title.clone())
+        .collect();
     html += "</div>\n";
     let mut said: Vec<&String> = Vec::new();
     for why in missing.iter().filter(|why| !why.is_empty()) {
@@ -132,17 +156,21 @@ pub(super) fn pictures(page: &RunPage) -> String {
 
 pub(super) fn curves(page: &RunPage) -> String {
     if page.curves.is_empty() {
-        return "<p class=\"missing\">The run has no scores of single frames, so there are no curves.</p>\n".into();
+        return "<p class=\"missing\">The run has no scores of single frames, so there are no curves.</p>\n"
+            .into();
     }
     let mut html = panels(0, page.curves.len());
     if !page.has_glitch {
-        html += "<p class=\"missing\">No glitch score: connect <code>score/glitch</code> to the scores, and it measures how much they jump from frame to frame.</p>\n";
+        html += "<p class=\"missing\">No glitch score: connect <code>score/glitch</code> to the scores, and \
+                 it measures how much they jump from frame to frame.</p>\n";
     }
     html
 }
 
 fn panels(from: usize, count: usize) -> String {
-    let each: String = (from..from + count).map(|at| format!("<figure><div data-chart=\"{at}\"></div></figure>\n")).collect();
+    let each: String = (from..from + count)
+        .map(|at| format!("<figure><div data-chart=\"{at}\"></div></figure>\n"))
+        .collect();
     format!("<div class=\"panels\">\n{each}</div>\n")
 }
 
@@ -153,7 +181,8 @@ pub(super) fn pixel(page: &RunPage) -> String {
     let choose = if page.pixels.is_empty() {
         "<select data-part=\"pixel\" hidden aria-hidden=\"true\" tabindex=\"-1\"></select>"
     } else {
-        "<label>Pixel with events and photocurrent <select data-part=\"pixel\"><option value=\"\">another</option></select></label>"
+        "<label>Pixel with events and photocurrent <select data-part=\"pixel\"><option \
+         value=\"\">another</option></select></label>"
     };
     let mut html = format!(
         r#"<div id="probe-tool">
@@ -173,7 +202,8 @@ pub(super) fn pixel(page: &RunPage) -> String {
 }
 
 pub(super) fn edges(page: &RunPage) -> String {
-    let mut html = if page.edges.is_empty() { String::new() } else { panels(page.curves.len(), page.edges.len()) };
+    let mut html =
+        if page.edges.is_empty() { String::new() } else { panels(page.curves.len(), page.edges.len()) };
     html += &notes(&page.edge_notes);
     html
 }
@@ -184,15 +214,29 @@ pub(super) fn graphs(page: &RunPage) -> String {
         if page.graphs.len() > 1 {
             let _ = writeln!(html, "<h3>{}</h3>", escaped(&graph.name));
         }
-        let _ = writeln!(html, "<div class=\"dag\" tabindex=\"0\" role=\"region\" aria-label=\"Graph of {}\">{}</div>", escaped(&graph.name), graph.svg);
-        html += "<details><summary>Nodes as a table: time, cache, parameters</summary>\n<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Nodes\">\n<table><thead><tr>";
+        let _ = writeln!(
+            html,
+            "<div class=\"dag\" tabindex=\"0\" role=\"region\" aria-label=\"Graph of \
+                                {}\">{}</div>",
+            escaped(&graph.name),
+            graph.svg
+        );
+        html += "<details><summary>Nodes as a table: time, cache, parameters</summary>\n<div class=\"wide\" \
+                 tabindex=\"0\" role=\"region\" aria-label=\"Nodes\">\n<table><thead><tr>";
         ["node", "kind", "state"].iter().for_each(|name| html += &format!("<th scope=\"col\">{name}</th>"));
-        ["time", "stored"].iter().for_each(|name| html += &format!("<th scope=\"col\" class=\"number\">{name}</th>"));
-        html += "<th scope=\"col\">key</th><th scope=\"col\">parameters that differ from their defaults</th></tr></thead>\n<tbody>\n";
+        ["time", "stored"].iter().for_each(|name| {
+            html += &format!(
+                "<th scope=\"col\" \
+                                                            class=\"number\">{name}</th>"
+            )
+        });
+        html += "<th scope=\"col\">key</th><th scope=\"col\">parameters that differ from their \
+                 defaults</th></tr></thead>\n<tbody>\n";
         for node in &graph.nodes {
             let _ = writeln!(
                 html,
-                "<tr><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td><code>{}</code></td><td>{}</td></tr>",
+                "<tr><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td class=\"number\">{}</td><td \
+                 class=\"number\">{}</td><td><code>{}</code></td><td>{}</td></tr>",
                 escaped(&node.name),
                 escaped(&node.kind),
                 escaped(&node.end),

@@ -5,8 +5,11 @@ use super::*;
 const HOSTILE: &str = "</script><img src=x onerror=alert(1)>\"'&";
 
 fn page() -> RunPage {
-    let cell =
-        |text: &str, mark| Cell { text: text.into(), mark, title: if mark == Mark::Missing { "render failed: no memory".into() } else { String::new() } };
+    let cell = |text: &str, mark| Cell {
+        text: text.into(),
+        mark,
+        title: if mark == Mark::Missing { "render failed: no memory".into() } else { String::new() },
+    };
     let row = |name: &str, cells| VerdictRow { names: vec![name.into()], cells };
     RunPage {
         title: "fan".into(),
@@ -22,7 +25,15 @@ fn page() -> RunPage {
             ],
             copies: vec![Copy { name: "CSV".into(), text: "method,psnr_db\n".into() }],
         }],
-        groups: vec![Group { name: "fan".into(), width: 4, height: 2, shrink: 1, white: 100.0, instants_ns: vec![0, 5], ..Group::default() }],
+        groups: vec![Group {
+            name: "fan".into(),
+            width: 4,
+            height: 2,
+            shrink: 1,
+            white: 100.0,
+            instants_ns: vec![0, 5],
+            ..Group::default()
+        }],
         ..RunPage::default()
     }
 }
@@ -39,14 +50,30 @@ fn a_failed_cell_is_visible_and_says_why() {
     let html = page().html();
     assert!(html.contains("class=\"number none\" title=\"render failed: no memory\">failed</td>"));
     assert!(html.contains("<p class=\"failed\">render failed: no memory</p>"), "for those who have no mouse");
-    assert!(html.contains("class=\"number best\"") && html.contains(">31.7<span class=\"hidden\">, the best</span>"));
+    assert!(
+        html.contains("class=\"number best\"")
+            && html.contains(
+                ">31.7<span class=\"hidden\">, the \
+                                                            best</span>"
+            )
+    );
     assert_eq!(data(&html)["copies"][0], "method,psnr_db\n");
 }
 
 #[test]
 fn what_is_missing_is_said_with_how_to_get_it() {
-    let html = RunPage { picture_notes: vec!["No pictures: run `photocurrent run x.toml`.".into()], ..RunPage::default() }.html();
-    assert!(html.contains("The run has no scores") && html.contains("No pictures: run <code>photocurrent run x.toml</code>."));
+    let html = RunPage {
+        picture_notes: vec!["No pictures: run `photocurrent run x.toml`.".into()],
+        ..RunPage::default()
+    }
+    .html();
+    assert!(
+        html.contains("The run has no scores")
+            && html.contains(
+                "No pictures: run <code>photocurrent \
+                                                            run x.toml</code>."
+            )
+    );
     assert!(html.contains("no curves"));
     assert!(!html.contains("data-part=\"canvas\" tabindex"), "no empty viewer");
 }
@@ -64,17 +91,35 @@ fn text_from_outside_stays_text_wherever_it_stands() {
             caption: text(),
             names: vec![text()],
             columns: vec![text()],
-            rows: vec![VerdictRow { names: vec![text()], cells: vec![Cell { text: text(), mark: Mark::Missing, title: text() }] }],
+            rows: vec![VerdictRow {
+                names: vec![text()],
+                cells: vec![Cell { text: text(), mark: Mark::Missing, title: text() }],
+            }],
             copies: vec![Copy { name: text(), text: text() }],
         }],
-        groups: vec![Group { name: text(), sequences: vec![Film { label: text(), ..Film::default() }], ..Group::default() }, Group::default()],
+        groups: vec![
+            Group {
+                name: text(),
+                sequences: vec![Film { label: text(), ..Film::default() }],
+                ..Group::default()
+            },
+            Group::default(),
+        ],
         picture_notes: vec![text()],
         edge_notes: vec![text()],
         pixel_notes: vec![text()],
         graphs: vec![
             Graph {
                 name: text(),
-                nodes: vec![NodeRow { name: text(), kind: text(), end: text(), time: text(), size: text(), key: text(), changed: text() }],
+                nodes: vec![NodeRow {
+                    name: text(),
+                    kind: text(),
+                    end: text(),
+                    time: text(),
+                    size: text(),
+                    key: text(),
+                    changed: text(),
+                }],
                 ..Graph::default()
             },
             Graph::default(),

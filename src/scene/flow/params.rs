@@ -11,7 +11,8 @@ pub struct MotionParams {
     pub robust: f64,
     /// What a motion must explain, as squared log light, to be used.
     pub least_contrast: f64,
-    /// A place takes the motion of all pixels, or that of another place, where that leaves less by this part than its own does.
+    /// A place takes the motion of all pixels, or that of another place, where that leaves less by this part
+    /// than its own does.
     pub clear_gain: f64,
     /// Other places whose motion is tried lie so far away by column or by row, pixels.
     pub farther: Vec<u32>,

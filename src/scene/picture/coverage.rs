@@ -1,5 +1,5 @@
-//! The light of a picture on a pixel, and how many exposures cover the place that lies there: where none does,
-//! the picture is its neighbourhood extrapolated.
+//! The light of a picture on a pixel, and how many exposures cover the place that lies there: where none
+//! does, the picture is its neighbourhood extrapolated.
 
 use super::Picture;
 use super::motion::Map;
@@ -26,16 +26,22 @@ pub(super) fn coverage(rows: &Rows, grid: &Grid) -> Vec<f32> {
 }
 
 impl Picture {
-    /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time holds. `None` when it never saw the picture.
+    /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time
+    /// holds. `None` when it never saw the picture.
     pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
         let pixel = y * (2.0 * self.centre.0 + 1.0) as usize + x;
-        let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
+        let shade = shading::factor(
+            &self.shading,
+            &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half),
+        );
         let (own, hidden) = self.surface.split_at(self.grid.coefficients());
         let mut log = products::values(&self.grid, own, maps, place);
         if let Some(ground) = self.ground.get(pixel).map(|ground| f64::from(*ground)) {
             let hidden = products::values(&self.grid, hidden, maps, place);
-            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += (1.0 - hidden / self.unit) * ground);
+            log.iter_mut()
+                .zip(hidden)
+                .for_each(|(light, hidden)| *light += (1.0 - hidden / self.unit) * ground);
         }
         products::logarithms(&mut log, shade, self.least);
         let first = log.iter().copied().find(|value| !value.is_nan())?;
@@ -47,7 +53,8 @@ impl Picture {
         Some(log)
     }
 
-    /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a picture that is not as it was fitted.
+    /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a
+    /// picture that is not as it was fitted.
     pub fn exposures_seen(&self, x: usize, y: usize, maps: &[Map]) -> Vec<f64> {
         if self.coverage.is_empty() {
             return vec![0.0; maps.len()];
@@ -72,7 +79,9 @@ mod tests {
         let case = testing::texture(Extent { width: 24, height: 18 }, 9);
         let picture = Picture::fit(&case, &case.nominal().unwrap(), &PictureSetting::default()).unwrap();
         let fitted = picture.residual.iter().filter(|residual| residual.is_finite()).count() as f64;
-        let all = picture.coverage.iter().map(|sum| f64::from(*sum)).sum::<f64>() * picture.grid.pitch * picture.grid.pitch;
+        let all = picture.coverage.iter().map(|sum| f64::from(*sum)).sum::<f64>()
+            * picture.grid.pitch
+            * picture.grid.pitch;
         assert!((all / fitted - 1.0).abs() < 1e-3, "{all} of {fitted}");
         // Does a place lie on the array at an instant? By the inverse of the map.
         let times = &case.frames.as_ref().unwrap().times;
@@ -80,7 +89,8 @@ mod tests {
             let map = picture.motion.at(t_ns);
             let (dx, dy) = (place.0 - map[0], place.1 - map[3]);
             let determinant = map[1] * map[5] - map[2] * map[4];
-            let (x, y) = ((map[5] * dx - map[2] * dy) / determinant, (map[1] * dy - map[4] * dx) / determinant);
+            let (x, y) =
+                ((map[5] * dx - map[2] * dy) / determinant, (map[1] * dy - map[4] * dx) / determinant);
             x.abs() <= picture.centre.0 + 0.5 && y.abs() <= picture.centre.1 + 0.5
         };
         let mut compared = (0, 0);
@@ -92,7 +102,11 @@ mod tests {
                 let place = apply(&map, x as f64 - picture.centre.0, y as f64 - picture.centre.1);
                 let of_frame = |l: usize| {
                     let exposure = times.exposure(l, case.extent.height / 2);
-                    let within = (0..60).filter(|n| inside(place, exposure.start.0 + (exposure.end.0 - exposure.start.0) * n / 60)).count();
+                    let within = (0..60)
+                        .filter(|n| {
+                            inside(place, exposure.start.0 + (exposure.end.0 - exposure.start.0) * n / 60)
+                        })
+                        .count();
                     within as f64 / 60.0
                 };
                 let expected: f64 = (0..times.len()).map(of_frame).sum();

@@ -1,4 +1,5 @@
-//! The rounds of the fit: registration, then picture, motion and shading together, with noise and smoothness estimated on the way.
+//! The rounds of the fit: registration, then picture, motion and shading together, with noise and smoothness
+//! estimated on the way.
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
 use super::coverage::coverage;
@@ -6,7 +7,9 @@ use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivativ
 use super::register::{Search, register};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
-use super::system::{LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
+use super::system::{
+    LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp,
+};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
@@ -57,7 +60,8 @@ pub struct PictureSetting {
     pub stretch: f64,
     /// Is the array's shading fitted?
     pub is_shaded: bool,
-    /// Where more than this share of frame values does not change, a scene that stands still is tried as well.
+    /// Where more than this share of frame values does not change, a scene that stands still is tried as
+    /// well.
     pub still: f64,
     /// More frame values than this are not fitted: each takes some 300 bytes.
     pub most_values: usize,
@@ -109,7 +113,8 @@ impl Default for PictureSetting {
 /// How well a picture explains the frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
-    /// Median absolute residual of the frame values over 0.6745 standard deviations, round by round: 1 when the noise explains it.
+    /// Median absolute residual of the frame values over 0.6745 standard deviations, round by round: 1 when
+    /// the noise explains it.
     pub misfit: Vec<f64>,
     /// Correlation of each frame with the one before, registered.
     pub correlation: Vec<f64>,
@@ -122,9 +127,11 @@ pub struct Report {
 pub struct Picture {
     /// Where its coefficients stand.
     pub grid: Grid,
-    /// The coefficients, in photocurrent units; before a still ground behind them those of how much of it is hidden, times [`Picture::unit`].
+    /// The coefficients, in photocurrent units; before a still ground behind them those of how much of it is
+    /// hidden, times [`Picture::unit`].
     pub surface: Vec<f32>,
-    /// The still ground of every pixel, photocurrent, not finite where it is not known; empty where the picture is all there is.
+    /// The still ground of every pixel, photocurrent, not finite where it is not known; empty where the
+    /// picture is all there is.
     pub ground: Vec<f32>,
     /// Photocurrent that coefficients of what is hidden are in units of.
     pub unit: f64,
@@ -156,20 +163,39 @@ impl Picture {
     ///
     /// # Errors
     /// As [`Picture::fit`].
-    pub fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, selected: Option<&[bool]>) -> Result<Picture, String> {
-        let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 3).ok_or("a moving picture needs at least three frames")?;
+    pub fn fit_where(
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        selected: Option<&[bool]>,
+    ) -> Result<Picture, String> {
+        let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 3).ok_or(
+            "a moving picture \
+                                                            needs at least three frames",
+        )?;
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         if width.min(height) < 8 {
-            return Err(format!("a moving picture needs at least 8 x 8 pixels, the array has {}", case.extent));
+            return Err(format!(
+                "a moving picture needs at least 8 x 8 pixels, the array has {}",
+                case.extent
+            ));
         }
         let count = frames.times.len();
-        let values = count * selected.map_or(width * height, |selected| selected.iter().filter(|is| **is).count());
+        let values =
+            count * selected.map_or(width * height, |selected| selected.iter().filter(|is| **is).count());
         if values > setting.most_values {
-            return Err(format!("a moving picture is fitted to at most {} frame values, the recording has {values}", setting.most_values));
+            return Err(format!(
+                "a moving picture is fitted to at most {} frame values, the recording has \
+                                {values}",
+                setting.most_values
+            ));
         }
         let images = images(case, nominal);
         // Registration of neighbours, chained.
-        let pairs: Vec<(Map, f64)> = (1..count).into_par_iter().map(|l| register(&images[l - 1], &images[l], &setting.search, None)).collect();
+        let pairs: Vec<(Map, f64)> = (1..count)
+            .into_par_iter()
+            .map(|l| register(&images[l - 1], &images[l], &setting.search, None))
+            .collect();
         let mut poses: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
         for (pair, _) in &pairs {
             poses.push(compose(poses.last().expect("one is there"), pair));
@@ -177,8 +203,10 @@ impl Picture {
         // Where much stands still, what registration followed may be the smaller part of it.
         let still = vec![poses[0]; count];
         let motions = [&poses[..], &still[..]];
-        let tried = if unchanged(case, nominal, setting) > setting.still { &motions[..] } else { &motions[..1] };
-        let mut picture = Picture::fit_from(case, nominal, setting, tried, Begin { selected, ..Begin::default() });
+        let tried =
+            if unchanged(case, nominal, setting) > setting.still { &motions[..] } else { &motions[..1] };
+        let mut picture =
+            Picture::fit_from(case, nominal, setting, tried, Begin { selected, ..Begin::default() });
         picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
         Ok(picture)
     }
@@ -187,22 +215,43 @@ impl Picture {
     ///
     /// # Panics
     /// Without any.
-    pub fn fit_from(case: &Case, nominal: &Nominal, setting: &PictureSetting, poses: &[&[Map]], begin: Begin<'_>) -> Picture {
+    pub fn fit_from(
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        poses: &[&[Map]],
+        begin: Begin<'_>,
+    ) -> Picture {
         let all = poses.iter().map(|poses| Fit::coarse(case, nominal, setting, poses, begin));
         let best = all.min_by(|a, b| a.loss().total_cmp(&b.loss())).expect("motion begins somewhere");
         best.fine()
     }
 
     /// Fits the frames of another recording of the same scene, from here on.
-    pub fn refit(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, counts: Option<&[bool]>) -> Picture {
+    pub fn refit(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        counts: Option<&[bool]>,
+    ) -> Picture {
         let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(counts));
-        fit.picture = Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
+        fit.picture =
+            Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
         fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
         fit.picture
     }
 
-    /// The same scene with what its frames leave open drawn at random: as good an explanation of the frames as the fitted one, and as rough as scenes are.
-    pub fn drawn(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, counts: Option<&[bool]>, seed: u64) -> Picture {
+    /// The same scene with what its frames leave open drawn at random: as good an explanation of the frames
+    /// as the fitted one, and as rough as scenes are.
+    pub fn drawn(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        counts: Option<&[bool]>,
+        seed: u64,
+    ) -> Picture {
         let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(counts));
         fit.picture = self.clone();
         let knots = self.motion.knots.len();
@@ -242,7 +291,8 @@ pub struct Begin<'a> {
     pub counts: Option<&'a [bool]>,
     /// The still ground behind the picture, photocurrent, for each pixel; not finite where it is not known.
     pub ground: Option<&'a [f32]>,
-    /// Which pixels anybody asks for; the others have no part in anything, as if they had no frame values. All of them without it.
+    /// Which pixels anybody asks for; the others have no part in anything, as if they had no frame values.
+    /// All of them without it.
     pub selected: Option<&'a [bool]>,
 }
 
@@ -269,20 +319,35 @@ struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion, begin: Begin<'a>) -> Fit<'a> {
-        let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
+    fn new(
+        case: &'a Case,
+        nominal: &'a Nominal,
+        setting: &'a PictureSetting,
+        motion: Motion,
+        begin: Begin<'a>,
+    ) -> Fit<'a> {
+        let centre =
+            (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
         let grid = cover(case, &motion, centre, setting.coarse_pitch);
         let mut light: Vec<f64> = Vec::new();
         for l in 0..case.frame_count() {
             let seconds = exposure_s(case, l, 0);
             let values = (0..case.extent.pixels()).step_by(5).map(|pixel| case.dn(l, pixel));
-            light.extend(values.filter(|dn| dn.is_finite()).map(|dn| (dn - nominal.number.black_level) / (nominal.number.gain * seconds)));
+            light.extend(
+                values
+                    .filter(|dn| dn.is_finite())
+                    .map(|dn| (dn - nominal.number.black_level) / (nominal.number.gain * seconds)),
+            );
         }
         light.sort_by(f64::total_cmp);
         let typical = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
         let picture = Picture {
             grid,
-            surface: if begin.ground.is_some() { vec![0.0; 2 * grid.coefficients()] } else { vec![typical as f32; grid.coefficients()] },
+            surface: if begin.ground.is_some() {
+                vec![0.0; 2 * grid.coefficients()]
+            } else {
+                vec![typical as f32; grid.coefficients()]
+            },
             ground: begin.ground.map_or_else(Vec::new, <[f32]>::to_vec),
             unit: typical,
             motion,
@@ -293,11 +358,26 @@ impl<'a> Fit<'a> {
             coverage: Vec::new(),
             centre,
         };
-        Fit { case, nominal, setting, counts: begin.counts, selected: begin.selected, picture, typical, scale: 1.0 }
+        Fit {
+            case,
+            nominal,
+            setting,
+            counts: begin.counts,
+            selected: begin.selected,
+            picture,
+            typical,
+            scale: 1.0,
+        }
     }
 
     /// Fitted on the coarse grid, from poses of the frames on.
-    fn coarse(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, poses: &[Map], begin: Begin<'a>) -> Fit<'a> {
+    fn coarse(
+        case: &'a Case,
+        nominal: &'a Nominal,
+        setting: &'a PictureSetting,
+        poses: &[Map],
+        begin: Begin<'a>,
+    ) -> Fit<'a> {
         let mut fit = Fit::new(case, nominal, setting, begin_motion(case, poses, setting), begin);
         fit.rounds(0, setting.rounds.0, setting.steps.0);
         fit
@@ -316,7 +396,8 @@ impl<'a> Fit<'a> {
         let residual = self.picture.residual.iter().enumerate().filter(|(_, residual)| residual.is_finite());
         let of = |(n, residual): (usize, &f32)| {
             let pixels = self.case.extent.pixels();
-            let signal = f64::max(self.case.dn(n / pixels, n % pixels) - self.nominal.number.black_level, 0.0);
+            let signal =
+                f64::max(self.case.dn(n / pixels, n % pixels) - self.nominal.number.black_level, 0.0);
             let z = f64::from(*residual) / (self.setting.robust * self.sigma(signal));
             (libm::log1p(z * z), 1.0)
         };
@@ -334,7 +415,10 @@ impl<'a> Fit<'a> {
             grid.nearest(surface, x, y) as f32
         };
         let layers = surface.chunks_exact(grid.coefficients());
-        self.picture.surface = layers.flat_map(|surface| (0..fine.coefficients()).map(move |n| (surface, n))).map(|(surface, n)| value(surface, n)).collect();
+        self.picture.surface = layers
+            .flat_map(|surface| (0..fine.coefficients()).map(move |n| (surface, n)))
+            .map(|(surface, n)| value(surface, n))
+            .collect();
         self.picture.grid = fine;
     }
 
@@ -357,7 +441,8 @@ impl<'a> Fit<'a> {
             smooth.motion = self.setting.motion_weight;
             // Scale and shear are as little as frames allow: a star has no scale.
             let stretch = 1.0 / self.setting.stretch;
-            smooth.rest_size = (0..knots * DEGREES).map(|n| if n % DEGREES >= RIGID { stretch } else { 0.0 }).collect();
+            smooth.rest_size =
+                (0..knots * DEGREES).map(|n| if n % DEGREES >= RIGID { stretch } else { 0.0 }).collect();
             smooth.rest_size.extend([1.0; TERMS]);
             let now = Unknowns { picture: self.picture.surface.clone(), rest: self.flat() };
             let step = solve(&rows, &self.picture.grid, &smooth, &now, knots, with_rest, steps);
@@ -381,7 +466,9 @@ impl<'a> Fit<'a> {
             });
             smooth = self.smoothness(knots, open.as_deref());
             best = self.cost(&rows, &smooth);
-            if round + 1 >= begin + self.setting.least_rounds && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last) {
+            if round + 1 >= begin + self.setting.least_rounds
+                && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last)
+            {
                 break;
             }
         }
@@ -405,7 +492,10 @@ impl<'a> Fit<'a> {
     }
 
     fn take(&mut self, before: &Picture, step: &Unknowns, by: f64) {
-        let mut now = Unknowns { picture: before.surface.clone(), rest: before.motion.knots.iter().flatten().copied().chain(before.shading).collect() };
+        let mut now = Unknowns {
+            picture: before.surface.clone(),
+            rest: before.motion.knots.iter().flatten().copied().chain(before.shading).collect(),
+        };
         add(&mut now, by, step);
         let knots = before.motion.knots.len();
         for (k, knot) in self.picture.motion.knots.iter_mut().enumerate() {
@@ -449,17 +539,28 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one, and what is always possible. `open` is a draw of what
-    /// measurements leave open of the picture: a fitted picture alone is smoother than the scene, and a little more so in every round.
+    /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one,
+    /// and what is always possible. `open` is a draw of what measurements leave open of the picture: a fitted
+    /// picture alone is smoother than the scene, and a little more so in every round.
     fn smoothness(&self, knots: usize, open: Option<&[f32]>) -> Smoothness {
         let grid = &self.picture.grid;
         let (w, h) = (grid.width, grid.height);
         let least = (self.setting.least_roughness * self.typical) as f32;
-        let layers = self.picture.surface.chunks_exact(w * h).enumerate().map(|(n, c)| (c, open.map(|open| &open[n * w * h..(n + 1) * w * h])));
+        let layers = self
+            .picture
+            .surface
+            .chunks_exact(w * h)
+            .enumerate()
+            .map(|(n, c)| (c, open.map(|open| &open[n * w * h..(n + 1) * w * h])));
         let layers: Vec<(&[f32], Option<&[f32]>)> = layers.collect();
-        let of_layer = |(c, open): (&[f32], Option<&[f32]>), difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> {
-            let square = |surface: &[f32], k: usize| difference(surface, k % w, k / w) * difference(surface, k % w, k / w);
-            let square: Vec<f32> = (0..w * h).map(|k| square(c, k) + open.map_or(0.0, |open| square(open, k))).collect();
+        let of_layer = |(c, open): (&[f32], Option<&[f32]>),
+                        difference: &dyn Fn(&[f32], usize, usize) -> f32|
+         -> Vec<f32> {
+            let square = |surface: &[f32], k: usize| {
+                difference(surface, k % w, k / w) * difference(surface, k % w, k / w)
+            };
+            let square: Vec<f32> =
+                (0..w * h).map(|k| square(c, k) + open.map_or(0.0, |open| square(open, k))).collect();
             let mean: f32 = square.iter().sum::<f32>() / square.len() as f32;
             let mut sorted = square.clone();
             let middle = sorted.len() / 2;
@@ -479,20 +580,39 @@ impl<'a> Fit<'a> {
                 })
                 .collect()
         };
-        let field = |difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> { layers.iter().flat_map(|layer| of_layer(*layer, difference)).collect() };
-        let along_x = field(&|c, x, y| if x > 0 && x + 1 < w { c[y * w + x - 1] - 2.0 * c[y * w + x] + c[y * w + x + 1] } else { 0.0 });
-        let along_y = field(&|c, x, y| if y > 0 && y + 1 < h { c[(y - 1) * w + x] - 2.0 * c[y * w + x] + c[(y + 1) * w + x] } else { 0.0 });
+        let field = |difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> {
+            layers.iter().flat_map(|layer| of_layer(*layer, difference)).collect()
+        };
+        let along_x = field(&|c, x, y| {
+            if x > 0 && x + 1 < w { c[y * w + x - 1] - 2.0 * c[y * w + x] + c[y * w + x + 1] } else { 0.0 }
+        });
+        let along_y = field(&|c, x, y| {
+            if y > 0 && y + 1 < h {
+                c[(y - 1) * w + x] - 2.0 * c[y * w + x] + c[(y + 1) * w + x]
+            } else {
+                0.0
+            }
+        });
         let across = field(&|c, x, y| {
             let at = y * w + x;
             if x + 1 < w && y + 1 < h { c[at] - c[at + 1] - c[at + w] + c[at + w + 1] } else { 0.0 }
         });
-        Smoothness { along_x, along_y, across, rest: vec![0.0; knots * DEGREES + TERMS], rest_size: vec![0.0; knots * DEGREES + TERMS], motion: 0.0 }
+        Smoothness {
+            along_x,
+            along_y,
+            across,
+            rest: vec![0.0; knots * DEGREES + TERMS],
+            rest_size: vec![0.0; knots * DEGREES + TERMS],
+            motion: 0.0,
+        }
     }
 
     /// Robust weights and the scale of the noise; gives the misfit.
     fn reweigh(&mut self, rows: &mut Rows) -> f64 {
-        let z: Vec<f64> = (0..rows.count()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
-        let mut sizes: Vec<f64> = z.iter().zip(&rows.weight).filter(|(_, weight)| **weight > 0.0).map(|(z, _)| *z).collect();
+        let z: Vec<f64> =
+            (0..rows.count()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
+        let mut sizes: Vec<f64> =
+            z.iter().zip(&rows.weight).filter(|(_, weight)| **weight > 0.0).map(|(z, _)| *z).collect();
         let middle = sizes.len() / 2;
         if sizes.is_empty() {
             return 0.0;
@@ -505,7 +625,8 @@ impl<'a> Fit<'a> {
                 continue;
             }
             let far = z[r] / (self.setting.robust * self.scale);
-            rows.weight[r] = (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;
+            rows.weight[r] =
+                (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;
         }
         misfit
     }
@@ -523,7 +644,10 @@ impl<'a> Fit<'a> {
     fn lay(&self, with_rest: bool) -> Rows {
         let height = self.case.extent.height as usize;
         let count = self.case.frame_count();
-        let parts: Vec<Rows> = (0..count * height).into_par_iter().map(|n| self.lay_row(n / height, n % height, with_rest)).collect();
+        let parts: Vec<Rows> = (0..count * height)
+            .into_par_iter()
+            .map(|n| self.lay_row(n / height, n % height, with_rest))
+            .collect();
         let mut rows = Rows { first: vec![0], ..Rows::default() };
         for part in parts {
             let begun = rows.stencil.len() as u32;
@@ -547,7 +671,8 @@ impl<'a> Fit<'a> {
     }
 
     fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
-        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } = &self.picture;
+        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } =
+            &self.picture;
         let (surface, hidden) = surface.split_at(grid.coefficients());
         let times = &self.case.frames.as_ref().expect("frames are there").times;
         let exposure = times.exposure(l, y as u32);
@@ -562,14 +687,21 @@ impl<'a> Fit<'a> {
         let knot = instants[0].knot;
         let number = self.nominal.number;
         let factor = number.gain * seconds;
-        let touched = instants.iter().map(|instant| (instant.knot - knot + ORDER).min(TOUCHED)).max().unwrap_or(TOUCHED) as u8;
+        let touched = instants
+            .iter()
+            .map(|instant| (instant.knot - knot + ORDER).min(TOUCHED))
+            .max()
+            .unwrap_or(TOUCHED) as u8;
         let mut rows = Rows { first: vec![0], ..Rows::default() };
         let mut stencil: Vec<f32> = Vec::new();
         for x in 0..self.case.extent.width as usize {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
             let behind = ground.get(pixel).map(|ground| f64::from(*ground));
-            if !dn.is_finite() || self.selected.is_some_and(|selected| !selected[pixel]) || behind.is_some_and(|ground| !ground.is_finite()) {
+            if !dn.is_finite()
+                || self.selected.is_some_and(|selected| !selected[pixel])
+                || behind.is_some_and(|ground| !ground.is_finite())
+            {
                 continue;
             }
             let place = (x as f64 - centre.0, y as f64 - centre.1);
@@ -584,22 +716,38 @@ impl<'a> Fit<'a> {
                 continue;
             }
             let located = located.map(Option::unwrap_or_default);
-            let low = (located.iter().map(|at| at.0).min().unwrap_or(0), located.iter().map(|at| at.1).min().unwrap_or(0));
-            let high = (located.iter().map(|at| at.0).max().unwrap_or(0), located.iter().map(|at| at.1).max().unwrap_or(0));
+            let low = (
+                located.iter().map(|at| at.0).min().unwrap_or(0),
+                located.iter().map(|at| at.1).min().unwrap_or(0),
+            );
+            let high = (
+                located.iter().map(|at| at.0).max().unwrap_or(0),
+                located.iter().map(|at| at.1).max().unwrap_or(0),
+            );
             let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
             // Padding stands within the grid.
             let low = (low.0.min(grid.width - columns), low.1);
             stencil.clear();
             stencil.resize(columns * lines, 0.0);
             for ((i, j, f, g), instant) in located.iter().zip(&instants) {
-                stamp(&mut stencil, columns, low, (*i, *j), &weights(*f), &weights(*g), scale * instant.share);
+                stamp(
+                    &mut stencil,
+                    columns,
+                    low,
+                    (*i, *j),
+                    &weights(*f),
+                    &weights(*g),
+                    scale * instant.share,
+                );
             }
             let corner = low.1 * grid.width + low.0;
             let along = |surface: &[f32]| -> f32 {
                 stencil
                     .chunks_exact(columns)
                     .enumerate()
-                    .map(|(j, line)| line.iter().zip(&surface[corner + j * grid.width..]).map(|(a, c)| a * c).sum::<f32>())
+                    .map(|(j, line)| {
+                        line.iter().zip(&surface[corner + j * grid.width..]).map(|(a, c)| a * c).sum::<f32>()
+                    })
                     .sum()
             };
             // A ground that nothing hides is no matter of the fit.
@@ -625,11 +773,15 @@ impl<'a> Fit<'a> {
                         let (hx, hy) = grid.gradient(hidden, px, py);
                         (gx, gy) = (gx - ground / of_hidden * hx, gy - ground / of_hidden * hy);
                     }
-                    let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1).map(|(dx, dy)| gx * dx + gy * dy);
+                    let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1)
+                        .map(|(dx, dy)| gx * dx + gy * dy);
                     for (n, weight) in instant.weights.iter().enumerate() {
                         let at = (instant.knot - knot + n).min(TOUCHED - 1);
                         let share = scale * instant.share * weight;
-                        by_rest[POSES + at * DEGREES..][..DEGREES].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
+                        by_rest[POSES + at * DEGREES..][..DEGREES]
+                            .iter_mut()
+                            .zip(by)
+                            .for_each(|(sum, by)| *sum += (share * by) as f32);
                     }
                 }
             }
@@ -642,7 +794,10 @@ impl<'a> Fit<'a> {
             let is_fitted = self.counts.is_none_or(|counts| counts[index]);
             rows.weight.push(if is_fitted { (1.0 / self.sigma(signal_dn)) as f32 } else { 0.0 });
             rows.knot.push(knot as u32);
-            by_rest[..TERMS].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * (signal + still as f32));
+            by_rest[..TERMS]
+                .iter_mut()
+                .zip(basis)
+                .for_each(|(by, b)| *by = b as f32 * (signal + still as f32));
             rows.push_rest(&by_rest);
             rows.signal.push(signal_dn as f32);
             rows.index.push(index as u32);

@@ -13,7 +13,8 @@ fn derivatives_are_those_of_finite_steps() {
     let case = recording();
     derivatives_of(&case, None);
     let mut random = Random::new(4, &[]);
-    let ground: Vec<f32> = (0..case.extent.pixels()).map(|_| (60.0 + 80.0 * random.uniform()) as f32).collect();
+    let ground: Vec<f32> =
+        (0..case.extent.pixels()).map(|_| (60.0 + 80.0 * random.uniform()) as f32).collect();
     derivatives_of(&case, Some(&ground));
 }
 
@@ -21,7 +22,13 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting::default();
     let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground, selected: None });
+    let mut fit = Fit::new(
+        case,
+        &nominal,
+        &setting,
+        begin_motion(case, &poses, &setting),
+        Begin { counts: None, ground, selected: None },
+    );
     let mut random = Random::new(3, &[]);
     let typical = fit.typical as f32;
     fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
@@ -45,8 +52,16 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
         let finite = moved(&|picture, by| picture.motion.knots[knot][degree] += by);
         for (r, finite) in finite.iter().enumerate() {
             let first = rows.knot[r] as usize;
-            let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.rest_of(r)[POSES + (knot - first) * DEGREES + degree]) } else { 0.0 };
-            assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "knot {knot}, degree {degree}, row {r}: {own} is {finite}");
+            let own = if (first..first + TOUCHED).contains(&knot) {
+                f64::from(rows.rest_of(r)[POSES + (knot - first) * DEGREES + degree])
+            } else {
+                0.0
+            };
+            assert!(
+                (own - finite).abs() < 0.02 * own.abs() + 1.5,
+                "knot {knot}, degree {degree}, row {r}: \
+                                                            {own} is {finite}"
+            );
         }
     }
     for term in 0..TERMS {
@@ -75,13 +90,17 @@ fn sharpening_narrows_edges_and_leaves_what_is_flat() {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting { coarse_pitch: 0.5, ..PictureSetting::default() };
     let poses = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]; case.frame_count()];
-    let mut picture = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), Begin::default()).picture;
+    let mut picture =
+        Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), Begin::default()).picture;
     let grid = picture.grid;
     let edge = |x: f64| 100.0 + 50.0 * libm::tanh(x / 0.8);
-    picture.surface = (0..grid.coefficients()).map(|n| edge(grid.x0 + (n % grid.width) as f64 * grid.pitch) as f32).collect();
+    picture.surface = (0..grid.coefficients())
+        .map(|n| edge(grid.x0 + (n % grid.width) as f64 * grid.pitch) as f32)
+        .collect();
     let sharp = picture.sharpened(0.4);
     let width = |of: &Picture| {
-        let values: Vec<f64> = (-400..=400).map(|k| of.grid.value(&of.surface, f64::from(k) * 0.01, 0.3).unwrap()).collect();
+        let values: Vec<f64> =
+            (-400..=400).map(|k| of.grid.value(&of.surface, f64::from(k) * 0.01, 0.3).unwrap()).collect();
         assert!(values.windows(2).all(|pair| pair[1] >= pair[0] - 1e-3), "an edge that rises goes on rising");
         values.iter().filter(|value| (60.0..140.0).contains(*value)).count() as f64 * 0.01
     };

@@ -1,7 +1,9 @@
 //! The scene as one moving picture, fitted to frames alone.
 //!
-//! Many scenes are coherent: one picture moves, and every place of it is seen by many pixels in many frames, whose exposure, row time and gain are known, without any event. So the picture,
-//! how it lies on the array at every instant, and the static shading of the array are fitted to all frame values at once. What it predicts at an event's instant is then independent of that event.
+//! Many scenes are coherent: one picture moves, and every place of it is seen by many pixels in many frames,
+//! whose exposure, row time and gain are known, without any event. So the picture, how it lies on the array
+//! at every instant, and the static shading of the array are fitted to all frame values at once. What it
+//! predicts at an event's instant is then independent of that event.
 //!
 //! - [`spline`]: the surface.
 //! - [`motion`]: how it lies on the array over time.
@@ -15,9 +17,11 @@
 //! - [`sharpen`]: a picture as sharp as it may be.
 //! - [`patches`]: parts of the array with a picture each.
 //!
-//! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
+//! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP
+//! 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
 //!
-//! Limits: one affine motion for each picture; what moves before something that moves as well has parts only; a surface that is sharper than its pitch is softened.
+//! Limits: one affine motion for each picture; what moves before something that moves as well has parts only;
+//! a surface that is sharper than its pitch is softened.
 
 pub mod begin;
 mod coverage;

@@ -1,6 +1,7 @@
 //! How the picture lies on the array over time: shift, turn, scale and shear, each a cubic spline of time.
 //!
-//! All are in pixels: turn, scale and shear are what they move a point at the edge of the array ([`Motion::half`] from its centre).
+//! All are in pixels: turn, scale and shear are what they move a point at the edge of the array
+//! ([`Motion::half`] from its centre).
 
 use super::spline::{ORDER, weights};
 
@@ -19,7 +20,14 @@ pub type Map = [f64; 6];
 pub fn map_of(pose: &Pose, half: f64) -> Map {
     let (turn, scale, a, b) = (pose[2] / half, libm::exp(pose[3] / half), pose[4] / half, pose[5] / half);
     let (c, s) = (scale * libm::cos(turn), scale * libm::sin(turn));
-    [pose[0], c * (1.0 + a) - s * b, c * b - s * (1.0 - a), pose[1], s * (1.0 + a) + c * b, s * b + c * (1.0 - a)]
+    [
+        pose[0],
+        c * (1.0 + a) - s * b,
+        c * b - s * (1.0 - a),
+        pose[1],
+        s * (1.0 + a) + c * b,
+        s * b + c * (1.0 - a),
+    ]
 }
 
 /// The pose of a map.
@@ -28,7 +36,10 @@ pub fn pose_of(map: &Map, half: f64) -> Pose {
     let turn = libm::atan2(map[4] - map[2], map[1] + map[5]);
     let scale = 0.5 * libm::hypot(map[4] - map[2], map[1] + map[5]);
     let (c, s) = (libm::cos(turn) / scale, libm::sin(turn) / scale);
-    let (first, second) = ((c * map[1] + s * map[4], c * map[2] + s * map[5]), (-s * map[1] + c * map[4], -s * map[2] + c * map[5]));
+    let (first, second) = (
+        (c * map[1] + s * map[4], c * map[2] + s * map[5]),
+        (-s * map[1] + c * map[4], -s * map[2] + c * map[5]),
+    );
     let (a, b) = (0.5 * (first.0 - second.1), 0.5 * (first.1 + second.0));
     [map[0], map[3], turn * half, libm::log(scale) * half, a * half, b * half]
 }
@@ -54,7 +65,14 @@ pub fn derivatives(map: &Map, pose: &Pose, half: f64, x: f64, y: f64) -> [(f64, 
     let (dx, dy) = ((px - map[0]) / half, (py - map[3]) / half);
     let scale = libm::exp(pose[3] / half);
     let (c, s) = (scale * libm::cos(pose[2] / half) / half, scale * libm::sin(pose[2] / half) / half);
-    [(1.0, 0.0), (0.0, 1.0), (-dy, dx), (dx, dy), (c * x + s * y, s * x - c * y), (c * y - s * x, s * y + c * x)]
+    [
+        (1.0, 0.0),
+        (0.0, 1.0),
+        (-dy, dx),
+        (dx, dy),
+        (c * x + s * y, s * x - c * y),
+        (c * y - s * x, s * y + c * x),
+    ]
 }
 
 /// The motion of a picture.
@@ -77,7 +95,8 @@ impl Motion {
         Motion { start_ns: span.0, knot_ns, half, knots: vec![[0.0; DEGREES]; intervals + ORDER - 1] }
     }
 
-    /// The first of the four knots that hold at an instant, and their weights; the nearest end of the spline beyond it.
+    /// The first of the four knots that hold at an instant, and their weights; the nearest end of the spline
+    /// beyond it.
     #[inline]
     pub fn weights(&self, t_ns: i64) -> (usize, [f64; ORDER]) {
         let place = (t_ns - self.start_ns) as f64 / self.knot_ns as f64;
@@ -125,7 +144,11 @@ mod tests {
             less[d] -= step;
             let (a, b) = (apply(&map_of(&more, half), x, y), apply(&map_of(&less, half), x, y));
             let expected = ((a.0 - b.0) / (2.0 * step), (a.1 - b.1) / (2.0 * step));
-            assert!((found[d].0 - expected.0).abs() < 1e-6 && (found[d].1 - expected.1).abs() < 1e-6, "{d}: {:?} {expected:?}", found[d]);
+            assert!(
+                (found[d].0 - expected.0).abs() < 1e-6 && (found[d].1 - expected.1).abs() < 1e-6,
+                "{d}: {:?} {expected:?}",
+                found[d]
+            );
         }
     }
 }

@@ -1,10 +1,13 @@
-//! Parts of the array for a few frames each, every one with a picture and a motion of its own: for scenes that do not move as one.
+//! Parts of the array for a few frames each, every one with a picture and a motion of its own: for scenes
+//! that do not move as one.
 //!
-//! The array is cut into tiles and the recording into windows of frames that overlap. Around a tile a picture is fitted to the values that change from frame to frame, as what stands still
-//! belongs to something else; where it begins to move is a search for the one shift a frame that predicts the window best.
+//! The array is cut into tiles and the recording into windows of frames that overlap. Around a tile a picture
+//! is fitted to the values that change from frame to frame, as what stands still belongs to something else;
+//! where it begins to move is a search for the one shift a frame that predicts the window best.
 //!
-//! Source: the piecewise view of optical flow (Black and Anandan, The Robust Estimation of Multiple Motions, CVIU 1996). Limits: what comes out from behind something else is seen by too few
-//! frames, and one patch has one motion.
+//! Source: the piecewise view of optical flow (Black and Anandan, The Robust Estimation of Multiple Motions,
+//! CVIU 1996). Limits: what comes out from behind something else is seen by too few frames, and one patch has
+//! one motion.
 
 use super::estimate::{Begin, Picture, PictureSetting};
 use super::motion::{Map, apply, compose};
@@ -40,7 +43,18 @@ pub struct PatchSetting {
 
 impl Default for PatchSetting {
     fn default() -> PatchSetting {
-        PatchSetting { side: 12, margin: 6, frames: 5, shared: 1, reach: 12, turn: 0.8, shift_cost: 0.01, moves: 4.0, least_values: 200, least_events: 12 }
+        PatchSetting {
+            side: 12,
+            margin: 6,
+            frames: 5,
+            shared: 1,
+            reach: 12,
+            turn: 0.8,
+            shift_cost: 0.01,
+            moves: 4.0,
+            least_values: 200,
+            least_events: 12,
+        }
     }
 }
 
@@ -51,7 +65,10 @@ impl PatchSetting {
             let count = u32::max(length / self.side.max(1), 1);
             (0..count).map(|n| n * length / count..(n + 1) * length / count).collect()
         };
-        cut(extent.height).into_iter().flat_map(|rows| cut(extent.width).into_iter().map(move |columns| (columns, rows.clone()))).collect()
+        cut(extent.height)
+            .into_iter()
+            .flat_map(|rows| cut(extent.width).into_iter().map(move |columns| (columns, rows.clone())))
+            .collect()
     }
 
     /// The windows of so many frames.
@@ -80,8 +97,15 @@ pub struct Part {
 
 impl Part {
     /// Around a tile.
-    pub fn around(tile: &(Range<u32>, Range<u32>), frames: Range<usize>, extent: Extent, setting: &PatchSetting) -> Part {
-        let wider = |range: &Range<u32>, end: u32| range.start.saturating_sub(setting.margin)..(range.end + setting.margin).min(end);
+    pub fn around(
+        tile: &(Range<u32>, Range<u32>),
+        frames: Range<usize>,
+        extent: Extent,
+        setting: &PatchSetting,
+    ) -> Part {
+        let wider = |range: &Range<u32>, end: u32| {
+            range.start.saturating_sub(setting.margin)..(range.end + setting.margin).min(end)
+        };
         Part { columns: wider(&tile.0, extent.width), rows: wider(&tile.1, extent.height), frames }
     }
 
@@ -102,12 +126,19 @@ impl Part {
     pub fn of(&self, case: &Case) -> Case {
         let frames = case.frames.as_ref().expect("frames are there");
         let times = &frames.times;
-        let exposures: Vec<Exposure> = self.frames.clone().map(|l| times.exposure(l, self.rows.start)).collect();
-        let dn = self.frames.clone().flat_map(|l| self.pixels(case.extent.width).map(move |pixel| frames.dn(l, pixel))).collect();
+        let exposures: Vec<Exposure> =
+            self.frames.clone().map(|l| times.exposure(l, self.rows.start)).collect();
+        let dn = self
+            .frames
+            .clone()
+            .flat_map(|l| self.pixels(case.extent.width).map(move |pixel| frames.dn(l, pixel)))
+            .collect();
         let extent = self.extent();
         let last = times.exposure(self.frames.end - 1, self.rows.end - 1).end.0;
-        let span = (exposures[0].start.0.min(times.exposure(self.frames.start, self.rows.end - 1).start.0), last);
-        let times = FrameTimes::new(exposures, times.row_time_ns).unwrap_or_else(|_| unreachable!("exposures of a recording are in order"));
+        let span =
+            (exposures[0].start.0.min(times.exposure(self.frames.start, self.rows.end - 1).start.0), last);
+        let times = FrameTimes::new(exposures, times.row_time_ns)
+            .unwrap_or_else(|_| unreachable!("exposures of a recording are in order"));
         Case {
             extent,
             span,
@@ -120,7 +151,8 @@ impl Part {
     }
 }
 
-/// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard deviations of one value.
+/// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard
+/// deviations of one value.
 pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
     let (count, pixels) = (case.frame_count(), case.extent.pixels());
     let differs = |l: usize, k: usize, pixel: usize| {
@@ -136,18 +168,24 @@ pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> 
         .collect()
 }
 
-/// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than the share `least` of them agree.
+/// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than
+/// the share `least` of them agree.
 pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64, least: f64) -> Vec<f64> {
     let count = case.frame_count();
     let of = |pixel: usize| {
-        let mut values: Vec<f64> = (0..count).map(|l| case.dn(l, pixel)).filter(|dn| dn.is_finite()).collect();
+        let mut values: Vec<f64> =
+            (0..count).map(|l| case.dn(l, pixel)).filter(|dn| dn.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         // The largest group of values that noise explains.
         let group = |first: usize| {
-            let sigma = nominal.frame_sigma_dn(f64::max(values[first] - nominal.number.black_level, 0.0), noise);
+            let sigma =
+                nominal.frame_sigma_dn(f64::max(values[first] - nominal.number.black_level, 0.0), noise);
             values[first..].partition_point(|dn| *dn <= values[first] + moves * sigma)
         };
-        let Some((held, first)) = (0..values.len()).map(|first| (group(first), first)).max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1))) else {
+        let Some((held, first)) = (0..values.len())
+            .map(|first| (group(first), first))
+            .max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1)))
+        else {
             return f64::NAN;
         };
         if (held as f64) < least * values.len() as f64 { f64::NAN } else { values[first + held / 2] }
@@ -155,8 +193,15 @@ pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64, lea
     (0..case.extent.pixels()).map(of).collect()
 }
 
-/// Which frame values belong to something that moves: those that are not the ground's, and where there is none those that change.
-pub fn foreground(case: &Case, nominal: &Nominal, ground: &[f64], noise: (f64, f64), moves: f64) -> Vec<bool> {
+/// Which frame values belong to something that moves: those that are not the ground's, and where there is
+/// none those that change.
+pub fn foreground(
+    case: &Case,
+    nominal: &Nominal,
+    ground: &[f64],
+    noise: (f64, f64),
+    moves: f64,
+) -> Vec<bool> {
     let pixels = case.extent.pixels();
     let changes = moving(case, nominal, noise, moves);
     let of = |(n, changes): (usize, bool)| {
@@ -185,7 +230,8 @@ pub struct Patch {
 impl Patch {
     /// Fits a picture to a part of a recording; none where too little moves.
     ///
-    /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]); `ground`: the still ground of its pixels, photocurrent, where there is one.
+    /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]);
+    /// `ground`: the still ground of its pixels, photocurrent, where there is one.
     pub fn fit(
         case: &Case,
         nominal: &Nominal,
@@ -200,31 +246,53 @@ impl Patch {
             return None;
         }
         let pixels = case.extent.pixels();
-        let mut counts: Vec<bool> = part.frames.clone().flat_map(|l| part.pixels(case.extent.width).map(move |pixel| moves[l * pixels + pixel])).collect();
-        counts.iter_mut().enumerate().for_each(|(n, counts)| *counts &= own.dn(n / own.extent.pixels(), n % own.extent.pixels()).is_finite());
+        let mut counts: Vec<bool> = part
+            .frames
+            .clone()
+            .flat_map(|l| part.pixels(case.extent.width).map(move |pixel| moves[l * pixels + pixel]))
+            .collect();
+        counts.iter_mut().enumerate().for_each(|(n, counts)| {
+            *counts &= own.dn(n / own.extent.pixels(), n % own.extent.pixels()).is_finite()
+        });
         if counts.iter().filter(|counts| **counts).count() < setting.least_values {
             return None;
         }
         // A part is too small to turn much.
         let poses = follow(&own, nominal, &counts, &PatchSetting { turn: 0.0, ..*setting });
-        let ground: Option<Vec<f32>> = ground.map(|ground| part.pixels(case.extent.width).map(|pixel| ground[pixel]).collect());
+        let ground: Option<Vec<f32>> =
+            ground.map(|ground| part.pixels(case.extent.width).map(|pixel| ground[pixel]).collect());
         if ground.is_some() {
             // What stands still is explained as well.
             counts.fill(true);
         }
-        let picture = Picture::fit_from(&own, nominal, of_picture, &[&poses], Begin { counts: Some(&counts), ground: ground.as_deref(), selected: None });
+        let picture = Picture::fit_from(
+            &own,
+            nominal,
+            of_picture,
+            &[&poses],
+            Begin { counts: Some(&counts), ground: ground.as_deref(), selected: None },
+        );
         Some(Patch { part, counts, picture })
     }
 
     /// Fits the frames of another recording of the same scene, from here on.
     #[must_use]
     pub fn refit(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting) -> Patch {
-        Patch { picture: self.picture.refit(&self.part.of(case), nominal, of_picture, Some(&self.counts)), ..self.clone() }
+        Patch {
+            picture: self.picture.refit(&self.part.of(case), nominal, of_picture, Some(&self.counts)),
+            ..self.clone()
+        }
     }
 
     /// The same with what its frames leave open drawn at random, and as sharp as it may be.
     #[must_use]
-    pub fn posterior_sample(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting, seed: u64) -> Patch {
+    pub fn posterior_sample(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        of_picture: &PictureSetting,
+        seed: u64,
+    ) -> Patch {
         let drawn = self.picture.drawn(&self.part.of(case), nominal, of_picture, Some(&self.counts), seed);
         Patch { picture: drawn.sharpened(of_picture.sharpest), ..self.clone() }
     }
@@ -241,14 +309,17 @@ impl Patch {
     }
 }
 
-/// The one motion from frame to frame that predicts moving values best, a shift or a turn around their middle: poses of all frames.
+/// The one motion from frame to frame that predicts moving values best, a shift or a turn around their
+/// middle: poses of all frames.
 pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> Vec<Map> {
     let smooth: Vec<_> = super::begin::images(case, nominal).iter().map(|image| image.smoothed(1)).collect();
     let width = case.extent.width as usize;
     let pixels = case.extent.pixels();
     let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
-    let moving: Vec<(usize, f64, f64)> =
-        (pixels..counts.len()).filter(|n| counts[*n]).map(|n| (n, (n % pixels % width) as f64 - centre.0, (n % pixels / width) as f64 - centre.1)).collect();
+    let moving: Vec<(usize, f64, f64)> = (pixels..counts.len())
+        .filter(|n| counts[*n])
+        .map(|n| (n, (n % pixels % width) as f64 - centre.0, (n % pixels / width) as f64 - centre.1))
+        .collect();
     let all = f64::max(moving.len() as f64, 1.0);
     let (mx, my) = moving.iter().fold((0.0, 0.0), |sum, at| (sum.0 + at.1 / all, sum.1 + at.2 / all));
     let radius = moving.iter().map(|at| libm::hypot(at.1 - mx, at.2 - my)).sum::<f64>() / all;
@@ -264,22 +335,40 @@ pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSe
             let (px, py) = apply(&map, *x, *y);
             let (i, j) = ((px + centre.0).round(), (py + centre.1).round());
             if i >= 0.0 && j >= 0.0 && i < f64::from(case.extent.width) && j < f64::from(case.extent.height) {
-                sum += f64::from((smooth[l].values[pixel] - smooth[l - 1].values[j as usize * width + i as usize]).abs());
+                sum += f64::from(
+                    (smooth[l].values[pixel] - smooth[l - 1].values[j as usize * width + i as usize]).abs(),
+                );
                 n += 1.0;
             }
         }
-        if 2.0 * n < all { f64::INFINITY } else { sum / n * (1.0 + setting.shift_cost * (libm::hypot(dx, dy) + turn.abs() * radius)) }
+        if 2.0 * n < all {
+            f64::INFINITY
+        } else {
+            sum / n * (1.0 + setting.shift_cost * (libm::hypot(dx, dy) + turn.abs() * radius))
+        }
     };
     let reach = setting.reach;
-    let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (f64::from(dx), f64::from(dy), 0.0)));
+    let shifts =
+        (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (f64::from(dx), f64::from(dy), 0.0)));
     let steps = (setting.turn / TURN_STEP).floor() as i32;
-    let turns =
-        (-steps..=steps).flat_map(|n| (-1..=1).flat_map(move |j| (-1..=1).map(move |i| (2.0 * f64::from(i), 2.0 * f64::from(j), f64::from(n) * TURN_STEP))));
+    let turns = (-steps..=steps).flat_map(|n| {
+        (-1..=1).flat_map(move |j| {
+            (-1..=1).map(move |i| (2.0 * f64::from(i), 2.0 * f64::from(j), f64::from(n) * TURN_STEP))
+        })
+    });
     let tried = shifts.chain(turns).map(|(dx, dy, turn)| (cost(dx, dy, turn), (dx, dy, turn)));
-    let (mut least, mut best) = tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, (0.0, 0.0, 0.0)));
+    let (mut least, mut best) =
+        tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, (0.0, 0.0, 0.0)));
     // And finer from there on.
     for by in [0.5, 0.25] {
-        for (dx, dy, turn) in [(by, 0.0, 0.0), (-by, 0.0, 0.0), (0.0, by, 0.0), (0.0, -by, 0.0), (0.0, 0.0, by * TURN_STEP), (0.0, 0.0, -by * TURN_STEP)] {
+        for (dx, dy, turn) in [
+            (by, 0.0, 0.0),
+            (-by, 0.0, 0.0),
+            (0.0, by, 0.0),
+            (0.0, -by, 0.0),
+            (0.0, 0.0, by * TURN_STEP),
+            (0.0, 0.0, -by * TURN_STEP),
+        ] {
             let other = (best.0 + dx, best.1 + dy, best.2 + turn);
             let cost = cost(other.0, other.1, other.2);
             if cost < least {
@@ -308,13 +397,21 @@ mod tests {
         for count in 3..40 {
             let windows = setting.windows(count);
             // Every interval between two frames is within a window, and none is longer than the recording.
-            assert!((0..count - 1).all(|l| windows.iter().any(|window| window.contains(&l) && window.contains(&(l + 1)))), "{count}: {windows:?}");
-            assert!(windows.iter().all(|window| window.end <= count && window.len() >= 3), "{count}: {windows:?}");
+            assert!(
+                (0..count - 1)
+                    .all(|l| windows.iter().any(|window| window.contains(&l) && window.contains(&(l + 1)))),
+                "{count}: {windows:?}"
+            );
+            assert!(
+                windows.iter().all(|window| window.end <= count && window.len() >= 3),
+                "{count}: {windows:?}"
+            );
         }
         for (width, height) in [(9, 8), (72, 54), (97, 71)] {
             let extent = Extent { width, height };
             let tiles = setting.tiles(extent);
-            let inside: u32 = tiles.iter().map(|(columns, rows)| columns.len() as u32 * rows.len() as u32).sum();
+            let inside: u32 =
+                tiles.iter().map(|(columns, rows)| columns.len() as u32 * rows.len() as u32).sum();
             assert_eq!(inside, width * height);
         }
     }

@@ -1,4 +1,5 @@
-//! What conjugate gradients spend their time in: products of rows with steps, sums of rows, and the pull of smoothness.
+//! What conjugate gradients spend their time in: products of rows with steps, sums of rows, and the pull of
+//! smoothness.
 //!
 //! Sums are taken in [`LANES`] side by side, and nothing is contracted: the same bits on every processor.
 
@@ -18,7 +19,13 @@ fn joined(sum: [f32; LANES]) -> f32 {
 
 /// Lines of a stencil with the coefficients below them: `with(line's lanes, place)`.
 #[inline(always)]
-fn lanes(corner: usize, columns: usize, width: usize, stencil: &[u16], mut with: impl FnMut(&[u16; LANES], usize)) {
+fn lanes(
+    corner: usize,
+    columns: usize,
+    width: usize,
+    stencil: &[u16],
+    mut with: impl FnMut(&[u16; LANES], usize),
+) {
     if columns == LANES {
         for (j, line) in stencil.as_chunks::<LANES>().0.iter().enumerate() {
             with(line, corner + j * width);
@@ -65,7 +72,8 @@ pub fn along(rows: &Rows, width: usize, picture: &[f32], range: Range<usize>, ou
     }
 }
 
-/// Adds rows of one run, each times its factor and, with a step, its derivative along it. Of everything but the picture, the first `rest` numbers take part.
+/// Adds rows of one run, each times its factor and, with a step, its derivative along it. Of everything but
+/// the picture, the first `rest` numbers take part.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub fn transposed(
     rows: &Rows,
@@ -143,7 +151,8 @@ pub fn squares(rows: &Rows, width: usize, range: Range<usize>, factor: &[f32], s
     }
 }
 
-/// Adds the products of what rows of one run have in addition to the picture, each times its factor: the first `rest` numbers.
+/// Adds the products of what rows of one run have in addition to the picture, each times its factor: the
+/// first `rest` numbers.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub fn of_rest(rows: &Rows, run: Range<usize>, rest: usize, factor: &[f32], sum: &mut [[f32; REST]; REST]) {
     for r in run {
@@ -174,15 +183,29 @@ impl Pull {
     /// Adds the pull of smoothness.
     pub fn add(&self, grid: &Grid, picture: &[f32], out: &mut [f32]) {
         let count = grid.coefficients();
-        for (layer, (picture, out)) in picture.chunks_exact(count).zip(out.chunks_exact_mut(count)).enumerate() {
+        for (layer, (picture, out)) in
+            picture.chunks_exact(count).zip(out.chunks_exact_mut(count)).enumerate()
+        {
             let of = layer * count..(layer + 1) * count;
-            pull([&self.along_x[of.clone()], &self.along_y[of.clone()], &self.across[of]], grid.width, grid.height, picture, out);
+            pull(
+                [&self.along_x[of.clone()], &self.along_y[of.clone()], &self.across[of]],
+                grid.width,
+                grid.height,
+                picture,
+                out,
+            );
         }
     }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-fn pull([along_x, along_y, across]: [&[f32]; 3], width: usize, height: usize, picture: &[f32], out: &mut [f32]) {
+fn pull(
+    [along_x, along_y, across]: [&[f32]; 3],
+    width: usize,
+    height: usize,
+    picture: &[f32],
+    out: &mut [f32],
+) {
     let line = |all: &[f32], j: usize| -> Range<usize> { j * width..((j + 1) * width).min(all.len()) };
     // What each difference pulls with, and nothing before the first one and behind the last one.
     let mut pulls = vec![0.0_f32; width + 2];
@@ -202,7 +225,8 @@ fn pull([along_x, along_y, across]: [&[f32]; 3], width: usize, height: usize, pi
             }
         }
         if j > 0 && j + 1 < height {
-            let (up, down, weights) = (&picture[line(picture, j - 1)], &picture[line(picture, j + 1)], &along_y[range.clone()]);
+            let (up, down, weights) =
+                (&picture[line(picture, j - 1)], &picture[line(picture, j + 1)], &along_y[range.clone()]);
             let (first, last) = out[(j - 1) * width..(j + 2) * width].split_at_mut(width);
             let (middle, last) = last.split_at_mut(width);
             for i in 0..width {

@@ -1,6 +1,8 @@
-//! How one frame lies on the next: an affine map, found by a search over turns and shifts and refined by Gauss-Newton.
+//! How one frame lies on the next: an affine map, found by a search over turns and shifts and refined by
+//! Gauss-Newton.
 //!
-//! Source: Evangelidis and Psarakis, Parametric Image Alignment Using Enhanced Correlation Coefficient Maximization, PAMI 2008; Lucas and Kanade, IJCAI 1981.
+//! Source: Evangelidis and Psarakis, Parametric Image Alignment Using Enhanced Correlation Coefficient
+//! Maximization, PAMI 2008; Lucas and Kanade, IJCAI 1981.
 
 use super::motion::{DEGREES, Map as Affine, RIGID, apply, derivatives, map_of, pose_of};
 use crate::image::Image;
@@ -30,7 +32,16 @@ pub struct Search {
 
 impl Default for Search {
     fn default() -> Search {
-        Search { turn: 1.05, turn_step: 0.07, shift: 0.2, turn_cost: 0.03, shift_cost: 0.1, stretch: 0.5, stretched: 0.5, rounds: 30 }
+        Search {
+            turn: 1.05,
+            turn_step: 0.07,
+            shift: 0.2,
+            turn_cost: 0.03,
+            shift_cost: 0.1,
+            stretch: 0.5,
+            stretched: 0.5,
+            rounds: 30,
+        }
     }
 }
 
@@ -44,13 +55,17 @@ const LARGE: usize = 20_000;
 /// # Panics
 /// When the images differ in size or are smaller than 8 x 8.
 pub fn register(still: &Image, moved: &Image, search: &Search, begin: Option<Affine>) -> (Affine, f64) {
-    assert!(still.width == moved.width && still.height == moved.height && still.width.min(still.height) >= 8, "two images of one size, at least 8 x 8");
+    assert!(
+        still.width == moved.width && still.height == moved.height && still.width.min(still.height) >= 8,
+        "two images of one size, at least 8 x 8"
+    );
     let (a, b) = (still.smoothed(1), moved.smoothed(1));
     let mut best: Option<(Affine, f64)> = None;
     let half = a.centre().0.max(a.centre().1).max(1.0);
     // At least once.
     let mut halved = vec![(a.halved(), b.halved())];
-    while let Some((still, moved)) = halved.last().filter(|(still, _)| still.width.max(still.height) > COARSE) {
+    while let Some((still, moved)) = halved.last().filter(|(still, _)| still.width.max(still.height) > COARSE)
+    {
         halved.push((still.halved(), moved.halved()));
     }
     let (still, moved) = halved.pop().expect("one is there");
@@ -60,7 +75,16 @@ pub fn register(still: &Image, moved: &Image, search: &Search, begin: Option<Aff
         for (n, (still, moved)) in halved.iter().enumerate().rev() {
             let scaled = |map: &Affine, by: f64| [map[0] * by, map[1], map[2], map[3] * by, map[4], map[5]];
             let by = (2 << n) as f64;
-            *start = scaled(&refine(&still.smoothed(2), &moved.smoothed(2), scaled(start, 1.0 / by), search, search.rounds / 2), by);
+            *start = scaled(
+                &refine(
+                    &still.smoothed(2),
+                    &moved.smoothed(2),
+                    scaled(start, 1.0 / by),
+                    search,
+                    search.rounds / 2,
+                ),
+                by,
+            );
         }
     }
     starts.extend(begin);
@@ -87,7 +111,8 @@ fn cost(map: &Affine, search: &Search, width: usize) -> f64 {
     search.turn_cost * turn + search.shift_cost * libm::hypot(map[0], map[3]) / width as f64
 }
 
-/// Turns and shifts of images that were made smaller `by` so much whose correlation is largest, in full pixels.
+/// Turns and shifts of images that were made smaller `by` so much whose correlation is largest, in full
+/// pixels.
 fn coarse(a: &Image, b: &Image, by: usize, search: &Search) -> Vec<Affine> {
     let reach = (search.shift * a.width.max(a.height) as f64).ceil() as i64;
     let steps = (search.turn / search.turn_step).floor() as i64;
@@ -101,7 +126,8 @@ fn coarse(a: &Image, b: &Image, by: usize, search: &Search) -> Vec<Affine> {
         for dy in -reach..=reach {
             for dx in -reach..=reach {
                 let full = [by as f64 * dx as f64, c, -s, by as f64 * dy as f64, s, c];
-                let score = still.correlation(&moved, dx as isize, dy as isize) - cost(&full, search, by * a.width);
+                let score =
+                    still.correlation(&moved, dx as isize, dy as isize) - cost(&full, search, by * a.width);
                 if best.is_none_or(|(least, _)| score > least) {
                     best = Some((score, full));
                 }
@@ -142,7 +168,8 @@ impl Masked {
         Masked { width, height, values, mask }
     }
 
-    /// The correlation with another one shifted by whole pixels, where both are; -1 where they share less than half of the array.
+    /// The correlation with another one shifted by whole pixels, where both are; -1 where they share less
+    /// than half of the array.
     fn correlation(&self, moved: &Masked, dx: isize, dy: isize) -> f64 {
         let (w, h) = (self.width as isize, self.height as isize);
         let mut sums = [0.0_f64; 6];
@@ -158,7 +185,11 @@ impl Masked {
         }
         let [n, sa, sb, saa, sbb, sab] = sums;
         let (va, vb) = (saa - sa * sa / n, sbb - sb * sb / n);
-        if n < 0.5 * (w * h) as f64 || va <= 0.0 || vb <= 0.0 { -1.0 } else { (sab - sa * sb / n) / libm::sqrt(va * vb) }
+        if n < 0.5 * (w * h) as f64 || va <= 0.0 || vb <= 0.0 {
+            -1.0
+        } else {
+            (sab - sa * sb / n) / libm::sqrt(va * vb)
+        }
     }
 }
 
@@ -173,7 +204,8 @@ fn line_sums(a: &[f32], b: &[f32], mask: &[f32]) -> [f32; 6] {
             sum[lane] += value;
         }
     };
-    let ((a, a_end), (b, b_end), (mask, mask_end)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>(), mask.as_chunks::<LANES>());
+    let ((a, a_end), (b, b_end), (mask, mask_end)) =
+        (a.as_chunks::<LANES>(), b.as_chunks::<LANES>(), mask.as_chunks::<LANES>());
     for ((a, b), mask) in a.iter().zip(b).zip(mask) {
         for lane in 0..LANES {
             take(lane, a[lane], b[lane], mask[lane]);
@@ -277,7 +309,10 @@ mod tests {
 
     fn scene(map: &Affine, (width, height): (usize, usize)) -> Image {
         let of = |k: usize| {
-            let (x, y) = ((k % width) as f64 - 0.5 * (width as f64 - 1.0), (k / width) as f64 - 0.5 * (height as f64 - 1.0));
+            let (x, y) = (
+                (k % width) as f64 - 0.5 * (width as f64 - 1.0),
+                (k / width) as f64 - 0.5 * (height as f64 - 1.0),
+            );
             let (x, y) = (map[0] + map[1] * x + map[2] * y, map[3] + map[4] * x + map[5] * y);
             let waves = [(0.21, 0.05, 0.3), (-0.09, 0.17, 1.1), (0.13, 0.19, 2.0), (0.31, -0.22, 0.7)];
             waves.iter().map(|(a, b, c)| libm::sin(a * x + b * y + c)).sum::<f64>() as f32
@@ -289,10 +324,20 @@ mod tests {
     fn a_turned_and_shifted_image_is_found() {
         // The last one is halved twice, and compared at every second pixel.
         let (small, large) = ((60, 44), (346, 260));
-        for (angle, dx, dy, size) in [(0.0, 2.3, -1.2, small), (0.3, 1.0, 0.5, small), (-0.75, 0.0, 3.0, small), (0.3, 21.3, -8.4, large)] {
+        for (angle, dx, dy, size) in [
+            (0.0, 2.3, -1.2, small),
+            (0.3, 1.0, 0.5, small),
+            (-0.75, 0.0, 3.0, small),
+            (0.3, 21.3, -8.4, large),
+        ] {
             let (c, s) = (libm::cos(angle), libm::sin(angle));
             let map = [dx, c, -s, dy, s, c];
-            let (found, correlation) = register(&scene(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0], size), &scene(&map, size), &Search::default(), None);
+            let (found, correlation) = register(
+                &scene(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0], size),
+                &scene(&map, size),
+                &Search::default(),
+                None,
+            );
             assert!(correlation > 0.99, "{correlation}");
             for k in 0..6 {
                 let far = (found[k] - map[k]).abs() * if k % 3 == 0 { 1.0 } else { 20.0 };

@@ -3,11 +3,17 @@
 /// Coefficients along one axis that a value depends on.
 pub const ORDER: usize = 4;
 
-/// Weights of the four coefficients from the one before the interval on, at a share `f` (0 to 1) of the interval.
+/// Weights of the four coefficients from the one before the interval on, at a share `f` (0 to 1) of the
+/// interval.
 #[inline]
 pub fn weights(f: f64) -> [f64; ORDER] {
     let g = 1.0 - f;
-    [g * g * g / 6.0, (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0, (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0, f * f * f / 6.0]
+    [
+        g * g * g / 6.0,
+        (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0,
+        (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0,
+        f * f * f / 6.0,
+    ]
 }
 
 /// Derivatives of [`weights`] by `f`.
@@ -36,7 +42,13 @@ impl Grid {
     /// The grid of `pitch` pixels over a box of places, with one interval to spare on each side.
     pub fn over(low: (f64, f64), high: (f64, f64), pitch: f64) -> Grid {
         let count = |low: f64, high: f64| ((high - low) / pitch).ceil().max(0.0) as usize + ORDER + 2;
-        Grid { x0: low.0 - 2.0 * pitch, y0: low.1 - 2.0 * pitch, pitch, width: count(low.0, high.0), height: count(low.1, high.1) }
+        Grid {
+            x0: low.0 - 2.0 * pitch,
+            y0: low.1 - 2.0 * pitch,
+            pitch,
+            width: count(low.0, high.0),
+            height: count(low.1, high.1),
+        }
     }
 
     /// Number of coefficients.
@@ -44,7 +56,8 @@ impl Grid {
         self.width * self.height
     }
 
-    /// The interval of a place along both axes (column and row of the first of its coefficients) and its share of it; `None` outside.
+    /// The interval of a place along both axes (column and row of the first of its coefficients) and its
+    /// share of it; `None` outside.
     #[inline]
     pub fn locate(&self, x: f64, y: f64) -> Option<(usize, usize, f64, f64)> {
         let (x, y) = ((x - self.x0) / self.pitch, (y - self.y0) / self.pitch);
@@ -61,14 +74,20 @@ impl Grid {
         let mut sum = 0.0;
         for (row, wy) in wy.iter().enumerate() {
             let line = &surface[(j + row) * self.width + i..][..ORDER];
-            sum += wy * (wx[0] * f64::from(line[0]) + wx[1] * f64::from(line[1]) + wx[2] * f64::from(line[2]) + wx[3] * f64::from(line[3]));
+            sum += wy
+                * (wx[0] * f64::from(line[0])
+                    + wx[1] * f64::from(line[1])
+                    + wx[2] * f64::from(line[2])
+                    + wx[3] * f64::from(line[3]));
         }
         Some(sum)
     }
 
     /// The value of a surface at a place; outside of the grid that of its edge.
     pub fn nearest(&self, surface: &[f32], x: f64, y: f64) -> f64 {
-        let edge = |at: f64, first: f64, count: usize| at.clamp(first + 1.001 * self.pitch, first + (count as f64 - 3.001) * self.pitch);
+        let edge = |at: f64, first: f64, count: usize| {
+            at.clamp(first + 1.001 * self.pitch, first + (count as f64 - 3.001) * self.pitch)
+        };
         self.value(surface, edge(x, self.x0, self.width), edge(y, self.y0, self.height)).unwrap_or(f64::NAN)
     }
 
@@ -106,7 +125,10 @@ mod tests {
     fn a_line_is_reproduced_and_gradients_are_differences() {
         let grid = Grid::over((-3.0, -2.0), (4.0, 5.0), 0.7);
         let line: Vec<f32> = (0..grid.coefficients())
-            .map(|k| (2.0 + 0.5 * (grid.x0 + grid.pitch * (k % grid.width) as f64) - 0.25 * (grid.y0 + grid.pitch * (k / grid.width) as f64)) as f32)
+            .map(|k| {
+                (2.0 + 0.5 * (grid.x0 + grid.pitch * (k % grid.width) as f64)
+                    - 0.25 * (grid.y0 + grid.pitch * (k / grid.width) as f64)) as f32
+            })
             .collect();
         for (x, y) in [(-3.0, -2.0), (0.2, 1.3), (4.0, 5.0)] {
             assert!((grid.value(&line, x, y).unwrap() - (2.0 + 0.5 * x - 0.25 * y)).abs() < 1e-5);
@@ -114,7 +136,10 @@ mod tests {
         assert_eq!(grid.value(&line, 9.0, 0.0), None);
         let rough: Vec<f32> = (0..grid.coefficients()).map(|k| libm::sin(1.7 * k as f64) as f32).collect();
         let (x, y, step) = (0.31, 1.77, 1e-4);
-        let difference = |dx: f64, dy: f64| (grid.value(&rough, x + dx, y + dy).unwrap() - grid.value(&rough, x - dx, y - dy).unwrap()) / (2.0 * step);
+        let difference = |dx: f64, dy: f64| {
+            (grid.value(&rough, x + dx, y + dy).unwrap() - grid.value(&rough, x - dx, y - dy).unwrap())
+                / (2.0 * step)
+        };
         let (gx, gy) = grid.gradient(&rough, x, y);
         assert!((gx - difference(step, 0.0)).abs() < 1e-5 && (gy - difference(0.0, step)).abs() < 1e-5);
     }

@@ -1,8 +1,11 @@
-//! One sparse least-squares problem: coefficients of the picture, of its motion and of the shading that explain frame values.
+//! One sparse least-squares problem: coefficients of the picture, of its motion and of the shading that
+//! explain frame values.
 //!
-//! Each row is the mean of the picture over one pixel's exposure: the stencils of all its instants are added up first, so that a row costs as many products as it has
-//! coefficients. Conjugate gradients on the normal equations, which are never formed (CGLS; Björck 1996, section 7.4), with the diagonal as preconditioner for the picture
-//! and the Cholesky factor of their block for motion and shading. Sums are taken in fixed parts: the same bytes for any number of threads.
+//! Each row is the mean of the picture over one pixel's exposure: the stencils of all its instants are added
+//! up first, so that a row costs as many products as it has coefficients. Conjugate gradients on the normal
+//! equations, which are never formed (CGLS; Björck 1996, section 7.4), with the diagonal as preconditioner
+//! for the picture and the Cholesky factor of their block for motion and shading. Sums are taken in fixed
+//! parts: the same bytes for any number of threads.
 
 use super::motion::DEGREES;
 use super::products::{self, Pull};
@@ -23,7 +26,8 @@ const LEAST_ROWS: usize = 4_096;
 pub const LANES: usize = 8;
 /// Derivatives of a row by the shading's terms come first, and the poses behind them from here on.
 pub const POSES: usize = TERMS.next_multiple_of(LANES);
-/// Derivatives of a row by everything but the picture: shading, poses of the knots it touches, each with zeros up to whole lanes.
+/// Derivatives of a row by everything but the picture: shading, poses of the knots it touches, each with
+/// zeros up to whole lanes.
 pub const REST: usize = POSES + (TOUCHED * DEGREES).next_multiple_of(LANES);
 
 /// Measurements, ready to be fitted.
@@ -33,7 +37,8 @@ pub struct Rows {
     pub first: Vec<u32>,
     /// The first coefficient of a row's stencil, and its columns, a multiple of [`LANES`].
     pub corner: Vec<(u32, u32)>,
-    /// Derivatives by coefficients, stencil after stencil, row-major, in units of their row: they are never negative.
+    /// Derivatives by coefficients, stencil after stencil, row-major, in units of their row: they are never
+    /// negative.
     pub stencil: Vec<u16>,
     /// The unit of each row.
     pub unit: Vec<f32>,
@@ -49,7 +54,8 @@ pub struct Rows {
     pub knot: Vec<u32>,
     /// How many it touches.
     pub touched: Vec<u8>,
-    /// Derivatives by the shading's terms; from [`POSES`] on by the poses of the knots: in units of their row.
+    /// Derivatives by the shading's terms; from [`POSES`] on by the poses of the knots: in units of their
+    /// row.
     pub by_rest: Vec<[i16; REST]>,
     /// The unit of each row.
     pub rest_unit: Vec<f32>,
@@ -57,7 +63,8 @@ pub struct Rows {
     pub signal: Vec<f32>,
     /// Which frame value it is: index as [frame][y][x].
     pub index: Vec<u32>,
-    /// Before a still ground: the ground of each row, in units of the second half of the surface, which takes it off. Empty without one.
+    /// Before a still ground: the ground of each row, in units of the second half of the surface, which takes
+    /// it off. Empty without one.
     pub behind: Vec<f32>,
 }
 
@@ -141,8 +148,13 @@ impl Rows {
             })
             .collect();
         self.residual.clear();
-        self.residual.extend(parts.iter().flatten().zip(&self.measured).map(|(signal, measured)| measured - signal));
-        self.residual.iter_mut().zip(&self.is_saturated).filter(|(_, is)| **is).for_each(|(residual, _)| *residual = residual.max(0.0));
+        self.residual
+            .extend(parts.iter().flatten().zip(&self.measured).map(|(signal, measured)| measured - signal));
+        self.residual
+            .iter_mut()
+            .zip(&self.is_saturated)
+            .filter(|(_, is)| **is)
+            .for_each(|(residual, _)| *residual = residual.max(0.0));
     }
 
     /// Numbers of the rest that the rows of a knot touch; none beyond the last knot and in the padding.
@@ -170,7 +182,9 @@ impl Rows {
             while at < range.end && of(at) == of(begun) {
                 at += 1;
             }
-            (begun < at).then(|| (begun..at, POSES + (usize::from(self.touched[begun]) * DEGREES).next_multiple_of(LANES)))
+            (begun < at).then(|| {
+                (begun..at, POSES + (usize::from(self.touched[begun]) * DEGREES).next_multiple_of(LANES))
+            })
         })
     }
 }
@@ -182,7 +196,10 @@ struct Sums {
 
 impl Sums {
     fn new(rows: &Rows, grid: &Grid, knots: usize) -> Sums {
-        let blank = || Unknowns { picture: vec![0.0; rows.layers() * grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
+        let blank = || Unknowns {
+            picture: vec![0.0; rows.layers() * grid.coefficients()],
+            rest: vec![0.0; knots * DEGREES + TERMS],
+        };
         Sums { parts: rows.parts().into_iter().map(|range| (range, blank())).collect() }
     }
 
@@ -207,16 +224,39 @@ impl Sums {
     }
 
     /// Adds up all rows, each times its factor and, with a step, its derivative along it.
-    fn transposed(&mut self, rows: &Rows, grid: &Grid, knots: usize, with_rest: bool, step: Option<&Unknowns>, factor: &[f32], out: &mut Unknowns) {
+    fn transposed(
+        &mut self,
+        rows: &Rows,
+        grid: &Grid,
+        knots: usize,
+        with_rest: bool,
+        step: Option<&Unknowns>,
+        factor: &[f32],
+        out: &mut Unknowns,
+    ) {
         self.add_up(out, |range, sum| {
             for (run, rest) in rows.runs(range) {
                 let rest = if with_rest { rest } else { 0 };
                 let indices = rows.indices(knots, rows.knot[run.start] as usize);
-                let along: [f32; REST] = indices.map(|at| at.zip(step).map_or(0.0, |(at, step)| step.rest[at] as f32));
+                let along: [f32; REST] =
+                    indices.map(|at| at.zip(step).map_or(0.0, |(at, step)| step.rest[at] as f32));
                 let mut of_rest = [0.0_f32; REST];
                 let step = step.map(|step| (&step.picture[..], &along));
-                products::transposed(rows, grid.width, run, step, rest, factor, &mut sum.picture, &mut of_rest);
-                indices[..rest].iter().zip(of_rest).filter_map(|(at, of)| Some(((*at)?, of))).for_each(|(at, of)| sum.rest[at] += f64::from(of));
+                products::transposed(
+                    rows,
+                    grid.width,
+                    run,
+                    step,
+                    rest,
+                    factor,
+                    &mut sum.picture,
+                    &mut of_rest,
+                );
+                indices[..rest]
+                    .iter()
+                    .zip(of_rest)
+                    .filter_map(|(at, of)| Some(((*at)?, of)))
+                    .for_each(|(at, of)| sum.rest[at] += f64::from(of));
             }
         });
     }
@@ -263,10 +303,19 @@ pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
 /// The step that lessens the sum of squares most: residuals of the rows, roughness of `now` plus the step.
 ///
 /// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
-pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knots: usize, with_rest: bool, steps: usize) -> Unknowns {
+pub fn solve(
+    rows: &Rows,
+    grid: &Grid,
+    smooth: &Smoothness,
+    now: &Unknowns,
+    knots: usize,
+    with_rest: bool,
+    steps: usize,
+) -> Unknowns {
     let mut normal = Normal::new(rows, grid, smooth, knots, with_rest);
     let mut residual = normal.blank();
-    let factor: Vec<f32> = normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
+    let factor: Vec<f32> =
+        normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
     normal.sums.transposed(rows, grid, knots, with_rest, None, &factor, &mut residual);
     let mut held = normal.blank();
     normal.pull(now, &mut held);
@@ -274,12 +323,22 @@ pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knot
     normal.conjugate_gradients(residual, steps)
 }
 
-/// The step of the picture that the residuals alone ask for, from where it stands: what smoothness took away, given back in part (twicing; Tukey, Exploratory Data Analysis, 1977;
-/// Osher et al., Multiscale Modeling and Simulation 4, 2005). Motion and shading are held. `begin`: where the search for it begins, the step of the time before; nothing is zero.
-pub fn again(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize, begin: &[f32]) -> Vec<f32> {
+/// The step of the picture that the residuals alone ask for, from where it stands: what smoothness took away,
+/// given back in part (twicing; Tukey, Exploratory Data Analysis, 1977; Osher et al., Multiscale Modeling and
+/// Simulation 4, 2005). Motion and shading are held. `begin`: where the search for it begins, the step of the
+/// time before; nothing is zero.
+pub fn again(
+    rows: &Rows,
+    grid: &Grid,
+    smooth: &Smoothness,
+    knots: usize,
+    steps: usize,
+    begin: &[f32],
+) -> Vec<f32> {
     let mut normal = Normal::new(rows, grid, smooth, knots, false);
     let mut residual = normal.blank();
-    let factor: Vec<f32> = normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
+    let factor: Vec<f32> =
+        normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
     normal.sums.transposed(rows, grid, knots, false, None, &factor, &mut residual);
     let mut from = normal.blank();
     if !begin.is_empty() {
@@ -293,10 +352,19 @@ pub fn again(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps:
     from.picture
 }
 
-/// A random departure of the picture that measurements and smoothness leave open: a draw of a Gaussian with the posterior's covariance, motion and shading held.
+/// A random departure of the picture that measurements and smoothness leave open: a draw of a Gaussian with
+/// the posterior's covariance, motion and shading held.
 ///
-/// By perturbation: random residuals with the noise of each row and random differences with the variance of each weight, fitted (Papandreou and Yuille, NIPS 2010).
-pub fn draw(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize, random: &mut Random) -> Vec<f32> {
+/// By perturbation: random residuals with the noise of each row and random differences with the variance of
+/// each weight, fitted (Papandreou and Yuille, NIPS 2010).
+pub fn draw(
+    rows: &Rows,
+    grid: &Grid,
+    smooth: &Smoothness,
+    knots: usize,
+    steps: usize,
+    random: &mut Random,
+) -> Vec<f32> {
     let mut normal = Normal::new(rows, grid, smooth, knots, false);
     let mut residual = normal.blank();
     let noise: Vec<f32> = rows.weight.iter().map(|weight| weight * random.normal() as f32).collect();
@@ -322,7 +390,13 @@ struct Normal<'a> {
 }
 
 impl<'a> Normal<'a> {
-    fn new(rows: &'a Rows, grid: &'a Grid, smooth: &'a Smoothness, knots: usize, with_rest: bool) -> Normal<'a> {
+    fn new(
+        rows: &'a Rows,
+        grid: &'a Grid,
+        smooth: &'a Smoothness,
+        knots: usize,
+        with_rest: bool,
+    ) -> Normal<'a> {
         Normal {
             rows,
             grid,
@@ -336,7 +410,10 @@ impl<'a> Normal<'a> {
     }
 
     fn blank(&self) -> Unknowns {
-        Unknowns { picture: vec![0.0; self.rows.layers() * self.grid.coefficients()], rest: vec![0.0; self.knots * DEGREES + TERMS] }
+        Unknowns {
+            picture: vec![0.0; self.rows.layers() * self.grid.coefficients()],
+            rest: vec![0.0; self.knots * DEGREES + TERMS],
+        }
     }
 
     /// Adds the pull of smoothness, of the motion's smoothness and of sizes.
@@ -348,19 +425,31 @@ impl<'a> Normal<'a> {
             out.rest[b] -= 2.0 * pull;
             out.rest[c] += pull;
         });
-        out.rest.iter_mut().zip(&x.rest).zip(&self.smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
+        out.rest
+            .iter_mut()
+            .zip(&x.rest)
+            .zip(&self.smooth.rest_size)
+            .for_each(|((out, x), hold)| *out += hold * hold * x);
     }
 
     fn product(&mut self, x: &Unknowns, out: &mut Unknowns) {
         self.sums.transposed(self.rows, self.grid, self.knots, self.with_rest, Some(x), &self.squares, out);
         self.pull(x, out);
-        out.rest.iter_mut().zip(&x.rest).zip(&self.smooth.rest).for_each(|((out, x), hold)| *out += hold * hold * x);
+        out.rest
+            .iter_mut()
+            .zip(&x.rest)
+            .zip(&self.smooth.rest)
+            .for_each(|((out, x), hold)| *out += hold * hold * x);
         self.fix(out);
     }
 
     /// Of what is held, nothing moves.
     fn fix(&self, x: &mut Unknowns) {
-        x.rest.iter_mut().zip(&self.smooth.rest).filter(|(_, hold)| !self.with_rest || **hold == 0.0).for_each(|(x, _)| *x = 0.0);
+        x.rest
+            .iter_mut()
+            .zip(&self.smooth.rest)
+            .filter(|(_, hold)| !self.with_rest || **hold == 0.0)
+            .for_each(|(x, _)| *x = 0.0);
     }
 
     fn conjugate_gradients(&mut self, mut residual: Unknowns, steps: usize) -> Unknowns {
@@ -404,9 +493,13 @@ impl Preconditioner {
     fn new(of: &mut Normal<'_>) -> Preconditioner {
         let mut sum = of.blank();
         let (rows, grid, squares) = (of.rows, of.grid, &of.squares);
-        of.sums.add_up(&mut sum, |range, sum| products::squares(rows, grid.width, range, squares, &mut sum.picture));
+        of.sums.add_up(&mut sum, |range, sum| {
+            products::squares(rows, grid.width, range, squares, &mut sum.picture)
+        });
         let mut picture = sum.picture;
-        differences(grid, of.smooth, |at, by, weight| at.iter().zip(by).for_each(|(&at, by)| picture[at] += by * by * weight * weight));
+        differences(grid, of.smooth, |at, by, weight| {
+            at.iter().zip(by).for_each(|(&at, by)| picture[at] += by * by * weight * weight)
+        });
         picture.iter_mut().for_each(|d| *d = if *d > 0.0 { 1.0 / *d } else { 0.0 });
         let rest = of.with_rest.then(|| block(of)).and_then(Cholesky::new);
         Preconditioner { picture, rest }
@@ -415,7 +508,9 @@ impl Preconditioner {
     fn apply(&self, x: &Unknowns, out: &mut Unknowns) {
         out.picture.iter_mut().zip(&x.picture).zip(&self.picture).for_each(|((out, x), d)| *out = x * d);
         match &self.rest {
-            Some(factor) => out.rest.copy_from_slice(factor.solve(&DVector::from_column_slice(&x.rest)).as_slice()),
+            Some(factor) => {
+                out.rest.copy_from_slice(factor.solve(&DVector::from_column_slice(&x.rest)).as_slice())
+            }
             None => out.rest.fill(0.0),
         }
     }
@@ -488,7 +583,15 @@ pub fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
 
 /// Adds the weights of one instant to a stencil of `columns` columns whose corner is (`i0`, `j0`).
 #[inline]
-pub fn stamp(stencil: &mut [f32], columns: usize, corner: (usize, usize), at: (usize, usize), wx: &[f64; ORDER], wy: &[f64; ORDER], share: f64) {
+pub fn stamp(
+    stencil: &mut [f32],
+    columns: usize,
+    corner: (usize, usize),
+    at: (usize, usize),
+    wx: &[f64; ORDER],
+    wy: &[f64; ORDER],
+    share: f64,
+) {
     let (di, dj) = (at.0 - corner.0, at.1 - corner.1);
     for (row, wy) in wy.iter().enumerate() {
         let line = &mut stencil[(dj + row) * columns + di..][..ORDER];
@@ -501,8 +604,8 @@ mod tests {
     use super::*;
     use nalgebra::DMatrix;
 
-    /// Rows that see four by four coefficients of a picture each, at random places, with random weights and shading.
-    /// With `has_ground`, before a random ground.
+    /// Rows that see four by four coefficients of a picture each, at random places, with random weights and
+    /// shading. With `has_ground`, before a random ground.
     fn problem(has_ground: bool) -> (Rows, Grid, Smoothness, usize) {
         let mut random = Random::new(5, &[]);
         let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 6 };
@@ -510,7 +613,9 @@ mod tests {
         let mut rows = Rows { first: vec![0], ..Rows::default() };
         for r in 0..240 {
             let (i, j) = ((random.uniform() * 8.9) as usize, (random.uniform() * 2.9) as usize);
-            let stencil: Vec<f32> = (0..4 * LANES).map(|n| if n % LANES < 4 { random.normal().abs() as f32 } else { 0.0 }).collect();
+            let stencil: Vec<f32> = (0..4 * LANES)
+                .map(|n| if n % LANES < 4 { random.normal().abs() as f32 } else { 0.0 })
+                .collect();
             rows.push_stencil((j * grid.width + i) as u32, LANES as u32, &stencil);
             rows.residual.push(random.normal() as f32);
             rows.weight.push(0.5 + random.uniform() as f32);
@@ -522,13 +627,25 @@ mod tests {
         }
         let rest = knots * DEGREES + TERMS;
         let n = rows.layers() * grid.coefficients();
-        let smooth =
-            Smoothness { along_x: vec![0.7; n], along_y: vec![0.9; n], across: vec![0.4; n], rest: vec![0.5; rest], rest_size: vec![0.3; rest], motion: 0.6 };
+        let smooth = Smoothness {
+            along_x: vec![0.7; n],
+            along_y: vec![0.9; n],
+            across: vec![0.4; n],
+            rest: vec![0.5; rest],
+            rest_size: vec![0.3; rest],
+            motion: 0.6,
+        };
         (rows, grid, smooth, knots)
     }
 
-    /// The same problem with all its rows written out, of measurements and of what is held small; and its right side.
-    fn written_out(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize) -> (DMatrix<f64>, DVector<f64>) {
+    /// The same problem with all its rows written out, of measurements and of what is held small; and its
+    /// right side.
+    fn written_out(
+        rows: &Rows,
+        grid: &Grid,
+        smooth: &Smoothness,
+        knots: usize,
+    ) -> (DMatrix<f64>, DVector<f64>) {
         let (n, rest) = (rows.layers() * grid.coefficients(), knots * DEGREES + TERMS);
         let mut lines: Vec<(DVector<f64>, f64)> = Vec::new();
         for r in 0..rows.count() {
@@ -582,12 +699,18 @@ mod tests {
             let (rows, grid, smooth, knots) = problem(has_ground);
             let (normal, right) = written_out(&rows, &grid, &smooth, knots);
             let exact = normal.cholesky().unwrap().solve(&right);
-            let now = Unknowns { picture: vec![0.0; rows.layers() * grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
+            let now = Unknowns {
+                picture: vec![0.0; rows.layers() * grid.coefficients()],
+                rest: vec![0.0; knots * DEGREES + TERMS],
+            };
             let found = solve(&rows, &grid, &smooth, &now, knots, true, 400);
             // Conjugate gradients in single precision, on twice the unknowns where there is a ground.
-            let all: Vec<f64> = found.picture.iter().map(|c| f64::from(*c)).chain(found.rest.iter().copied()).collect();
+            let all: Vec<f64> =
+                found.picture.iter().map(|c| f64::from(*c)).chain(found.rest.iter().copied()).collect();
             assert_eq!(all.len(), exact.len());
-            all.iter().zip(exact.iter()).for_each(|(a, b)| assert!((a - b).abs() < 5e-3 * (1.0 + b.abs()), "{a} is {b}"));
+            all.iter()
+                .zip(exact.iter())
+                .for_each(|(a, b)| assert!((a - b).abs() < 5e-3 * (1.0 + b.abs()), "{a} is {b}"));
         }
     }
 
@@ -605,7 +728,8 @@ mod tests {
             let one = draw(&rows, &grid, &smooth, knots, 200, &mut random);
             squares.iter_mut().zip(&one).for_each(|(sum, c)| *sum += f64::from(c * c) / DRAWS as f64);
         }
-        // The mean over coefficients has an error of a percent or two, each of a sixth (three standard deviations).
+        // The mean over coefficients has an error of a percent or two, each of a sixth (three standard
+        // deviations).
         let ratio: Vec<f64> = squares.iter().enumerate().map(|(k, square)| square / open[(k, k)]).collect();
         assert!((ratio.iter().sum::<f64>() / n as f64 - 1.0).abs() < 0.05, "{ratio:?}");
         assert!(ratio.iter().all(|ratio| (0.75..1.3).contains(ratio)), "{ratio:?}");
@@ -620,12 +744,19 @@ mod tests {
         rows.measured = vec![0.0; rows.count()];
         rows.look_at(&grid, &truth.iter().map(|c| -c).collect::<Vec<_>>());
         rows.measured = rows.residual.clone();
-        // Of the columns that rows see, which are fewer than the grid has, as stencils are padded: a little more is left than of a grid that is seen whole.
+        // Of the columns that rows see, which are fewer than the grid has, as stencils are padded: a little
+        // more is left than of a grid that is seen whole.
         let seen = |k: &usize| k % grid.width < 12;
-        let far = |picture: &[f32]| (0..truth.len()).filter(seen).map(|k| (picture[k] - truth[k]) * (picture[k] - truth[k])).sum::<f32>();
+        let far = |picture: &[f32]| {
+            (0..truth.len())
+                .filter(seen)
+                .map(|k| (picture[k] - truth[k]) * (picture[k] - truth[k]))
+                .sum::<f32>()
+        };
         let first = again(&rows, &grid, &smooth, knots, 200, &[]);
         rows.look_at(&grid, &first);
-        let second: Vec<f32> = again(&rows, &grid, &smooth, knots, 200, &[]).iter().zip(&first).map(|(a, b)| a + b).collect();
+        let second: Vec<f32> =
+            again(&rows, &grid, &smooth, knots, 200, &[]).iter().zip(&first).map(|(a, b)| a + b).collect();
         assert!(far(&second) < 0.6 * far(&first), "{} and {}", far(&second), far(&first));
     }
 }

@@ -1,8 +1,11 @@
-//! Time to simulate pixels: without effects by kind of light and on one core and two, and with one effect at a time.
+//! Time to simulate pixels: without effects by kind of light and on one core and two, and with one effect at
+//! a time.
 //!
-//! Run with `cargo bench -p photocurrent-sensor --bench forward`. The light is synthetic and lasts 50 ms, in two kinds: as a video gives it, three sines sampled
-//! every 20 us (2,500 pixel-steps and about 40 events a pixel), and as a scene of moving edges gives it, with instants only at the ends of
-//! edges (about 130 events a pixel). Front ends without a closed form choose their own steps; their items are counted alike, so that times compare.
+//! Run with `cargo bench -p photocurrent-sensor --bench forward`. The light is synthetic and lasts 50 ms, in
+//! two kinds: as a video gives it, three sines sampled every 20 us (2,500 pixel-steps and about 40 events a
+//! pixel), and as a scene of moving edges gives it, with instants only at the ends of edges (about 130 events
+//! a pixel). Front ends without a closed form choose their own steps; their items are counted alike, so that
+//! times compare.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -40,7 +43,8 @@ fn video() -> Samples {
     Samples { t_ns, photocurrent }
 }
 
-/// What edges of a moving pattern make of a pixel: every 2.5 ms light goes from 0.2 to 1 or back within 1 ms, in a straight line, and stays.
+/// What edges of a moving pattern make of a pixel: every 2.5 ms light goes from 0.2 to 1 or back within 1 ms,
+/// in a straight line, and stays.
 fn edges() -> Samples {
     let instants = (0..20_i64).flat_map(|edge| [edge * 2_500_000, edge * 2_500_000 + 1_000_000]);
     let levels = (0..20).flat_map(|edge| if edge % 2 == 0 { [0.2, 1.0] } else { [1.0, 0.2] });
@@ -53,17 +57,39 @@ fn still() -> Samples {
 
 fn pixel() -> Pixel {
     let front_end = FrontEnd { tau_0_s: 30e-6, alpha_s: 100e-6 };
-    Pixel { front_end, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 5_000, latency_spread_ns: 0.0, refractory_ns: 50_000, log_step: LOG_STEP }
+    Pixel {
+        front_end,
+        threshold_on: 0.2,
+        threshold_off: 0.2,
+        latency_ns: 5_000,
+        latency_spread_ns: 0.0,
+        refractory_ns: 50_000,
+        log_step: LOG_STEP,
+    }
 }
 
 fn effects(text: &str) -> Vec<Box<dyn Effect>> {
     let described: Value = serde_json::from_str(text).expect("the description is JSON");
-    from_description(&serde_json::from_value(described).expect("a table of tables")).expect("the description is right")
+    from_description(&serde_json::from_value(described).expect("a table of tables"))
+        .expect("the description is right")
 }
 
 fn run(samples: &Samples, effects: &[Box<dyn Effect>]) -> usize {
-    let chain = Chain { pixel: pixel(), reset: Reset::Resample, effects, tolerance: photocurrent_sensor::forward::TOLERANCE };
-    simulate(&chain, &SITE, &LinearLight::new(&samples.t_ns, &samples.photocurrent), 0, SPAN_NS, &mut Noiseless).len()
+    let chain = Chain {
+        pixel: pixel(),
+        reset: Reset::Resample,
+        effects,
+        tolerance: photocurrent_sensor::forward::TOLERANCE,
+    };
+    simulate(
+        &chain,
+        &SITE,
+        &LinearLight::new(&samples.t_ns, &samples.photocurrent),
+        0,
+        SPAN_NS,
+        &mut Noiseless,
+    )
+    .len()
 }
 
 /// A block of pixels on each of some threads; gives the events of one.
@@ -79,7 +105,9 @@ fn run_on(threads: usize, samples: &Samples) -> usize {
 #[divan::bench(args = [1, 2])]
 fn steps_of_video(bencher: Bencher, threads: usize) {
     let samples = video();
-    bencher.counter(ItemsCount::new(threads * PIXELS * samples.t_ns.len())).bench(|| run_on(threads, &samples));
+    bencher
+        .counter(ItemsCount::new(threads * PIXELS * samples.t_ns.len()))
+        .bench(|| run_on(threads, &samples));
 }
 
 #[divan::bench(args = [1, 2])]

@@ -1,6 +1,7 @@
 //! Time to solve one pixel, by number of events: divide by N for the time per pixel-event.
 //!
-//! Run with `cargo bench -p photocurrent-sensor --bench inverse`. Problems are those of `problems`; the workspace is warm, as it is for all but the first pixel of a run.
+//! Run with `cargo bench -p photocurrent-sensor --bench inverse`. Problems are those of `problems`; the
+//! workspace is warm, as it is for all but the first pixel of a run.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -21,7 +22,9 @@ fn bench_rule(bencher: Bencher<'_, '_>, knots: usize, tau_rule: TauRule) {
     let mut workspace = Workspace::default();
     let solution = solve(&problem, &options, &mut workspace).expect("the problem is well posed");
     assert!(solution.has_converged(), "a bench of a double-integral estimate would flatter");
-    bencher.counter(ItemsCount::new(knots)).bench_local(|| solve(divan::black_box(&problem), &options, &mut workspace).map(|solution| solution.cost));
+    bencher.counter(ItemsCount::new(knots)).bench_local(|| {
+        solve(divan::black_box(&problem), &options, &mut workspace).map(|solution| solution.cost)
+    });
 }
 
 #[divan::bench(args = [20, 100, 400])]

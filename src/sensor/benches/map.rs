@@ -1,8 +1,10 @@
-//! Time of the MAP estimate of pixels, one after the other and eight at a time, and to choose the noise and the prior of a row, per event.
+//! Time of the MAP estimate of pixels, one after the other and eight at a time, and to choose the noise and
+//! the prior of a row, per event.
 //!
-//! Run with `cargo bench -p photocurrent-sensor --bench map`. Pixels come from the forward model with the values of `data/sensors/hybrid.toml` and its
-//! noise: 250 ms, 30 frames at 120 fps of 6.5 ms. Three kinds of light: edges (quiet between them), texture (never still), and a
-//! pixel that sees a single edge. Knots per event are printed first.
+//! Run with `cargo bench -p photocurrent-sensor --bench map`. Pixels come from the forward model with the
+//! values of `data/sensors/hybrid.toml` and its noise: 250 ms, 30 frames at 120 fps of 6.5 ms. Three kinds of
+//! light: edges (quiet between them), texture (never still), and a pixel that sees a single edge. Knots per
+//! event are printed first.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -12,7 +14,9 @@ use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Pixel, PixelNoise, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::map::estimate::Choosing;
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, estimate, solve};
+use photocurrent_sensor::map::{
+    MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, estimate, solve,
+};
 
 const SPAN_NS: i64 = 250_000_000;
 const STEP_NS: i64 = 50_000;
@@ -39,12 +43,19 @@ fn main() {
         let mut group = MapGroup::default();
         for pixel in &pixels {
             let solution = solve(&pixel.problem(), &five_steps(), &mut group);
-            assert!(solution.status != MapStatus::Failed, "a bench of double-integral estimates would flatter");
+            assert!(
+                solution.status != MapStatus::Failed,
+                "a bench of double-integral estimates would \
+                                                           flatter"
+            );
             knots += solution.t_ns.len();
             steps += solution.iterations * solution.t_ns.len();
             events += pixel.events.len();
         }
-        eprintln!("{kind}: {events} events, {knots} knots, {steps} knots x steps: {:.2} knots per event", knots as f64 / events as f64);
+        eprintln!(
+            "{kind}: {events} events, {knots} knots, {steps} knots x steps: {:.2} knots per event",
+            knots as f64 / events as f64
+        );
     }
     divan::main();
 }
@@ -85,7 +96,11 @@ fn log_light(kind: &str, n: u64, t_s: f64) -> f64 {
     match kind {
         // Up and down once in 30 ms, each within about a millisecond.
         "edges" => 4.1 + 0.75 * libm::tanh(9.0 * libm::sin(209.4 * t_s + phase)),
-        "texture" => 4.1 + 0.4 * libm::sin(300.0 * t_s + phase) + 0.3 * libm::sin(780.0 * t_s + 1.3 * phase) + 0.2 * libm::sin(1260.0 * t_s + 1.7 * phase),
+        "texture" => {
+            4.1 + 0.4 * libm::sin(300.0 * t_s + phase)
+                + 0.3 * libm::sin(780.0 * t_s + 1.3 * phase)
+                + 0.2 * libm::sin(1260.0 * t_s + 1.7 * phase)
+        }
         _ => 4.0 + 0.6 * libm::tanh((t_s - 0.1 - 0.003 * phase) / 1e-3),
     }
 }
@@ -102,26 +117,45 @@ fn pixels(kind: &str) -> Vec<Recorded> {
     };
     let t_ns: Vec<i64> = (0..=SPAN_NS / STEP_NS).map(|k| k * STEP_NS).collect();
     let recorded = |n| {
-        let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log_light(kind, n, t as f64 * 1e-9))).collect();
+        let current: Vec<f64> =
+            t_ns.iter().map(|&t| libm::exp(log_light(kind, n, t as f64 * 1e-9))).collect();
         let light = LinearLight::new(&t_ns, &current);
         let mut noise = Random(n + 20_240_607);
         let site = Site { x: n as u32, y: 0, width: PIXELS as u32, height: 1, seed: 0 };
         let fired = simulate(
-            &Chain { pixel, reset: Reset::Resample, effects: &[], tolerance: photocurrent_sensor::forward::TOLERANCE },
+            &Chain {
+                pixel,
+                reset: Reset::Resample,
+                effects: &[],
+                tolerance: photocurrent_sensor::forward::TOLERANCE,
+            },
             &site,
             &light,
             0,
             SPAN_NS,
             &mut noise,
         );
-        let events =
-            fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
+        let events = fired
+            .iter()
+            .map(|f| MapEvent {
+                t_in_ns: f.event.t_in_ns,
+                t_off_ns: f.event.t_off_ns,
+                polarity: f.event.polarity,
+                is_lone: false,
+            })
+            .collect();
         let frames = (0..30).map(|l| {
             let (start_ns, end_ns) = (l * 8_333_333, l * 8_333_333 + 6_500_000);
             let clean = GAIN * light.integral(Exposure::new(start_ns, end_ns));
             let sigma = |dn: f64| libm::sqrt(READ_NOISE_DN * READ_NOISE_DN + DN_PER_ELECTRON * dn);
             let dn = libm::round(clean + sigma(clean) * noise.normal());
-            MapFrame { start_ns, end_ns, dn, sigma_dn: libm::sqrt(1.0 + sigma(dn) * sigma(dn)), saturated: dn >= 1023.0 }
+            MapFrame {
+                start_ns,
+                end_ns,
+                dn,
+                sigma_dn: libm::sqrt(1.0 + sigma(dn) * sigma(dn)),
+                saturated: dn >= 1023.0,
+            }
         });
         Recorded { frames: frames.collect(), events }
     };
@@ -154,7 +188,9 @@ fn events_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
     let (mut group, options) = (MapGroup::default(), five_steps());
-    bencher.counter(events(&pixels)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>());
+    bencher.counter(events(&pixels)).bench_local(|| {
+        problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>()
+    });
 }
 
 /// The same, eight pixels at a time.
@@ -163,7 +199,8 @@ fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, five_steps());
 }
 
-/// The same with the standard deviation of the light at every knot, as `solve/map` asks for it unless it is switched off.
+/// The same with the standard deviation of the light at every knot, as `solve/map` asks for it unless it is
+/// switched off.
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..five_steps() });
@@ -171,7 +208,8 @@ fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
 
 fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {
     let pixels = pixels(kind);
-    let tasks: Vec<MapTask<'_>> = pixels.iter().map(|pixel| MapTask { problem: pixel.problem(), options }).collect();
+    let tasks: Vec<MapTask<'_>> =
+        pixels.iter().map(|pixel| MapTask { problem: pixel.problem(), options }).collect();
     let mut group = MapGroup::default();
     bencher.counter(events(&pixels)).bench_local(|| {
         let mut sum = 0.0;
@@ -186,14 +224,19 @@ fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
     let (mut group, options) = (MapGroup::default(), five_steps());
     let knots: usize = problems.iter().map(|problem| solve(problem, &options, &mut group).t_ns.len()).sum();
-    bencher.counter(ItemsCount::new(knots)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>());
+    bencher.counter(ItemsCount::new(knots)).bench_local(|| {
+        problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>()
+    });
 }
 
-/// Noise and prior of a row from sixteen pixels: divide by the width of a row over sixteen for the share of a pixel.
+/// Noise and prior of a row from sixteen pixels: divide by the width of a row over sixteen for the share of a
+/// pixel.
 #[divan::bench(args = KINDS)]
 fn events_chosen(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
     let (mut group, options) = (MapGroup::default(), five_steps());
-    bencher.counter(events(&pixels)).bench_local(|| estimate::choose(&problems, None, &Choosing::USUAL, &options, &mut group));
+    bencher
+        .counter(events(&pixels))
+        .bench_local(|| estimate::choose(&problems, None, &Choosing::USUAL, &options, &mut group));
 }

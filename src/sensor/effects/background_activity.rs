@@ -1,14 +1,18 @@
 //! Background activity: single events of both signs at random instants, also where nothing happens.
 //!
-//! The photocurrent is made of electrons, so the voltage trembles; now and then it trembles across a threshold. In a static scene each pixel then
-//! fires ON and OFF events alike, at the instants of a Poisson process; each one resets its pixel, so that
-//! the true events around it come at other times. Typical: 0.01 to 0.5 Hz a pixel by day, 5 to 10 Hz in the dark.
+//! The photocurrent is made of electrons, so the voltage trembles; now and then it trembles across a
+//! threshold. In a static scene each pixel then fires ON and OFF events alike, at the instants of a Poisson
+//! process; each one resets its pixel, so that the true events around it come at other times. Typical: 0.01
+//! to 0.5 Hz a pixel by day, 5 to 10 Hz in the dark.
 //!
-//! Sources: Graca and Delbruck, "Unraveling the paradox of intensity-dependent DVS pixel noise" (2021); Hu, Liu, Delbruck 2021 (v2e).
-//! Limits: one rate in all light, although shot noise grows in the dark; no ON-OFF pairs. One-sided activity is `leak_events`.
+//! Sources: Graca and Delbruck, "Unraveling the paradox of intensity-dependent DVS pixel noise" (2021); Hu,
+//! Liu, Delbruck 2021 (v2e). Limits: one rate in all light, although shot noise grows in the dark; no ON-OFF
+//! pairs. One-sided activity is `leak_events`.
 
 use super::sought::{RATE, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -27,11 +31,16 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "noise events per second and pixel, both signs together",
         }],
         covariate: "time_since_last_event",
-        signature: "static pixels fire both signs at exponentially distributed intervals; some intervals are far shorter than the light allows",
+        signature: "static pixels fire both signs at exponentially distributed intervals; some intervals \
+                    are far shorter than the light allows",
         confused_with: &["leak_events", "hot_pixels", "hot_rows", "threshold_noise", "flicker of the scene"],
         source: "Graca and Delbruck 2021; Hu, Liu, Delbruck 2021",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(6.0), material: RATE, ..Sought::random("rate") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(6.0),
+            material: RATE,
+            ..Sought::random("rate")
+        }]),
     },
     build,
 };
@@ -52,7 +61,14 @@ impl Effect for BackgroundActivity {
         KIND.decl.id
     }
 
-    fn spontaneous(&self, _site: &Site, random: &mut Random, start_ns: i64, end_ns: i64, out: &mut Vec<Spontaneous>) {
+    fn spontaneous(
+        &self,
+        _site: &Site,
+        random: &mut Random,
+        start_ns: i64,
+        end_ns: i64,
+        out: &mut Vec<Spontaneous>,
+    ) {
         poisson(self.rate_hz, random, start_ns, end_ns, either, out);
     }
 
@@ -66,8 +82,16 @@ pub(super) fn either(random: &mut Random) -> i8 {
     if random.bits() >> 63 == 0 { 1 } else { -1 }
 }
 
-/// Events of a Poisson process from `start_ns` on and before `end_ns`. The process has no memory, so a span may be cut anywhere.
-pub(super) fn poisson(rate_hz: f64, random: &mut Random, start_ns: i64, end_ns: i64, polarity: impl Fn(&mut Random) -> i8, out: &mut Vec<Spontaneous>) {
+/// Events of a Poisson process from `start_ns` on and before `end_ns`. The process has no memory, so a span
+/// may be cut anywhere.
+pub(super) fn poisson(
+    rate_hz: f64,
+    random: &mut Random,
+    start_ns: i64,
+    end_ns: i64,
+    polarity: impl Fn(&mut Random) -> i8,
+    out: &mut Vec<Spontaneous>,
+) {
     if rate_hz <= 0.0 || end_ns <= start_ns {
         return;
     }
@@ -105,7 +129,8 @@ mod tests {
                 signs += f64::from(event.polarity);
             }
         }
-        // 2 Hz for 2 s: mean 4, sigma 2; five standard errors with 20,000 pixels. Variance of a Poisson variance: (2 + 1/4) x 4^2 / n.
+        // 2 Hz for 2 s: mean 4, sigma 2; five standard errors with 20,000 pixels. Variance of a Poisson
+        // variance: (2 + 1/4) x 4^2 / n.
         let (mean, sigma) = moments(&counts);
         assert!((mean - 4.0).abs() < 0.071, "{mean}");
         assert!((sigma * sigma - 4.0).abs() < 5.0 * (36.0 / 20_000f64).sqrt(), "{sigma}");
@@ -117,7 +142,13 @@ mod tests {
     #[test]
     fn no_rate_is_no_event() {
         let mut out = Vec::new();
-        described("background_activity", json!({ "rate": "0 Hz" })).spontaneous(&sites().next().unwrap(), &mut Random::new(1, &[]), 0, i64::MAX, &mut out);
+        described("background_activity", json!({ "rate": "0 Hz" })).spontaneous(
+            &sites().next().unwrap(),
+            &mut Random::new(1, &[]),
+            0,
+            i64::MAX,
+            &mut out,
+        );
         assert!(out.is_empty());
     }
 

@@ -1,10 +1,12 @@
 //! Bandwidth gradient: the front end is faster at one side of the array than at the other.
 //!
-//! Bias lines drop along the array and processing varies over the die, so the bandwidth goes linearly from `1 - fraction`
-//! at the first column to `1 + fraction` at the last; both parts of the time constant are divided by it. Typical: 1 to 10 %.
+//! Bias lines drop along the array and processing varies over the die, so the bandwidth goes linearly from
+//! `1 - fraction` at the first column to `1 + fraction` at the last; both parts of the time constant are
+//! divided by it. Typical: 1 to 10 %.
 //!
-//! Parameter: `fraction`, positive = the last column is the faster one. It shows as a delay that grows across the columns, longer in the dark;
-//! an error of the time constant is the same at all columns, a gradient of thresholds does not care about speed.
+//! Parameter: `fraction`, positive = the last column is the faster one. It shows as a delay that grows across
+//! the columns, longer in the dark; an error of the time constant is the same at all columns, a gradient of
+//! thresholds does not care about speed.
 //!
 //! Source: voltage drop along bias lines, textbook.
 //! Limits: linear and along columns only; the centre column keeps the stated time constant.
@@ -18,7 +20,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: "bandwidth_gradient",
         stage: Stage::FrontEnd,
         about: "The front end's bandwidth varies linearly across the columns",
-        equation: "tau = (tau_0 + alpha / i) / (1 + fraction * across), across = -1 (first column) to +1 (last)",
+        equation: "tau = (tau_0 + alpha / i) / (1 + fraction * across), across = -1 (first column) to +1 \
+                   (last)",
         parameters: &[ParameterDecl {
             name: "fraction",
             unit: Unit::Number("fraction"),
@@ -32,7 +35,11 @@ pub(super) const KIND: EffectKind = EffectKind {
         confused_with: &["time_constant", "threshold_gradient", "misalignment"],
         source: "voltage drop along bias lines",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.5), material: SHARE, ..Sought::both("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.5),
+            material: SHARE,
+            ..Sought::both("fraction")
+        }]),
     },
     build,
 };
@@ -68,7 +75,8 @@ mod tests {
     /// The time constant at photocurrent 0.5 in a column of 11.
     fn tau(fraction: f64, x: u32) -> f64 {
         let mut model = FrontEndModel::plain(FrontEnd { tau_0_s: 2e-5, alpha_s: 1e-2 });
-        BandwidthGradient { fraction }.front_end(&Site { x, y: 3, width: 11, height: 7, seed: 1 }, &mut model);
+        BandwidthGradient { fraction }
+            .front_end(&Site { x, y: 3, width: 11, height: 7, seed: 1 }, &mut model);
         time_constant(&model.low_pass, 0.5)
     }
 

@@ -1,8 +1,9 @@
 //! Black level: a frame in darkness does not read what the description says.
 //!
-//! An offset is added to every digital number before it is recorded. In the logarithm it squeezes the contrast of dark pixels, so events
-//! seem to show more contrast there than frames: the opposite of a dark current, which squeezes the events' contrast. Typical: a few DN;
-//! drift with temperature, or a pedestal that was subtracted twice.
+//! An offset is added to every digital number before it is recorded. In the logarithm it squeezes the
+//! contrast of dark pixels, so events seem to show more contrast there than frames: the opposite of a dark
+//! current, which squeezes the events' contrast. Typical: a few DN; drift with temperature, or a pedestal
+//! that was subtracted twice.
 //!
 //! Parameter: `black_level_dn`, the real DN of darkness; its null is the description's own.
 //!
@@ -28,7 +29,8 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "real DN of a dark pixel",
         }],
         covariate: "dn",
-        signature: "frames differ by the same DN at every light; in the dark frames show less contrast than events (more, when it is below the stated one)",
+        signature: "frames differ by the same DN at every light; in the dark frames show less contrast than \
+                    events (more, when it is below the stated one)",
         confused_with: &["dark_current", "frame_nonlinearity", "image_lag"],
         source: "EMVA 1288",
         apart: &[],
@@ -68,7 +70,8 @@ impl Effect for BlackLevel {
 mod tests {
     use super::*;
 
-    const READING: Reading = Reading { frame: 0, previous_charge: 0.0, gain: 850.0, black_level: 16.0, saturation: 1023.0 };
+    const READING: Reading =
+        Reading { frame: 0, previous_charge: 0.0, gain: 850.0, black_level: 16.0, saturation: 1023.0 };
     const SITE: Site = Site { x: 0, y: 0, width: 4, height: 4, seed: 1 };
 
     #[test]

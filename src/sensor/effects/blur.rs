@@ -1,13 +1,15 @@
 //! Blur: the events see a softer image than the frames.
 //!
-//! The event pixel is larger, collects from a wider neighbourhood or stands behind other optics, so its light is that of the frames,
-//! convolved with a Gaussian. Events of fine detail become weaker and of sharp edges spread out. Typical: 0.2 to 1.5 pixels.
+//! The event pixel is larger, collects from a wider neighbourhood or stands behind other optics, so its light
+//! is that of the frames, convolved with a Gaussian. Events of fine detail become weaker and of sharp edges
+//! spread out. Typical: 0.2 to 1.5 pixels.
 //!
-//! The kernel is the discrete Gaussian `exp(-s^2) I_n(s^2)` along each axis (`I_n`: modified Bessel function), not samples of the bell curve:
-//! its standard deviation is `s` exactly, also well below a pixel, and two blurs add up as they should.
+//! The kernel is the discrete Gaussian `exp(-s^2) I_n(s^2)` along each axis (`I_n`: modified Bessel
+//! function), not samples of the bell curve: its standard deviation is `s` exactly, also well below a pixel,
+//! and two blurs add up as they should.
 //!
-//! Source: Lindeberg, "Scale-space for discrete signals" (1990).
-//! Limits: the same for all pixels and directions; a blur that both paths share cannot be seen and is not meant here.
+//! Source: Lindeberg, "Scale-space for discrete signals" (1990). Limits: the same for all pixels and
+//! directions; a blur that both paths share cannot be seen and is not meant here.
 
 use super::sought::{Grows, Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
@@ -34,8 +36,16 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to the curvature of the image",
         confused_with: &["crosstalk", "lateral_inhibition", "misalignment"],
         source: "Lindeberg 1990 (the discrete Gaussian)",
-        apart: &[("crosstalk", "a slanted sharp edge: blur widens it to both sides by its sigma, crosstalk adds a fixed share of the next pixel only")],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.8), grows: Grows::WithSquare, ..Sought::positive("sigma") }]),
+        apart: &[(
+            "crosstalk",
+            "a slanted sharp edge: blur widens it to both sides by its sigma, crosstalk \
+                                adds a fixed share of the next pixel only",
+        )],
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.8),
+            grows: Grows::WithSquare,
+            ..Sought::positive("sigma")
+        }]),
     },
     build,
 };
@@ -60,7 +70,10 @@ impl Effect for Blur {
         if self.sigma_px == 0.0 {
             return None;
         }
-        let half: Vec<f64> = (0..).map(|n| discrete_gaussian(n, self.sigma_px * self.sigma_px)).take_while(|&weight| weight > LEAST_WEIGHT).collect();
+        let half: Vec<f64> = (0..)
+            .map(|n| discrete_gaussian(n, self.sigma_px * self.sigma_px))
+            .take_while(|&weight| weight > LEAST_WEIGHT)
+            .collect();
         let reach = half.len() as i32 - 1;
         let mut taps = Vec::new();
         for dy in -reach..=reach {
@@ -112,7 +125,9 @@ mod tests {
     #[test]
     fn the_width_is_the_stated_one_along_both_axes() {
         for sigma in [0.1, 0.3, 1.0, 2.5, 5.0] {
-            let variance = |along: fn(&Tap) -> i32| taps(sigma).iter().map(|tap| tap.weight * f64::from(along(tap)).powi(2)).sum::<f64>();
+            let variance = |along: fn(&Tap) -> i32| {
+                taps(sigma).iter().map(|tap| tap.weight * f64::from(along(tap)).powi(2)).sum::<f64>()
+            };
             // What is cut off weighs at most a thousandth of the variance.
             for found in [variance(|tap| tap.dx), variance(|tap| tap.dy)] {
                 assert!((found.sqrt() / sigma - 1.0).abs() < 1e-3, "sigma {sigma}: {found}");

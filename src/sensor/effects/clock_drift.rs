@@ -1,7 +1,8 @@
 //! Clock drift: the event clock runs faster or slower than that of the frames.
 //!
-//! Two quartz oscillators never have the same frequency. The error of a stamp grows with time: after ten seconds a
-//! difference of 50 parts in a million is half a millisecond, as much as a fast edge takes to cross a pixel. Typical: 10 to 100 parts in a million.
+//! Two quartz oscillators never have the same frequency. The error of a stamp grows with time: after ten
+//! seconds a difference of 50 parts in a million is half a millisecond, as much as a fast edge takes to cross
+//! a pixel. Typical: 10 to 100 parts in a million.
 //!
 //! Source: tolerance of quartz oscillators; two clocks that are not locked to each other.
 //! Limits: constant rate, no error at time zero; a constant error is `clock_offset`.
@@ -26,7 +27,8 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "relative error of the event clock; positive = events are stamped later and later",
         }],
         covariate: "time*slope",
-        signature: "frames differ from what events predict in proportion to their rate of change, by more and more as time goes on",
+        signature: "frames differ from what events predict in proportion to their rate of change, by more \
+                    and more as time goes on",
         confused_with: &["clock_offset", "time_constant", "threshold_drift"],
         source: "tolerance of quartz oscillators",
         apart: &[("clock_offset", "a recording four times as long: a drift grows with it")],
@@ -77,7 +79,11 @@ mod tests {
 
     fn stamped(rate: f64, t_in_ns: i64, t_off_ns: i64) -> (i64, i64) {
         let mut event = PixelEvent { t_in_ns, t_off_ns, polarity: 1 };
-        described("clock_drift", json!({ "rate": rate })).stamp(&site(3, 4), &mut Random::new(1, &[]), &mut event);
+        described("clock_drift", json!({ "rate": rate })).stamp(
+            &site(3, 4),
+            &mut Random::new(1, &[]),
+            &mut event,
+        );
         (event.t_in_ns, event.t_off_ns)
     }
 

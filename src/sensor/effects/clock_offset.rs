@@ -1,11 +1,13 @@
-//! Clock offset: the event part of the sensor stamps its events on a clock that does not start with the frames'.
+//! Clock offset: the event part of the sensor stamps its events on a clock that does not start with the
+//! frames'.
 //!
 //! The recorded stamp is the true time plus a constant. An offset of a fraction of an exposure already
 //! misplaces every event inside its frame, and reconstruction shows it as edges doubled along the motion.
 //!
-//! Parameter: `offset_ns`, any sign, null value 0; from 1 us (synchronised in hardware) to tens of milliseconds
-//! (two free-running parts matched by hand). Confused with: a mean readout latency (which no event stamp
-//! precedes) and a wrong row time (which grows along the rows). Limits: constant; a drift is another effect.
+//! Parameter: `offset_ns`, any sign, null value 0; from 1 us (synchronised in hardware) to tens of
+//! milliseconds (two free-running parts matched by hand). Confused with: a mean readout latency (which no
+//! event stamp precedes) and a wrong row time (which grows along the rows). Limits: constant; a drift is
+//! another effect.
 
 use super::sought::{DELAY, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
@@ -27,15 +29,32 @@ pub const KIND: EffectKind = EffectKind {
             about: "recorded minus true time of an event; negative = events are stamped early",
         }],
         covariate: "slope",
-        signature: "frames differ from what events predict in proportion to their rate of change, with one delay for all pixels",
+        signature: "frames differ from what events predict in proportion to their rate of change, with one \
+                    delay for all pixels",
         confused_with: &["misalignment", "row_time", "time_constant"],
         source: "two clocks; the same constant for every event",
         apart: &[
-            ("time_constant", "the same scene in brighter light: the delay of a time constant shrinks, an offset stays"),
-            ("second_pole", "the same scene at twice the speed, and in brighter light: an offset changes with neither"),
-            ("misalignment", "the same scene moving the other way: a shift changes its sign in time, an offset does not"),
+            (
+                "time_constant",
+                "the same scene in brighter light: the delay of a time constant shrinks, an \
+                               offset stays",
+            ),
+            (
+                "second_pole",
+                "the same scene at twice the speed, and in brighter light: an offset changes \
+                             with neither",
+            ),
+            (
+                "misalignment",
+                "the same scene moving the other way: a shift changes its sign in time, an \
+                              offset does not",
+            ),
         ],
-        search: Search::For(&[Sought { typical: Size::Fixed(500e-6), material: DELAY, ..Sought::both("offset") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(500e-6),
+            material: DELAY,
+            ..Sought::both("offset")
+        }]),
     },
     build,
 };
@@ -53,7 +72,10 @@ pub struct ClockOffset {
 
 /// A stamp so far from zero that the offset moves it out of the range of 64-bit nanoseconds (292 years).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("stamp {stamp_ns} ns at index {index} cannot be moved by {shift_ns} ns: beyond the range of 64-bit nanoseconds")]
+#[error(
+    "stamp {stamp_ns} ns at index {index} cannot be moved by {shift_ns} ns: beyond the range of 64-bit \
+         nanoseconds"
+)]
 pub struct StampOutOfRange {
     /// Position in the slice; stamps before it were already moved.
     pub index: usize,
@@ -86,7 +108,11 @@ impl Effect for ClockOffset {
     }
 }
 
-fn shift(stamps_ns: &mut [i64], moved: impl Fn(i64) -> Option<i64>, shift_ns: i64) -> Result<(), StampOutOfRange> {
+fn shift(
+    stamps_ns: &mut [i64],
+    moved: impl Fn(i64) -> Option<i64>,
+    shift_ns: i64,
+) -> Result<(), StampOutOfRange> {
     for (index, stamp) in stamps_ns.iter_mut().enumerate() {
         *stamp = moved(*stamp).ok_or(StampOutOfRange { index, stamp_ns: *stamp, shift_ns })?;
     }

@@ -1,10 +1,11 @@
 //! Crosstalk: part of a pixel's light ends up in its neighbours.
 //!
-//! Photons cross under the microlens and charge diffuses to the next photodiode, so the event pixel keeps `1 - fraction` of its own
-//! light and takes `fraction / 4` from each of the four nearest. Unlike a blur it reaches one pixel far, whatever the fraction. Typical: 1 to 10 %.
+//! Photons cross under the microlens and charge diffuses to the next photodiode, so the event pixel keeps
+//! `1 - fraction` of its own light and takes `fraction / 4` from each of the four nearest. Unlike a blur it
+//! reaches one pixel far, whatever the fraction. Typical: 1 to 10 %.
 //!
-//! Source: textbooks on image sensors, such as Nakamura (2006).
-//! Limits: the same for all pixels; only the events' excess over the frames is meant: crosstalk that both share cannot be seen.
+//! Source: textbooks on image sensors, such as Nakamura (2006). Limits: the same for all pixels; only the
+//! events' excess over the frames is meant: crosstalk that both share cannot be seen.
 
 use super::sought::{SHARE, Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
@@ -25,11 +26,16 @@ pub const KIND: EffectKind = EffectKind {
             about: "share of a pixel's light that its four nearest neighbours get, a quarter each",
         }],
         covariate: "laplacian",
-        signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; dark pixels next to bright ones fire too early",
+        signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; \
+                    dark pixels next to bright ones fire too early",
         confused_with: &["blur", "lateral_inhibition", "dark_current"],
         source: "Nakamura 2006",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.25), material: SHARE, ..Sought::positive("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.25),
+            material: SHARE,
+            ..Sought::positive("fraction")
+        }]),
     },
     build,
 };
@@ -52,8 +58,10 @@ impl Effect for Crosstalk {
 
     fn kernel(&self) -> Option<Kernel> {
         let own = Tap { dx: 0, dy: 0, weight: 1.0 - self.fraction };
-        let nearest = [(0, -1), (-1, 0), (1, 0), (0, 1)].map(|(dx, dy)| Tap { dx, dy, weight: 0.25 * self.fraction });
-        (self.fraction > 0.0).then(|| Kernel { domain: Domain::Linear, taps: [&[own], &nearest[..]].concat() })
+        let nearest =
+            [(0, -1), (-1, 0), (1, 0), (0, 1)].map(|(dx, dy)| Tap { dx, dy, weight: 0.25 * self.fraction });
+        (self.fraction > 0.0)
+            .then(|| Kernel { domain: Domain::Linear, taps: [&[own], &nearest[..]].concat() })
     }
 }
 

@@ -1,11 +1,12 @@
 //! Dark current: a constant adds to the photocurrent before the logarithm.
 //!
-//! Contrast shrinks in the dark: a relative change of light moves the logarithm by `i / (i + current)` of what it should, and the
-//! front end's delay saturates at `alpha / current`. The frame path integrates the light alone, so events and frames disagree in the dark.
+//! Contrast shrinks in the dark: a relative change of light moves the logarithm by `i / (i + current)` of
+//! what it should, and the front end's delay saturates at `alpha / current`. The frame path integrates the
+//! light alone, so events and frames disagree in the dark.
 //!
-//! Source: McReynolds, Graca and Delbruck 2024 (arXiv 2404.07656): much of "the threshold rises in dim light" is this.
-//! Confused with: a black level of the frames (which compresses the frames' contrast instead). Limits: constant; it doubles
-//! every 8 to 10 K.
+//! Source: McReynolds, Graca and Delbruck 2024 (arXiv 2404.07656): much of "the threshold rises in dim light"
+//! is this. Confused with: a black level of the frames (which compresses the frames' contrast instead).
+//! Limits: constant; it doubles every 8 to 10 K.
 
 use super::sought::{Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
@@ -26,7 +27,8 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "photocurrent units that are there without light",
         }],
         covariate: "photocurrent",
-        signature: "log contrast is i / (i + current) of the frames, both polarities alike; latency saturates in the dark",
+        signature: "log contrast is i / (i + current) of the frames, both polarities alike; latency \
+                    saturates in the dark",
         confused_with: &["black_level", "threshold_scale"],
         source: "McReynolds, Graca and Delbruck 2024, arXiv 2404.07656",
         apart: &[("black_level", "a frame with the lens covered: it reads the black level")],
@@ -80,7 +82,12 @@ mod tests {
         for i in [0.03, 0.3, 30.0] {
             let fine = Pixel { threshold_on: 0.002, threshold_off: 0.002, ..ideal_pixel() };
             let ramp = Samples { t_ns: vec![0, 100 * MS], photocurrent: vec![i, 2.0 * i] };
-            let chain = Chain { pixel: fine, reset: Reset::Resample, effects: &dark, tolerance: crate::forward::TOLERANCE };
+            let chain = Chain {
+                pixel: fine,
+                reset: Reset::Resample,
+                effects: &dark,
+                tolerance: crate::forward::TOLERANCE,
+            };
             let events = simulate(&chain, &SITE, &ramp.light(), 0, 100 * MS, &mut Noiseless);
             let expected = libm::log((2.0 * i + 0.3) / (i + 0.3)) / 0.002;
             assert_eq!(events.len(), expected as usize, "at {i}");

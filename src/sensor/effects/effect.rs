@@ -1,9 +1,11 @@
-//! What an effect is: a set of hooks into the simulated pixel, each of which does nothing unless the effect says otherwise.
+//! What an effect is: a set of hooks into the simulated pixel, each of which does nothing unless the effect
+//! says otherwise.
 //!
-//! The simulator asks every effect at every place of the chain, in the order of the catalogue. An effect keeps no state of its own:
-//! what it may remember is in [`History`], what it may draw comes from a stream of its own, so results depend
-//! neither on row bands nor on threads. A draw that belongs to the pixel and not to the event (a mismatch, a hot pixel)
-//! is `site.random("purpose")`, which starts the same stream at every call.
+//! The simulator asks every effect at every place of the chain, in the order of the catalogue. An effect
+//! keeps no state of its own: what it may remember is in [`History`], what it may draw comes from a stream of
+//! its own, so results depend neither on row bands nor on threads. A draw that belongs to the pixel and not
+//! to the event (a mismatch, a hot pixel) is `site.random("purpose")`, which starts the same stream at every
+//! call.
 
 use crate::front_end::FrontEnd;
 use photocurrent_core::Exposure;
@@ -25,7 +27,8 @@ pub struct Site {
 }
 
 impl Site {
-    /// The stream that belongs to this pixel and `purpose` (usually the effect's id): the same numbers at every call.
+    /// The stream that belongs to this pixel and `purpose` (usually the effect's id): the same numbers at
+    /// every call.
     pub fn random(&self, purpose: &str) -> Random {
         Random::new(self.seed, &[u64::from(self.x), u64::from(self.y), purpose_code(purpose)])
     }
@@ -37,14 +40,16 @@ impl Site {
 
     /// Distance from the array's centre over the distance of a corner pixel: 0 to 1; 0 for a single pixel.
     pub fn radius(&self) -> f64 {
-        let (half_x, half_y) = (0.5 * f64::from(self.width.saturating_sub(1)), 0.5 * f64::from(self.height.saturating_sub(1)));
+        let (half_x, half_y) =
+            (0.5 * f64::from(self.width.saturating_sub(1)), 0.5 * f64::from(self.height.saturating_sub(1)));
         let corner = libm::sqrt(half_x * half_x + half_y * half_y);
         let (dx, dy) = (f64::from(self.x) - half_x, f64::from(self.y) - half_y);
         if corner == 0.0 { 0.0 } else { libm::sqrt(dx * dx + dy * dy) / corner }
     }
 }
 
-/// The row of a stream shared by a whole row: what `hot_rows` or a skew per row draws from. The same numbers at every call.
+/// The row of a stream shared by a whole row: what `hot_rows` or a skew per row draws from. The same numbers
+/// at every call.
 pub fn row_random(seed: u64, y: u32, purpose: &str) -> Random {
     Random::new(seed, &[u64::MAX, u64::from(y), purpose_code(purpose)])
 }
@@ -62,14 +67,25 @@ pub(crate) struct Streams {
 
 impl Streams {
     pub(crate) fn new(site: &Site, effect: &str) -> Streams {
-        let stream = |hook: u64| Random::new(site.seed, &[u64::from(site.x), u64::from(site.y), purpose_code(effect), hook]);
-        Streams { thresholds: stream(1), reference: stream(2), latency: stream(3), spontaneous: stream(4), keeps: stream(5), stamp: stream(6) }
+        let stream = |hook: u64| {
+            Random::new(site.seed, &[u64::from(site.x), u64::from(site.y), purpose_code(effect), hook])
+        };
+        Streams {
+            thresholds: stream(1),
+            reference: stream(2),
+            latency: stream(3),
+            spontaneous: stream(4),
+            keeps: stream(5),
+            stamp: stream(6),
+        }
     }
 }
 
 /// A number for a text: FNV-1a.
 fn purpose_code(purpose: &str) -> u64 {
-    purpose.bytes().fold(0xcbf2_9ce4_8422_2325, |code, byte| (code ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+    purpose
+        .bytes()
+        .fold(0xcbf2_9ce4_8422_2325, |code, byte| (code ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
 /// An event as the simulated pixel puts it out.
@@ -92,7 +108,8 @@ pub struct LastEvent {
     pub t_off_ns: i64,
     /// +1 for ON, -1 for OFF.
     pub polarity: i8,
-    /// What the voltage moved between firing and the reset, signed, natural-log units. Zero until the reset happens.
+    /// What the voltage moved between firing and the reset, signed, natural-log units. Zero until the reset
+    /// happens.
     pub overshoot: f64,
 }
 
@@ -103,7 +120,8 @@ pub struct History {
     pub last_event: Option<LastEvent>,
     /// Events so far.
     pub events: u64,
-    /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event. 0 before any event.
+    /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event.
+    /// 0 before any event.
     pub burst_index: u32,
 }
 
@@ -139,7 +157,8 @@ pub struct Tap {
     pub weight: f64,
 }
 
-/// The event path sees a weighted sum of neighbours' light. Beyond the array's edge the nearest pixel stands in.
+/// The event path sees a weighted sum of neighbours' light. Beyond the array's edge the nearest pixel stands
+/// in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kernel {
     /// Where the sum is taken.
@@ -188,7 +207,14 @@ impl FrontEndModel {
     /// The low-pass alone.
     pub fn plain(low_pass: FrontEnd) -> FrontEndModel {
         let none = f64::INFINITY;
-        FrontEndModel { low_pass, second_pole: None, drive: Drive::SmallSignal, slew_up_per_s: none, slew_down_per_s: none, high_pass_s: none }
+        FrontEndModel {
+            low_pass,
+            second_pole: None,
+            drive: Drive::SmallSignal,
+            slew_up_per_s: none,
+            slew_down_per_s: none,
+            high_pass_s: none,
+        }
     }
 
     /// Whether nothing but the low-pass is there: then the voltage has a closed form.
@@ -283,7 +309,8 @@ pub struct ArrayEvent {
     pub event: PixelEvent,
 }
 
-/// What of an effect is drawn, so that it cannot be undone: by how much measurements are trusted less, and what is known all the same.
+/// What of an effect is drawn, so that it cannot be undone: by how much measurements are trusted less, and
+/// what is known all the same.
 #[derive(Default)]
 pub struct Chance {
     /// Standard deviation of a pixel's own thresholds, natural-log units.
@@ -300,7 +327,8 @@ pub struct Chance {
 
 /// A non-ideality of the sensor. Every hook defaults to "nothing".
 ///
-/// `random` is a stream of this pixel, effect and hook that goes on from call to call. Times are true nanoseconds.
+/// `random` is a stream of this pixel, effect and hook that goes on from call to call. Times are true
+/// nanoseconds.
 pub trait Effect: Send + Sync {
     /// The catalogue id.
     fn id(&self) -> &'static str;
@@ -310,18 +338,20 @@ pub trait Effect: Send + Sync {
         None
     }
 
-    /// The photocurrent that enters the logarithm at `t_ns`, from photocurrent `i`; positive. Linear in `i` and constant in time, or
-    /// [`Effect::light_step_ns`] says how finely the light must be sampled.
+    /// The photocurrent that enters the logarithm at `t_ns`, from photocurrent `i`; positive. Linear in `i`
+    /// and constant in time, or [`Effect::light_step_ns`] says how finely the light must be sampled.
     fn event_light(&self, _site: &Site, _t_ns: i64, i: f64) -> f64 {
         i
     }
 
-    /// The longest step, nanoseconds, over which [`Effect::event_light`] of linear light may be taken as linear; none = any.
+    /// The longest step, nanoseconds, over which [`Effect::event_light`] of linear light may be taken as
+    /// linear; none = any.
     fn light_step_ns(&self) -> Option<i64> {
         None
     }
 
-    /// Photocurrent that [`Effect::event_light`] adds to the event path, whatever it sees and when: known exactly, so a solver may take the sum as its unknown. At least 0.
+    /// Photocurrent that [`Effect::event_light`] adds to the event path, whatever it sees and when: known
+    /// exactly, so a solver may take the sum as its unknown. At least 0.
     fn added_photocurrent(&self) -> f64 {
         0.0
     }
@@ -332,20 +362,38 @@ pub trait Effect: Send + Sync {
     /// Adds sudden disturbances between `start_ns` and `end_ns`, in any order.
     fn impulses(&self, _site: &Site, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Impulse>) {}
 
-    /// Changes the thresholds that hold from the reset at `t_reset_ns` on; asked once at the start (without a last event) and after each event.
-    fn thresholds(&self, _site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, _thresholds: &mut Thresholds) {}
+    /// Changes the thresholds that hold from the reset at `t_reset_ns` on; asked once at the start (without a
+    /// last event) and after each event.
+    fn thresholds(
+        &self,
+        _site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        _t_reset_ns: i64,
+        _thresholds: &mut Thresholds,
+    ) {
+    }
 
     /// The drift of the voltage against the reference. `stated` are the description's thresholds.
     fn leak(&self, _site: &Site, _stated: &Thresholds) -> Leak {
         Leak::default()
     }
 
-    /// The reference after a reset, natural-log units. `ideal` is what the reset rule gives, `before` the reference of the event that caused it.
-    fn reference(&self, _site: &Site, _history: &History, _random: &mut Random, ideal: f64, _before: f64) -> f64 {
+    /// The reference after a reset, natural-log units. `ideal` is what the reset rule gives, `before` the
+    /// reference of the event that caused it.
+    fn reference(
+        &self,
+        _site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        ideal: f64,
+        _before: f64,
+    ) -> f64 {
         ideal
     }
 
-    /// The refractory period after an event, nanoseconds, not negative. `i` is the photocurrent in the logarithm when the event leaves.
+    /// The refractory period after an event, nanoseconds, not negative. `i` is the photocurrent in the
+    /// logarithm when the event leaves.
     fn refractory_ns(&self, _site: &Site, _i: f64, refractory_ns: i64) -> i64 {
         refractory_ns
     }
@@ -355,8 +403,17 @@ pub trait Effect: Send + Sync {
         Latency::default()
     }
 
-    /// Adds events without a crossing between `start_ns` and `end_ns`, in any order. An armed pixel fires and resets.
-    fn spontaneous(&self, _site: &Site, _random: &mut Random, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Spontaneous>) {}
+    /// Adds events without a crossing between `start_ns` and `end_ns`, in any order. An armed pixel fires and
+    /// resets.
+    fn spontaneous(
+        &self,
+        _site: &Site,
+        _random: &mut Random,
+        _start_ns: i64,
+        _end_ns: i64,
+        _out: &mut Vec<Spontaneous>,
+    ) {
+    }
 
     /// Whether the event reaches the recording. One that does not has still reset its pixel.
     fn keeps(&self, _site: &Site, _random: &mut Random, _event: &PixelEvent) -> bool {
@@ -366,12 +423,13 @@ pub trait Effect: Send + Sync {
     /// Turns true times into recorded ones.
     fn stamp(&self, _site: &Site, _random: &mut Random, _event: &mut PixelEvent) {}
 
-    /// The same effect knowing the load: everything that all pixels fired in a pass before, in order of true off-pixel time. Events that are lost
-    /// ([`Effect::keeps`]) are among them, as they have gone the whole way to the reset of their pixel and are lost behind it. The simulator then runs
-    /// the pixels again, and reports anew what they did, until nothing moves. None = the load does not matter.
+    /// The same effect knowing the load: everything that all pixels fired in a pass before, in order of true
+    /// off-pixel time. Events that are lost ([`Effect::keeps`]) are among them, as they have gone the whole
+    /// way to the reset of their pixel and are lost behind it. The simulator then runs the pixels again, and
+    /// reports anew what they did, until nothing moves. None = the load does not matter.
     ///
-    /// An informed effect answers otherwise in [`Effect::latency`] only, by load, pixel and instant without a random number: the simulator sees by
-    /// that which pixels another load moves.
+    /// An informed effect answers otherwise in [`Effect::latency`] only, by load, pixel and instant without a
+    /// random number: the simulator sees by that which pixels another load moves.
     fn informed(&self, _events: &[ArrayEvent]) -> Option<Box<dyn Effect>> {
         None
     }
@@ -391,7 +449,8 @@ pub trait Effect: Send + Sync {
         dn
     }
 
-    /// What cannot be undone because it is drawn; none = the hooks above say it all, and [`crate::undo`] takes it off again.
+    /// What cannot be undone because it is drawn; none = the hooks above say it all, and [`crate::undo`]
+    /// takes it off again.
     fn chance(&self) -> Option<Chance> {
         None
     }

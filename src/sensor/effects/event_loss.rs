@@ -1,14 +1,18 @@
 //! Event loss: some events never reach the recording.
 //!
-//! A full buffer, a rate limiter or a dropped packet takes events away after their pixel has fired and reset. The pixel's own chain goes on, so the
-//! next event that arrives seems to have needed two thresholds (or three): a comb at whole multiples. Typical: none at a moderate
-//! rate, some to tens of per cent where buffers overflow.
+//! A full buffer, a rate limiter or a dropped packet takes events away after their pixel has fired and reset.
+//! The pixel's own chain goes on, so the next event that arrives seems to have needed two thresholds (or
+//! three): a comb at whole multiples. Typical: none at a moderate rate, some to tens of per cent where
+//! buffers overflow.
 //!
-//! Sources: manuals of event cameras (event rate control, overflow of FIFOs); Prophesee's knowledge base on back-pressure.
-//! Limits: each event is lost independently with one chance; real buffers lose whole microseconds or rows, above a rate.
+//! Sources: manuals of event cameras (event rate control, overflow of FIFOs); Prophesee's knowledge base on
+//! back-pressure. Limits: each event is lost independently with one chance; real buffers lose whole
+//! microseconds or rows, above a rate.
 
 use super::sought::{SHARE, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -27,11 +31,16 @@ pub const KIND: EffectKind = EffectKind {
             about: "share of the events that is lost",
         }],
         covariate: "burst_index",
-        signature: "the change between two events is a whole multiple of the threshold: a comb at one, two, three thresholds",
+        signature: "the change between two events is a whole multiple of the threshold: a comb at one, two, \
+                    three thresholds",
         confused_with: &["refractory", "threshold_scale", "readout_queue"],
         source: "manuals of event cameras; Prophesee knowledge base",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.4), material: SHARE, ..Sought::random("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.4),
+            material: SHARE,
+            ..Sought::random("fraction")
+        }]),
     },
     build,
 };
@@ -71,7 +80,11 @@ mod tests {
     fn kept(fraction: f64) -> Vec<bool> {
         let effect = described("event_loss", json!({ "fraction": fraction }));
         let mut random = Random::new(7, &[1]);
-        (0..20_000).map(|t| effect.keeps(&site(3, 4), &mut random, &PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 })).collect()
+        (0..20_000)
+            .map(|t| {
+                effect.keeps(&site(3, 4), &mut random, &PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 })
+            })
+            .collect()
     }
 
     #[test]
@@ -93,7 +106,12 @@ mod tests {
     #[test]
     fn intervals_on_a_ramp_are_whole_multiples_of_the_pace() {
         let ramp = Samples::of_log(5_000 * MS, |t| 20.0 * (t - 2.5));
-        let events = recorded(ideal_pixel(), vec![described("event_loss", json!({ "fraction": 0.3 }))], &ramp, 5_000 * MS);
+        let events = recorded(
+            ideal_pixel(),
+            vec![described("event_loss", json!({ "fraction": 0.3 }))],
+            &ramp,
+            5_000 * MS,
+        );
         let steps: Vec<f64> = intervals_s(&events).iter().map(|interval| interval * 20.0 / 0.2).collect();
         assert!(steps.iter().all(|step| (step - step.round()).abs() < 1e-4));
         // 499 or 500 fired; the share of single steps is that of kept events. Five sigma.

@@ -1,10 +1,12 @@
 //! Exposure time: a frame collects light for longer or shorter than the recording states.
 //!
-//! Pulses that reset and read a row have lengths and delays of their own, so the real exposure differs from the programmed one by a
-//! fixed time. The readout is what gets a stamp, so the exposure keeps its end and the start moves. Typical: 1 to 100 us.
+//! Pulses that reset and read a row have lengths and delays of their own, so the real exposure differs from
+//! the programmed one by a fixed time. The readout is what gets a stamp, so the exposure keeps its end and
+//! the start moves. Typical: 1 to 100 us.
 //!
-//! Parameter: `difference`, real minus stated length; positive = longer. All digital numbers are off by `difference / length`; while the light changes,
-//! the exposure's centre is also earlier by half the difference. With a free gain only the second part is left, and frames of different lengths show the first.
+//! Parameter: `difference`, real minus stated length; positive = longer. All digital numbers are off by
+//! `difference / length`; while the light changes, the exposure's centre is also earlier by half the
+//! difference. With a free gain only the second part is left, and frames of different lengths show the first.
 //!
 //! Source: EMVA 1288 on exposure time as set and as real.
 //! Limits: the same for all rows and frames; an exposure that would end before it starts collects nothing.
@@ -32,15 +34,24 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "real minus stated exposure length; positive = longer, at its start",
         }],
         covariate: "dn",
-        signature: "frames are off by a factor that depends on the exposure length, and by a delay of half the difference",
+        signature: "frames are off by a factor that depends on the exposure length, and by a delay of half \
+                    the difference",
         confused_with: &["frame_gain_steps", "clock_offset", "image_lag"],
         source: "EMVA 1288",
         apart: &[
             ("black_level", "the same scene with half the exposure: a black level stays"),
-            ("frame_nonlinearity", "the same scene with half the exposure: only a nonlinearity changes the ratio of bright to dark"),
+            (
+                "frame_nonlinearity",
+                "the same scene with half the exposure: only a nonlinearity changes the \
+                                    ratio of bright to dark",
+            ),
             ("image_lag", "a lamp that is switched off: lag leaves a trace in the next frame"),
         ],
-        search: Search::For(&[Sought { typical: Size::Of(0.12, Measure::Exposure), material: MATTERS, ..Sought::both("difference") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Of(0.12, Measure::Exposure),
+            material: MATTERS,
+            ..Sought::both("difference")
+        }]),
     },
     build,
 };
@@ -75,7 +86,8 @@ mod tests {
     use crate::forward::{FrameReadout, read_frames};
 
     fn exposed(difference_ns: i64) -> Exposure {
-        ExposureTime { difference_ns }.exposure(&RowSite { y: 3, height: 9, frame: 0, row_time_ns: 0 }, Exposure::new(1_000, 5_000))
+        ExposureTime { difference_ns }
+            .exposure(&RowSite { y: 3, height: 9, frame: 0, row_time_ns: 0 }, Exposure::new(1_000, 5_000))
     }
 
     #[test]
@@ -88,8 +100,15 @@ mod tests {
     #[test]
     fn frames_gain_in_proportion_and_on_a_ramp_half_the_difference_less() {
         let effects: [Box<dyn Effect>; 1] = [Box::new(ExposureTime { difference_ns: MS })];
-        let readout = FrameReadout { number: DigitalNumber { black_level: 16.0, gain: 850.0 }, saturation: 1023.0, row_time_ns: 0 };
-        let read = |samples: &Samples| read_frames(&readout, &effects, &SITE, &samples.light(), &[Exposure::new(5 * MS, 15 * MS)])[0] - 16.0;
+        let readout = FrameReadout {
+            number: DigitalNumber { black_level: 16.0, gain: 850.0 },
+            saturation: 1023.0,
+            row_time_ns: 0,
+        };
+        let read = |samples: &Samples| {
+            read_frames(&readout, &effects, &SITE, &samples.light(), &[Exposure::new(5 * MS, 15 * MS)])[0]
+                - 16.0
+        };
         assert!((read(&Samples::constant(20.0)) - 850.0 * 20.0 * 11e-3).abs() < 1e-9);
         // Light 1000 t: its mean over 4 to 15 ms is that of the middle, 9.5 ms.
         let ramp = Samples { t_ns: vec![MS, 20 * MS], photocurrent: vec![1.0, 20.0] };

@@ -1,18 +1,22 @@
 //! Frame coupling: each readout of the frame shakes the event circuit and makes events of its own.
 //!
-//! Frames and events share the die, its supply and often the photodiode; when a row of the frame is reset or read, the front-end voltage
-//! jumps by a small step and settles back with the front end's time constant. A step above the threshold fires in every pixel of the row, a smaller
-//! one only where the light has already brought the pixel close; the way back fires the other sign. Typical: 0.01 to 0.3 ln.
+//! Frames and events share the die, its supply and often the photodiode; when a row of the frame is reset or
+//! read, the front-end voltage jumps by a small step and settles back with the front end's time constant. A
+//! step above the threshold fires in every pixel of the row, a smaller one only where the light has already
+//! brought the pixel close; the way back fires the other sign. Typical: 0.01 to 0.3 ln.
 //!
-//! Parameters: `step` (positive = towards ON), `period` between frames, `phase` (the instant of any one readout of row 0) and
-//! `row_time` (0 = all rows at once). The frames' times are not known here; take `phase` and `period` from the frames' exposure ends.
-//! Confused with flicker whose frequency is the frame rate; that is seen by frames too.
+//! Parameters: `step` (positive = towards ON), `period` between frames, `phase` (the instant of any one
+//! readout of row 0) and `row_time` (0 = all rows at once). The frames' times are not known here; take
+//! `phase` and `period` from the frames' exposure ends. Confused with flicker whose frequency is the frame
+//! rate; that is seen by frames too.
 //!
-//! Source: substrate and supply coupling between the frame and event circuits of DAVIS pixels; Brandli et al. (2014).
-//! Limits: strictly periodic, instantaneous, equal for all pixels of a row.
+//! Source: substrate and supply coupling between the frame and event circuits of DAVIS pixels; Brandli et al.
+//! (2014). Limits: strictly periodic, instantaneous, equal for all pixels of a row.
 
 use super::sought::{Measure, SPREAD, Search, Size, Sought};
-use super::{Effect, EffectDecl, EffectKind, Impulse, ImpulseTarget, ParameterDecl, Parameters, Site, Stage, Unit};
+use super::{
+    Effect, EffectDecl, EffectKind, Impulse, ImpulseTarget, ParameterDecl, Parameters, Site, Stage, Unit,
+};
 
 /// The catalogue entry.
 pub(super) const KIND: EffectKind = EffectKind {
@@ -30,7 +34,14 @@ pub(super) const KIND: EffectKind = EffectKind {
                 plausible: (-0.5, 0.5),
                 about: "jump of the front-end voltage at a readout; positive = towards ON",
             },
-            ParameterDecl { name: "period", unit: Unit::Time, null: None, allowed: (1e-6, 1e4), plausible: (1e-4, 1.0), about: "time between readouts" },
+            ParameterDecl {
+                name: "period",
+                unit: Unit::Time,
+                null: None,
+                allowed: (1e-6, 1e4),
+                plausible: (1e-4, 1.0),
+                about: "time between readouts",
+            },
             ParameterDecl {
                 name: "phase",
                 unit: Unit::Time,
@@ -49,14 +60,18 @@ pub(super) const KIND: EffectKind = EffectKind {
             },
         ],
         covariate: "frame_phase",
-        signature: "too many events right after each frame readout, of one sign, then of the other; nothing in the frames",
+        signature: "too many events right after each frame readout, of one sign, then of the other; nothing \
+                    in the frames",
         confused_with: &["flicker at the frame rate", "background_activity", "row_skew"],
         source: "Brandli et al. 2014 (DAVIS)",
         apart: &[],
         search: Search::For(&[Sought {
             typical: Size::Of(0.4, Measure::Threshold),
             material: SPREAD,
-            others: &[("period", Size::Of(1.0, Measure::FramePeriod)), ("phase", Size::Of(1.0, Measure::FramePhase))],
+            others: &[
+                ("period", Size::Of(1.0, Measure::FramePeriod)),
+                ("phase", Size::Of(1.0, Measure::FramePhase)),
+            ],
             is_made: false,
             ..Sought::both("step")
         }]),
@@ -65,8 +80,14 @@ pub(super) const KIND: EffectKind = EffectKind {
 };
 
 fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
-    let (phase_ns, row_time_ns) = (parameters.get_ns("phase").unwrap_or(0), parameters.get_ns("row_time").unwrap_or(0));
-    Ok(Box::new(FrameCoupling { step: parameters.need("step")?, period_ns: parameters.need_ns("period")?, phase_ns, row_time_ns }))
+    let (phase_ns, row_time_ns) =
+        (parameters.get_ns("phase").unwrap_or(0), parameters.get_ns("row_time").unwrap_or(0));
+    Ok(Box::new(FrameCoupling {
+        step: parameters.need("step")?,
+        period_ns: parameters.need_ns("period")?,
+        phase_ns,
+        row_time_ns,
+    }))
 }
 
 /// A periodic disturbance of the front end, row by row.
@@ -109,12 +130,17 @@ mod tests {
     use crate::front_end::FrontEnd;
     use serde_json::json;
 
-    const COUPLING: FrameCoupling = FrameCoupling { step: -0.1, period_ns: 1_000, phase_ns: 300, row_time_ns: 10 };
+    const COUPLING: FrameCoupling =
+        FrameCoupling { step: -0.1, period_ns: 1_000, phase_ns: 300, row_time_ns: 10 };
 
     fn times(y: u32, start_ns: i64, end_ns: i64) -> Vec<i64> {
         let mut impulses = Vec::new();
         COUPLING.impulses(&Site { x: 0, y, width: 4, height: 100, seed: 1 }, start_ns, end_ns, &mut impulses);
-        assert!(impulses.iter().all(|impulse| impulse.change == -0.1 && impulse.target == ImpulseTarget::FrontEnd));
+        assert!(
+            impulses
+                .iter()
+                .all(|impulse| impulse.change == -0.1 && impulse.target == ImpulseTarget::FrontEnd)
+        );
         impulses.iter().map(|impulse| impulse.t_ns).collect()
     }
 
@@ -138,10 +164,16 @@ mod tests {
 
     #[test]
     fn a_static_pixel_fires_on_at_each_readout_and_off_on_the_way_back() {
-        let pixel = Pixel { front_end: FrontEnd { tau_0_s: 1e-3, alpha_s: 0.0 }, threshold_off: 0.15, ..ideal_pixel() };
+        let pixel = Pixel {
+            front_end: FrontEnd { tau_0_s: 1e-3, alpha_s: 0.0 },
+            threshold_off: 0.15,
+            ..ideal_pixel()
+        };
         let coupling = FrameCoupling { step: 0.3, period_ns: 20 * MS, phase_ns: 5 * MS, row_time_ns: 10_000 };
         let events = recorded(pixel, vec![Box::new(coupling)], &Samples::constant(2.0), 60 * MS);
-        let of = |polarity: i8| -> Vec<i64> { events.iter().filter(|event| event.polarity == polarity).map(|event| event.t_in_ns).collect() };
+        let of = |polarity: i8| -> Vec<i64> {
+            events.iter().filter(|event| event.polarity == polarity).map(|event| event.t_in_ns).collect()
+        };
         let first_ns = 5 * MS + 10_000 * i64::from(SITE.y);
         assert_eq!(of(1), [first_ns, first_ns + 20 * MS, first_ns + 40 * MS]);
         // The reference is then 0.2: the voltage falls from 0.3 to 0.05 with 1 ms.

@@ -1,16 +1,20 @@
 //! Frame gain steps: the brightness of whole frames jumps although the light does not.
 //!
-//! Automatic gain, a tone curve that follows the scene, or a lamp correction multiplies all pixels of a frame by one factor, holds it for some
-//! frames, and then takes another. The black level stays. Typical: 1 to 20 % per jump.
+//! Automatic gain, a tone curve that follows the scene, or a lamp correction multiplies all pixels of a frame
+//! by one factor, holds it for some frames, and then takes another. The black level stays. Typical: 1 to 20 %
+//! per jump.
 //!
-//! Parameters: `sigma`, the spread of the logarithm of the factor; `every`, the number of frames that share a factor (absent = 1). The first
-//! `every` frames have the stated gain. Light that really changes shows in the events too.
+//! Parameters: `sigma`, the spread of the logarithm of the factor; `every`, the number of frames that share a
+//! factor (absent = 1). The first `every` frames have the stated gain. Light that really changes shows in the
+//! events too.
 //!
-//! Source: automatic gain control as in any camera.
-//! Limits: factors are drawn independently (normal in the logarithm) and at a fixed pace; no dependence on the scene.
+//! Source: automatic gain control as in any camera. Limits: factors are drawn independently (normal in the
+//! logarithm) and at a fixed pace; no dependence on the scene.
 
 use super::sought::{SPREAD, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit, row_random};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit, row_random,
+};
 
 /// The catalogue entry.
 pub(super) const KIND: EffectKind = EffectKind {
@@ -18,7 +22,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: "frame_gain_steps",
         stage: Stage::Exposure,
         about: "The gain of whole frames jumps from time to time",
-        equation: "DN = black_level + g(frame) * gain * integral of i; ln g normal with spread sigma, new every `every` frames",
+        equation: "DN = black_level + g(frame) * gain * integral of i; ln g normal with spread sigma, new \
+                   every `every` frames",
         parameters: &[
             ParameterDecl {
                 name: "sigma",
@@ -38,17 +43,26 @@ pub(super) const KIND: EffectKind = EffectKind {
             },
         ],
         covariate: "time",
-        signature: "all pixels of a frame are off by one factor, another one some frames later; events show nothing",
+        signature: "all pixels of a frame are off by one factor, another one some frames later; events show \
+                    nothing",
         confused_with: &["exposure_time", "image_lag", "flicker that the frames alone sample"],
         source: "automatic gain control",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.05), material: SPREAD, is_made: false, ..Sought::random("sigma") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.05),
+            material: SPREAD,
+            is_made: false,
+            ..Sought::random("sigma")
+        }]),
     },
     build,
 };
 
 fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
-    Ok(Box::new(FrameGainSteps { sigma: parameters.need("sigma")?, every: parameters.get("every").map_or(1, |frames| frames.round() as usize) }))
+    Ok(Box::new(FrameGainSteps {
+        sigma: parameters.need("sigma")?,
+        every: parameters.get("every").map_or(1, |frames| frames.round() as usize),
+    }))
 }
 
 /// A gain that jumps between groups of frames.
@@ -91,14 +105,21 @@ mod tests {
     const STEPS: FrameGainSteps = FrameGainSteps { sigma: 0.1, every: 5 };
 
     fn ratio(x: u32, y: u32, frame: usize, dn: f64) -> f64 {
-        let reading = Reading { frame, previous_charge: 0.0, gain: 850.0, black_level: 16.0, saturation: 1023.0 };
+        let reading =
+            Reading { frame, previous_charge: 0.0, gain: 850.0, black_level: 16.0, saturation: 1023.0 };
         (STEPS.dn(&Site { x, y, width: 9, height: 7, seed: 11 }, &reading, dn) - 16.0) / (dn - 16.0)
     }
 
     #[test]
     fn a_frame_has_one_factor_for_all_pixels_and_lights() {
         for frame in [0, 7, 93] {
-            assert!([(8, 6, 500.0), (3, 1, 20.0)].iter().all(|&(x, y, dn)| (ratio(x, y, frame, dn) / ratio(0, 0, frame, 300.0) - 1.0).abs() < 1e-12));
+            assert!(
+                [(8, 6, 500.0), (3, 1, 20.0)].iter().all(|&(x, y, dn)| (ratio(x, y, frame, dn)
+                    / ratio(0, 0, frame, 300.0)
+                    - 1.0)
+                    .abs()
+                    < 1e-12)
+            );
         }
     }
 

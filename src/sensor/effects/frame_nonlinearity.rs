@@ -1,14 +1,17 @@
 //! Frame nonlinearity: twice the light is not quite twice the digital number.
 //!
-//! The conversion from charge to voltage and the amplifiers bend a little. Dark and full scale are right by definition; between them the
-//! digital number is off by a parabola that is `fraction` of full scale in the middle: with `x` from 0 (dark) to 1 (full), `x + 4 fraction x (1 - x)`.
-//! Typical: 0.1 to 2 % (EMVA 1288 linearity error); a residual gamma: 10 % and more.
+//! The conversion from charge to voltage and the amplifiers bend a little. Dark and full scale are right by
+//! definition; between them the digital number is off by a parabola that is `fraction` of full scale in the
+//! middle: with `x` from 0 (dark) to 1 (full), `x + 4 fraction x (1 - x)`. Typical: 0.1 to 2 % (EMVA 1288
+//! linearity error); a residual gamma: 10 % and more.
 //!
-//! Other sensors are right in the dark and fall behind towards full scale, as a source follower or a well that fills does: `x / (1 + compression x)`.
+//! Other sensors are right in the dark and fall behind towards full scale, as a source follower or a well
+//! that fills does: `x / (1 + compression x)`.
 //!
-//! Parameters: `fraction`, positive = mid tones too bright; `compression`, what full light lacks over what it reads; `full_scale_dn`, where the curve ends (absent = the stated
-//! saturation; with neither known nothing can be said and nothing is changed). It follows the digital number: with another exposure time it stays at its DN,
-//! while a departure of the events' logarithm stays at its photocurrent.
+//! Parameters: `fraction`, positive = mid tones too bright; `compression`, what full light lacks over what it
+//! reads; `full_scale_dn`, where the curve ends (absent = the stated saturation; with neither known nothing
+//! can be said and nothing is changed). It follows the digital number: with another exposure time it stays at
+//! its DN, while a departure of the events' logarithm stays at its photocurrent.
 //!
 //! Source: EMVA 1288, linearity error.
 //! Limits: one curve for all pixels; beyond dark and full scale it goes on as a straight line.
@@ -25,7 +28,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: "frame_nonlinearity",
         stage: Stage::Exposure,
         about: "The digital number is not proportional to the collected light",
-        equation: "x = (DN - black) / (full - black); x_read = (x + 4 * fraction * x * (1 - x)) / (1 + compression * x)",
+        equation: "x = (DN - black) / (full - black); x_read = (x + 4 * fraction * x * (1 - x)) / (1 + \
+                   compression * x)",
         parameters: &[
             ParameterDecl {
                 name: "fraction",
@@ -41,7 +45,8 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: Some(0.0),
                 allowed: (-0.4, 10.0),
                 plausible: (0.0, 1.0),
-                about: "what full light lacks over what it reads, with dark as stated; positive = bright tones too dark",
+                about: "what full light lacks over what it reads, with dark as stated; positive = bright \
+                        tones too dark",
             },
             ParameterDecl {
                 name: "full_scale_dn",
@@ -53,13 +58,32 @@ pub(super) const KIND: EffectKind = EffectKind {
             },
         ],
         covariate: "dn",
-        signature: "frame residuals follow one smooth curve in DN, zero at dark and full scale, the same at every exposure time",
+        signature: "frame residuals follow one smooth curve in DN, zero at dark and full scale, the same at \
+                    every exposure time",
         confused_with: &["black_level", "threshold_scale", "dark_current"],
         source: "EMVA 1288",
-        apart: &[("black_level", "a series of exposures of a static scene: a straight line that misses zero, or a curve")],
+        apart: &[(
+            "black_level",
+            "a series of exposures of a static scene: a straight line that misses \
+                                  zero, or a curve",
+        )],
         search: Search::For(&[
-            Sought { typical: Size::Fixed(0.06), material: GAIN, others: FULL_SCALE, is_made: false, is_of_swing: true, ..Sought::both("fraction") },
-            Sought { typical: Size::Fixed(0.15), material: GAIN, others: FULL_SCALE, comes_last: true, is_of_swing: true, ..Sought::positive("compression") },
+            Sought {
+                typical: Size::Fixed(0.06),
+                material: GAIN,
+                others: FULL_SCALE,
+                is_made: false,
+                is_of_swing: true,
+                ..Sought::both("fraction")
+            },
+            Sought {
+                typical: Size::Fixed(0.15),
+                material: GAIN,
+                others: FULL_SCALE,
+                comes_last: true,
+                is_of_swing: true,
+                ..Sought::positive("compression")
+            },
         ]),
     },
     build,
@@ -107,7 +131,8 @@ impl Effect for FrameNonlinearity {
 mod tests {
     use super::*;
 
-    const READING: Reading = Reading { frame: 0, previous_charge: 0.0, gain: 850.0, black_level: 23.0, saturation: 1023.0 };
+    const READING: Reading =
+        Reading { frame: 0, previous_charge: 0.0, gain: 850.0, black_level: 23.0, saturation: 1023.0 };
     const SITE: Site = Site { x: 0, y: 0, width: 4, height: 4, seed: 1 };
 
     fn read(fraction: f64, dn: f64) -> f64 {
@@ -134,19 +159,25 @@ mod tests {
 
     #[test]
     fn a_full_scale_of_its_own_counts_before_the_stated_one() {
-        let effect = FrameNonlinearity { fraction: 0.1, full_scale_dn: Some(223.0), ..FrameNonlinearity::default() };
+        let effect =
+            FrameNonlinearity { fraction: 0.1, full_scale_dn: Some(223.0), ..FrameNonlinearity::default() };
         assert!((effect.dn(&SITE, &READING, 123.0) - 143.0).abs() < 1e-12);
     }
 
     #[test]
     fn without_a_full_scale_nothing_changes() {
         let unknown = Reading { saturation: f64::INFINITY, ..READING };
-        assert_eq!(FrameNonlinearity { fraction: 0.1, ..FrameNonlinearity::default() }.dn(&SITE, &unknown, 500.0), 500.0);
+        assert_eq!(
+            FrameNonlinearity { fraction: 0.1, ..FrameNonlinearity::default() }.dn(&SITE, &unknown, 500.0),
+            500.0
+        );
     }
 
     #[test]
     fn compression_leaves_the_dark_alone_and_takes_its_share_of_full_light() {
-        let read = |dn: f64| FrameNonlinearity { compression: 0.25, ..FrameNonlinearity::default() }.dn(&SITE, &READING, dn);
+        let read = |dn: f64| {
+            FrameNonlinearity { compression: 0.25, ..FrameNonlinearity::default() }.dn(&SITE, &READING, dn)
+        };
         assert!((read(1023.0) - 23.0 - 1000.0 / 1.25).abs() < 1e-9);
         assert!((read(23.1) - 23.1).abs() < 1e-5 && read(10.0) == 10.0);
         assert!((read(523.0) - 23.0 - 500.0 / 1.125).abs() < 1e-9);

@@ -1,14 +1,15 @@
 //! High-pass front end (adaptation): the pixel forgets slow changes.
 //!
-//! A high-pass stands before the comparator, so what the comparator sees returns to rest with a time constant: `dU/dt = dV/dt - U / tau`.
-//! A change spread evenly over `T` seconds arrives as the share `(tau / T) (1 - exp(-T / tau))`: fast edges pass whole, slow
-//! gradients make too few events, of both polarities alike. After a lasting step the pull back can fire events of the other sign.
-//! Typical: milliseconds to seconds; a low-frequency filter bias sets it.
+//! A high-pass stands before the comparator, so what the comparator sees returns to rest with a time
+//! constant: `dU/dt = dV/dt - U / tau`. A change spread evenly over `T` seconds arrives as the share
+//! `(tau / T) (1 - exp(-T / tau))`: fast edges pass whole, slow gradients make too few events, of both
+//! polarities alike. After a lasting step the pull back can fire events of the other sign. Typical:
+//! milliseconds to seconds; a low-frequency filter bias sets it.
 //!
 //! Leaks look alike for one polarity only; here ON and OFF are late together.
 //!
-//! Source: the high-pass bias (`bias_hpf`) of Prophesee sensors; Graca, Zhou, McReynolds and Delbruck, SciDVS (2024).
-//! Limits: linear, one pole, the same for all pixels.
+//! Source: the high-pass bias (`bias_hpf`) of Prophesee sensors; Graca, Zhou, McReynolds and Delbruck, SciDVS
+//! (2024). Limits: linear, one pole, the same for all pixels.
 
 use super::sought::{Grows, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
@@ -21,7 +22,8 @@ pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "high_pass_front_end",
         stage: Stage::FrontEnd,
-        about: "A high-pass before the comparator lets the voltage return to rest: slow changes make too few events",
+        about: "A high-pass before the comparator lets the voltage return to rest: slow changes make too \
+                few events",
         equation: "dU/dt = dV/dt - U / tau, and the comparator sees U",
         parameters: &[ParameterDecl {
             name: "tau",
@@ -36,7 +38,11 @@ pub(super) const KIND: EffectKind = EffectKind {
         confused_with: &["threshold_scale", "leak_events", "refractory"],
         source: "bias_hpf of Prophesee sensors; Graca et al. 2024 (SciDVS)",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.04), grows: Grows::AsItFalls, ..Sought::positive("tau") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.04),
+            grows: Grows::AsItFalls,
+            ..Sought::positive("tau")
+        }]),
     },
     build,
 };
@@ -78,12 +84,16 @@ mod tests {
 
     #[test]
     fn only_the_high_pass_changes() {
-        assert_eq!(model_of("20 ms"), FrontEndModel { high_pass_s: 0.02, ..FrontEndModel::plain(FrontEnd::IDEAL) });
+        assert_eq!(
+            model_of("20 ms"),
+            FrontEndModel { high_pass_s: 0.02, ..FrontEndModel::plain(FrontEnd::IDEAL) }
+        );
     }
 
     /// Seconds and polarities of the events of an ideal pixel with a high-pass of 50 ms.
     fn events(samples: &Samples) -> Vec<(f64, i8)> {
-        let events = recorded(ideal_pixel(), vec![Box::new(HighPassFrontEnd { tau_s: 0.05 })], samples, 400 * MS);
+        let events =
+            recorded(ideal_pixel(), vec![Box::new(HighPassFrontEnd { tau_s: 0.05 })], samples, 400 * MS);
         events.iter().map(|event| (event.t_in_ns as f64 / 1e9, event.polarity)).collect()
     }
 

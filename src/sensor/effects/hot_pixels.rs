@@ -1,15 +1,17 @@
 //! Hot pixels: a few pixels fire without end, whatever they see.
 //!
-//! A defect gives them a reset switch that leaks far too much or a threshold near zero. Each hot pixel fires events of one sign only, at
-//! random instants and at a rate of hundreds a second; which pixels are hot does not change. Typical: less than one pixel in
-//! a thousand, 10 Hz to 1 kHz.
+//! A defect gives them a reset switch that leaks far too much or a threshold near zero. Each hot pixel fires
+//! events of one sign only, at random instants and at a rate of hundreds a second; which pixels are hot does
+//! not change. Typical: less than one pixel in a thousand, 10 Hz to 1 kHz.
 //!
-//! Sources: Lichtsteiner, Posch, Delbruck 2008; every driver has a filter for them.
-//! Limits: one rate for all hot pixels; ON and OFF ones are equally frequent; dead pixels and those that fire in bursts are not here.
+//! Sources: Lichtsteiner, Posch, Delbruck 2008; every driver has a filter for them. Limits: one rate for all
+//! hot pixels; ON and OFF ones are equally frequent; dead pixels and those that fire in bursts are not here.
 
 use super::background_activity::{either, poisson};
 use super::sought::{SHARE, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -39,7 +41,12 @@ pub(super) const KIND: EffectKind = EffectKind {
         ],
         covariate: "pixel",
         signature: "single pixels fire at a high rate all the time, events of one sign, their neighbours do not",
-        confused_with: &["hot_rows", "background_activity", "threshold_mismatch", "a blinking light in the scene"],
+        confused_with: &[
+            "hot_rows",
+            "background_activity",
+            "threshold_mismatch",
+            "a blinking light in the scene",
+        ],
         source: "Lichtsteiner, Posch, Delbruck 2008",
         apart: &[],
         search: Search::For(&[Sought {
@@ -79,7 +86,14 @@ impl Effect for HotPixels {
         KIND.decl.id
     }
 
-    fn spontaneous(&self, site: &Site, random: &mut Random, start_ns: i64, end_ns: i64, out: &mut Vec<Spontaneous>) {
+    fn spontaneous(
+        &self,
+        site: &Site,
+        random: &mut Random,
+        start_ns: i64,
+        end_ns: i64,
+        out: &mut Vec<Spontaneous>,
+    ) {
         if let Some(polarity) = self.polarity(site) {
             poisson(self.rate_hz, random, start_ns, end_ns, |_| polarity, out);
         }
@@ -110,7 +124,8 @@ mod tests {
                 on += f64::from(u8::from(first.polarity > 0));
             }
         }
-        // Binomial: 1000 of 20,000 with sigma sqrt(950); Poisson: 200 with sigma sqrt(200) in each; half of them ON. Five sigma.
+        // Binomial: 1000 of 20,000 with sigma sqrt(950); Poisson: 200 with sigma sqrt(200) in each; half of
+        // them ON. Five sigma.
         assert!((counts.len() as f64 - 1000.0).abs() < 155.0, "{}", counts.len());
         assert!((moments(&counts).0 - 200.0).abs() < 2.5, "{}", moments(&counts).0);
         assert!((on / counts.len() as f64 - 0.5).abs() < 0.085, "{on}");
@@ -118,20 +133,27 @@ mod tests {
 
     #[test]
     fn the_same_pixels_are_hot_all_the_time_and_at_any_rate() {
-        let hot = |rate_hz| sites().filter(move |site| HotPixels { fraction: 0.01, rate_hz }.polarity(site).is_some()).collect::<Vec<_>>();
+        let hot = |rate_hz| {
+            sites()
+                .filter(move |site| HotPixels { fraction: 0.01, rate_hz }.polarity(site).is_some())
+                .collect::<Vec<_>>()
+        };
         assert_eq!(hot(10.0), hot(1000.0));
         assert!(!hot(10.0).is_empty());
     }
 
     #[test]
     fn blind_time_caps_the_rate_of_a_hot_pixel() {
-        let hot = sites().find(|site| HotPixels { fraction: 0.01, rate_hz: 1.0 }.polarity(site).is_some()).unwrap();
+        let hot =
+            sites().find(|site| HotPixels { fraction: 0.01, rate_hz: 1.0 }.polarity(site).is_some()).unwrap();
         let pixel = crate::forward::Pixel { refractory_ns: 5 * MS, ..ideal_pixel() };
         let effects = || vec![described("hot_pixels", json!({ "fraction": 0.01, "rate": "200 Hz" }))];
-        // Each event costs 5 ms of waiting and 5 ms of blindness: 100 Hz for 10 s. Five sigma of the waiting times' sum is below 80 events.
+        // Each event costs 5 ms of waiting and 5 ms of blindness: 100 Hz for 10 s. Five sigma of the waiting
+        // times' sum is below 80 events.
         let events = recorded_at(&hot, pixel, effects(), &Samples::constant(1.0), 10_000 * MS);
         assert!((events.len() as f64 - 1000.0).abs() < 80.0, "{}", events.len());
-        let healthy = sites().find(|site| HotPixels { fraction: 0.01, rate_hz: 1.0 }.polarity(site).is_none()).unwrap();
+        let healthy =
+            sites().find(|site| HotPixels { fraction: 0.01, rate_hz: 1.0 }.polarity(site).is_none()).unwrap();
         assert!(recorded_at(&healthy, pixel, effects(), &Samples::constant(1.0), 10_000 * MS).is_empty());
     }
 }

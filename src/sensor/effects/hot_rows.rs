@@ -1,15 +1,20 @@
 //! Hot rows: all pixels of some rows fire far too often.
 //!
-//! Pixels of a row share wires for request, acknowledge and reset. A wire that couples to its neighbour or a weak driver disturbs them all, so whole
-//! rows show as bright lines in a picture of event counts. Which rows they are does not change: either they are listed, or
-//! a share of rows is drawn from the seed. Typical: single rows, at block borders or at the array's edge, 10 to 100 Hz a pixel.
+//! Pixels of a row share wires for request, acknowledge and reset. A wire that couples to its neighbour or a
+//! weak driver disturbs them all, so whole rows show as bright lines in a picture of event counts. Which rows
+//! they are does not change: either they are listed, or a share of rows is drawn from the seed. Typical:
+//! single rows, at block borders or at the array's edge, 10 to 100 Hz a pixel.
 //!
-//! Sources: row noise in counts of recordings with equal stamps per row; no published rate, so check against a dark recording.
-//! Limits: pixels of a row fire independently, with both signs, at one rate; a row whose pixels fire together is not here.
+//! Sources: row noise in counts of recordings with equal stamps per row; no published rate, so check against
+//! a dark recording. Limits: pixels of a row fire independently, with both signs, at one rate; a row whose
+//! pixels fire together is not here.
 
 use super::background_activity::{either, poisson};
 use super::sought::{SHARE, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit, row_random};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit,
+    row_random,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -18,7 +23,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: "hot_rows",
         stage: Stage::Comparator,
         about: "All pixels of some rows fire by themselves at a high rate",
-        equation: "each pixel of the listed rows (or of a share `fraction` of all rows) fires ON or OFF, a Poisson process of this rate",
+        equation: "each pixel of the listed rows (or of a share `fraction` of all rows) fires ON or OFF, a \
+                   Poisson process of this rate",
         parameters: &[
             ParameterDecl {
                 name: "rate",
@@ -66,7 +72,9 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
     let which = match (parameters.list("rows"), parameters.get("fraction")) {
         (Some(rows), None) => Which::Listed(rows.to_vec()),
         (None, Some(fraction)) => Which::Share(fraction),
-        (Some(_), Some(_)) => return Err(format!("`effects.{}` takes `rows` or `fraction`, not both", KIND.decl.id)),
+        (Some(_), Some(_)) => {
+            return Err(format!("`effects.{}` takes `rows` or `fraction`, not both", KIND.decl.id));
+        }
         (None, None) => return Err(format!("`effects.{}` needs `rows` or `fraction`", KIND.decl.id)),
     };
     Ok(Box::new(HotRows { which, rate_hz }))
@@ -105,7 +113,14 @@ impl Effect for HotRows {
         KIND.decl.id
     }
 
-    fn spontaneous(&self, site: &Site, random: &mut Random, start_ns: i64, end_ns: i64, out: &mut Vec<Spontaneous>) {
+    fn spontaneous(
+        &self,
+        site: &Site,
+        random: &mut Random,
+        start_ns: i64,
+        end_ns: i64,
+        out: &mut Vec<Spontaneous>,
+    ) {
         if self.is_hot(site.seed, site.y) {
             poisson(self.rate_hz, random, start_ns, end_ns, either, out);
         }
@@ -152,7 +167,11 @@ mod tests {
 
     #[test]
     fn rows_are_listed_or_drawn() {
-        assert_eq!(refused("hot_rows", json!({ "rate": "1 Hz" })), "`effects.hot_rows` needs `rows` or `fraction`");
+        assert_eq!(
+            refused("hot_rows", json!({ "rate": "1 Hz" })),
+            "`effects.hot_rows` needs `rows` or \
+                                                            `fraction`"
+        );
         let both = json!({ "rate": "1 Hz", "rows": [1], "fraction": 0.1 });
         assert_eq!(refused("hot_rows", both), "`effects.hot_rows` takes `rows` or `fraction`, not both");
     }

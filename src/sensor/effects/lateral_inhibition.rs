@@ -1,15 +1,16 @@
 //! Lateral inhibition: what the surround sees is subtracted from what the pixel sees.
 //!
-//! Neighbouring pixels are coupled behind the logarithm (a resistive network, a shared supply), so the pixel answers to
-//! `ln i - fraction * mean of ln i over its eight neighbours`. A change common to all pixels is weakened to `1 - fraction` of itself; a lone
-//! spot keeps its full contrast, and pixels next to an edge see a shadow of the other sign. Typical: 5 to 50 % where it is wanted,
-//! about 1 % where it is not.
+//! Neighbouring pixels are coupled behind the logarithm (a resistive network, a shared supply), so the pixel
+//! answers to `ln i - fraction * mean of ln i over its eight neighbours`. A change common to all pixels is
+//! weakened to `1 - fraction` of itself; a lone spot keeps its full contrast, and pixels next to an edge see
+//! a shadow of the other sign. Typical: 5 to 50 % where it is wanted, about 1 % where it is not.
 //!
 //! A common threshold error weakens all changes alike; here the deficit follows the neighbours' change.
 //!
-//! Source: Delbruck, Li, Graca and McReynolds, "Utility and feasibility of a center surround event camera" (2022).
-//! Limits: the surround is that of the settled voltages, without a delay of its own; the simulated pixel gets `exp` of the difference as its
-//! photocurrent, so time constants follow that and not the pixel's own light; at the array's edge the nearest pixel stands in.
+//! Source: Delbruck, Li, Graca and McReynolds, "Utility and feasibility of a center surround event camera"
+//! (2022). Limits: the surround is that of the settled voltages, without a delay of its own; the simulated
+//! pixel gets `exp` of the difference as its photocurrent, so time constants follow that and not the pixel's
+//! own light; at the array's edge the nearest pixel stands in.
 
 use super::sought::{SHARE, Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
@@ -34,7 +35,11 @@ pub const KIND: EffectKind = EffectKind {
         confused_with: &["threshold_scale", "crosstalk", "blur"],
         source: "Delbruck et al. 2022",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.4), material: SHARE, ..Sought::positive("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.4),
+            material: SHARE,
+            ..Sought::positive("fraction")
+        }]),
     },
     build,
 };
@@ -57,7 +62,8 @@ impl Effect for LateralInhibition {
 
     fn kernel(&self) -> Option<Kernel> {
         let weight = |dx, dy| if (dx, dy) == (0, 0) { 1.0 } else { -self.fraction / 8.0 };
-        let taps = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| Tap { dx, dy, weight: weight(dx, dy) })).collect();
+        let taps =
+            (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| Tap { dx, dy, weight: weight(dx, dy) })).collect();
         (self.fraction != 0.0).then_some(Kernel { domain: Domain::Log, taps })
     }
 }

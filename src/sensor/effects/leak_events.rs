@@ -1,11 +1,11 @@
 //! Leak events: ON events appear in a scene that does not change, one after another at a nearly regular pace.
 //!
-//! The switch that resets the reference leaks, so the reference sinks and the voltage seems to rise. A static pixel then fires ON events
-//! every `1 / rate` seconds; in a moving scene ON events come early and OFF events late, in proportion to the time since
-//! the last event. Typical: 0.05 to 0.2 Hz.
+//! The switch that resets the reference leaks, so the reference sinks and the voltage seems to rise. A static
+//! pixel then fires ON events every `1 / rate` seconds; in a moving scene ON events come early and OFF events
+//! late, in proportion to the time since the last event. Typical: 0.05 to 0.2 Hz.
 //!
-//! Source: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors" (2017).
-//! Limits: constant; the part that grows with light is `parasitic_leak`.
+//! Source: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors"
+//! (2017). Limits: constant; the part that grows with light is `parasitic_leak`.
 
 use super::sought::{RATE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Leak, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
@@ -23,18 +23,33 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: Some(0.0),
             allowed: (0.0, 1e4),
             plausible: (0.01, 10.0),
-            about: "ON events per second in a static scene; the voltage seems to rise by rate x threshold_on per second",
+            about: "ON events per second in a static scene; the voltage seems to rise by rate x \
+                    threshold_on per second",
         }],
         covariate: "time_since_last_event",
-        signature: "static pixels fire ON at a regular pace; elsewhere ON is early and OFF late, linear in the time since the last event",
+        signature: "static pixels fire ON at a regular pace; elsewhere ON is early and OFF late, linear in \
+                    the time since the last event",
         confused_with: &["parasitic_leak", "threshold_asymmetry", "slow brightening of the scene"],
         source: "Nozaki and Delbruck 2017",
         apart: &[
-            ("parasitic_leak", "a static scene in dim and in bright light: only a parasitic leak fires more in bright light"),
+            (
+                "parasitic_leak",
+                "a static scene in dim and in bright light: only a parasitic leak fires more \
+                                in bright light",
+            ),
             ("threshold_asymmetry", "a static scene: a leak fires without motion, an asymmetry does not"),
-            ("background_activity", "a static scene: a leak fires ON only and regularly, noise both signs and irregularly"),
+            (
+                "background_activity",
+                "a static scene: a leak fires ON only and regularly, noise both signs \
+                                     and irregularly",
+            ),
         ],
-        search: Search::For(&[Sought { typical: Size::Fixed(12.0), material: RATE, is_counted: true, ..Sought::positive("rate") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(12.0),
+            material: RATE,
+            is_counted: true,
+            ..Sought::positive("rate")
+        }]),
     },
     build,
 };

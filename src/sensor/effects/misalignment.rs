@@ -1,15 +1,16 @@
 //! Misalignment: what a frame shows at a pixel, the events show a little to the side of it.
 //!
-//! Two optical paths, different pixel pitches or a wrong registration shift the event image against the frame image. An edge
-//! at column `x` of a frame is at `x + shift_x` in the events, so the event pixel sees the light of `(x - shift_x, y - shift_y)`, taken bilinearly
-//! between four pixels. Typical: 0.1 to 3 pixels.
+//! Two optical paths, different pixel pitches or a wrong registration shift the event image against the frame
+//! image. An edge at column `x` of a frame is at `x + shift_x` in the events, so the event pixel sees the
+//! light of `(x - shift_x, y - shift_y)`, taken bilinearly between four pixels. Typical: 0.1 to 3 pixels.
 //!
-//! Parameters: `shift_x` (positive = right), `shift_y` (positive = down, the direction of growing rows), pixels. At one constant speed of the
-//! whole image it cannot be distinguished from a clock offset: two directions or speeds separate them.
+//! Parameters: `shift_x` (positive = right), `shift_y` (positive = down, the direction of growing rows),
+//! pixels. At one constant speed of the whole image it cannot be distinguished from a clock offset: two
+//! directions or speeds separate them.
 //!
-//! Source: geometry.
-//! Limits: a translation, no rotation or scale; between pixels bilinear interpolation softens the image, at half a pixel by a sigma of
-//! half a pixel; beyond the array's edge the nearest pixel stands in.
+//! Source: geometry. Limits: a translation, no rotation or scale; between pixels bilinear interpolation
+//! softens the image, at half a pixel by a sigma of half a pixel; beyond the array's edge the nearest pixel
+//! stands in.
 
 use super::sought::{Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
@@ -20,7 +21,8 @@ const SHIFT_X: ParameterDecl = ParameterDecl {
     null: Some(0.0),
     allowed: (-1000.0, 1000.0),
     plausible: (-4.0, 4.0),
-    about: "column in the events minus column in the frames, of the same detail; positive = events lie to the right; absent = 0",
+    about: "column in the events minus column in the frames, of the same detail; positive = events lie to \
+            the right; absent = 0",
 };
 
 /// The catalogue entry.
@@ -34,12 +36,14 @@ pub const KIND: EffectKind = EffectKind {
             SHIFT_X,
             ParameterDecl {
                 name: "shift_y",
-                about: "row in the events minus row in the frames, of the same detail; positive = events lie below; absent = 0",
+                about: "row in the events minus row in the frames, of the same detail; positive = events \
+                        lie below; absent = 0",
                 ..SHIFT_X
             },
         ],
         covariate: "spatial_gradient",
-        signature: "frames differ from what events predict in proportion to the gradient along one direction of the image",
+        signature: "frames differ from what events predict in proportion to the gradient along one \
+                    direction of the image",
         confused_with: &["clock_offset", "row_time", "blur"],
         source: "geometry",
         apart: &[],
@@ -113,7 +117,8 @@ mod tests {
 
     #[test]
     fn events_lie_where_the_shift_says() {
-        // A bright spot one column to the left in the frames is seen here when events are shifted by one to the right.
+        // A bright spot one column to the left in the frames is seen here when events are shifted by one to
+        // the right.
         assert_eq!(seen(1.0, 0.0, |x, y| if (x, y) == (-1.0, 0.0) { 5.0 } else { 0.0 }), 5.0);
         assert_eq!(seen(0.0, -2.0, |x, y| if (x, y) == (0.0, 2.0) { 5.0 } else { 0.0 }), 5.0);
     }
@@ -128,7 +133,10 @@ mod tests {
 
     #[test]
     fn a_whole_shift_needs_one_pixel_and_none_no_kernel() {
-        assert_eq!(Misalignment { shift_x: 2.0, shift_y: -1.0 }.kernel().unwrap().taps, [Tap { dx: -2, dy: 1, weight: 1.0 }]);
+        assert_eq!(
+            Misalignment { shift_x: 2.0, shift_y: -1.0 }.kernel().unwrap().taps,
+            [Tap { dx: -2, dy: 1, weight: 1.0 }]
+        );
         assert_eq!(Misalignment::default().kernel(), None);
     }
 }

@@ -2,10 +2,11 @@
 //!
 //! An effect lives in one place so that the simulator can add it, the solver can undo it and the diagnosis
 //! can name it. Each file says what the effect is, how it enters, its parameters with unit and plausible
-//! range, what it is confused with, its source, and by which numbers a diagnosis looks for it, once for people and once as an [`EffectDecl`].
+//! range, what it is confused with, its source, and by which numbers a diagnosis looks for it, once for
+//! people and once as an [`EffectDecl`].
 //!
-//! To add one: write a file like [`leak_events`] (a `KIND`, a `build`, an `impl Effect` with the hooks it needs), and add its line
-//! to the modules and to [`catalogue`], at its place in the chain.
+//! To add one: write a file like [`leak_events`] (a `KIND`, a `build`, an `impl Effect` with the hooks it
+//! needs), and add its line to the modules and to [`catalogue`], at its place in the chain.
 //!
 //! - [`effect`]: the hooks, and what passes through them.
 //! - [`parameters`]: the declaration, and reading parameters from a description.
@@ -58,8 +59,9 @@ mod timestamp_quantization;
 mod vignetting;
 
 pub use effect::{
-    ArrayEvent, BURST_GAP_NS, Chance, Domain, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Kernel, LastEvent, Latency, Leak, PixelEvent,
-    Reading, RowSite, SecondPole, Site, Spontaneous, Tap, Thresholds, row_random,
+    ArrayEvent, BURST_GAP_NS, Chance, Domain, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget,
+    Kernel, LastEvent, Latency, Leak, PixelEvent, Reading, RowSite, SecondPole, Site, Spontaneous, Tap,
+    Thresholds, row_random,
 };
 pub use parameters::{EffectDecl, EffectKind, ParameterDecl, Parameters, Stage, Unit};
 
@@ -82,7 +84,8 @@ pub fn catalogue() -> Vec<EffectKind> {
         slew_limit::KIND,
         high_pass_front_end::KIND,
         bandwidth_gradient::KIND,
-        // Comparator and reset. What scales a threshold comes before what adds to it, so that a stated sigma is the sigma.
+        // Comparator and reset. What scales a threshold comes before what adds to it, so that a stated sigma
+        // is the sigma.
         threshold_scale::KIND,
         threshold_asymmetry::KIND,
         threshold_drift::KIND,
@@ -123,7 +126,9 @@ pub fn catalogue() -> Vec<EffectKind> {
 ///
 /// # Errors
 /// With every mistake, one a line: an id that is not in the catalogue, an unknown key, a wrong value.
-pub fn from_description(described: &BTreeMap<String, Map<String, Value>>) -> Result<Vec<Box<dyn Effect>>, String> {
+pub fn from_description(
+    described: &BTreeMap<String, Map<String, Value>>,
+) -> Result<Vec<Box<dyn Effect>>, String> {
     let kinds = catalogue();
     let mut problems: Vec<String> = described.keys().filter_map(|id| unknown_id(&kinds, id)).collect();
     let mut effects = Vec::new();

@@ -1,7 +1,8 @@
 //! What an effect declares, and how its parameters are read from a sensor description.
 //!
-//! A parameter is text with a unit (`"0.1 Hz"`, `"6 ms"`) or a plain number where there is no unit of measure. The
-//! declaration says which; reading, limits and messages all follow from it, so that an effect's file holds physics only.
+//! A parameter is text with a unit (`"0.1 Hz"`, `"6 ms"`) or a plain number where there is no unit of
+//! measure. The declaration says which; reading, limits and messages all follow from it, so that an effect's
+//! file holds physics only.
 
 use super::effect::Effect;
 use super::sought::Search;
@@ -125,7 +126,8 @@ pub struct EffectDecl {
     pub confused_with: &'static [&'static str],
     /// Where it is described.
     pub source: &'static str,
-    /// Ids of what looks alike, and what to record next, to separate the two; each pair stands with one of them.
+    /// Ids of what looks alike, and what to record next, to separate the two; each pair stands with one of
+    /// them.
     pub apart: &'static [(&'static str, &'static str)],
     /// By which numbers a diagnosis looks for it.
     pub search: Search,
@@ -178,7 +180,12 @@ impl Parameters {
             };
             let wrong = |what: String| format!("`effects.{}.{key}`: {what}", decl.id);
             if parameter.unit == Unit::Indices {
-                read.lists.insert(parameter.name, indices(value).ok_or_else(|| wrong(format!("expected a list of whole numbers from 0, found {value}")))?);
+                read.lists.insert(
+                    parameter.name,
+                    indices(value).ok_or_else(|| {
+                        wrong(format!("expected a list of whole numbers from 0, found {value}"))
+                    })?,
+                );
                 continue;
             }
             let number = quantity(parameter.unit, value).map_err(wrong)?;
@@ -228,15 +235,21 @@ fn unknown_key(decl: &EffectDecl, key: &str) -> String {
     let names: Vec<&str> = decl.parameters.iter().map(|parameter| parameter.name).collect();
     let hint = match nearest(key, names.iter().copied()) {
         Some(near) => format!("did you mean `{near}`?"),
-        None => format!("it has {}", names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")),
+        None => {
+            format!("it has {}", names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", "))
+        }
     };
     format!("`{key}` is not a parameter of `effects.{}`; {hint}", decl.id)
 }
 
 fn quantity(unit: Unit, value: &Value) -> Result<f64, String> {
     let text = |dimension: Dimension, scale: f64| match value {
-        Value::String(text) => dimension.read(text).map(|base| base / scale).map_err(|error| error.to_string()),
-        other => Err(format!("expected a {} such as \"{}\", found {other}", dimension.name(), dimension.example())),
+        Value::String(text) => {
+            dimension.read(text).map(|base| base / scale).map_err(|error| error.to_string())
+        }
+        other => {
+            Err(format!("expected a {} such as \"{}\", found {other}", dimension.name(), dimension.example()))
+        }
     };
     match unit {
         Unit::Time => text(Dimension::Time, 1e9),

@@ -1,6 +1,8 @@
-//! Parasitic leak: stray light on the reference's storage node makes it leak in proportion to the photocurrent.
+//! Parasitic leak: stray light on the reference's storage node makes it leak in proportion to the
+//! photocurrent.
 //!
-//! As [`super::leak_events`], but a bright pixel leaks faster. Separating both needs about 1.5 decades of light.
+//! As [`super::leak_events`], but a bright pixel leaks faster. Separating both needs about 1.5 decades of
+//! light.
 //!
 //! Source: Nozaki and Delbruck 2017. The photocurrent is that of the light, without dark current.
 //! Limits: proportional; the storage node's own spectral response is not modelled.
@@ -21,14 +23,18 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: Some(0.0),
             allowed: (0.0, 1e6),
             plausible: (1e-4, 1.0),
-            about: "ln/s per photocurrent unit; ON events in a static scene come at coefficient x i / threshold_on",
+            about: "ln/s per photocurrent unit; ON events in a static scene come at coefficient x i / \
+                    threshold_on",
         }],
         covariate: "photocurrent*time_since_last_event",
         signature: "as leak_events, with a rate that grows with the photocurrent",
         confused_with: &["leak_events", "threshold_asymmetry"],
         source: "Nozaki and Delbruck 2017",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Over(&Size::Of(12.0, Measure::Threshold), Measure::Light), ..Sought::positive("coefficient") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Over(&Size::Of(12.0, Measure::Threshold), Measure::Light),
+            ..Sought::positive("coefficient")
+        }]),
     },
     build,
 };
@@ -62,7 +68,12 @@ mod tests {
     #[test]
     fn a_static_pixel_fires_on_at_a_rate_proportional_to_its_light() {
         for i in [0.5, 5.0] {
-            let events = recorded(ideal_pixel(), vec![Box::new(ParasiticLeak { per_photocurrent_per_s: 4.0 })], &Samples::constant(i), 499 * MS);
+            let events = recorded(
+                ideal_pixel(),
+                vec![Box::new(ParasiticLeak { per_photocurrent_per_s: 4.0 })],
+                &Samples::constant(i),
+                499 * MS,
+            );
             assert_eq!(count(&events, -1), 0);
             assert_eq!(events.len(), (0.499 * 4.0 * i / 0.2) as usize);
             for interval in intervals_s(&events) {

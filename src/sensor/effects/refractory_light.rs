@@ -1,13 +1,15 @@
 //! Light-dependent refractory period: pixels in bright light rest for a shorter time after an event.
 //!
 //! The refractory period ends when a current has charged a small capacitor. Light that strays to that node
-//! frees charge there too, and this parasitic photocurrent adds to the bias current: the brighter the pixel, the sooner it is armed again. Seen with
-//! the period known in bright light, pixels in the dark seem to rest too long. The size depends on the layout: where the bias
-//! current is picoamperes, full sunlight can halve the period.
+//! frees charge there too, and this parasitic photocurrent adds to the bias current: the brighter the pixel,
+//! the sooner it is armed again. Seen with the period known in bright light, pixels in the dark seem to rest
+//! too long. The size depends on the layout: where the bias current is picoamperes, full sunlight can halve
+//! the period.
 //!
-//! Source: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors" (2017), for parasitic photocurrent
-//! at the reset switch. That it acts on the refractory node in the same way is our assumption, and so is the form.
-//! Limits: the light when the event leaves holds for the whole period; the stated period is that of darkness.
+//! Source: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors"
+//! (2017), for parasitic photocurrent at the reset switch. That it acts on the refractory node in the same
+//! way is our assumption, and so is the form. Limits: the light when the event leaves holds for the whole
+//! period; the stated period is that of darkness.
 
 use super::refractory::{self, SOME_REFRACTORY_S};
 use super::sought::{Applied, Companion, Measure, Search, Size, Sought};
@@ -26,23 +28,30 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: Some(0.0),
             allowed: (0.0, 1e9),
             plausible: (1e-4, 10.0),
-            about: "stray current at the refractory node over its bias current, per photocurrent unit; 1/coefficient is the light that halves the period",
+            about: "stray current at the refractory node over its bias current, per photocurrent unit; \
+                    1/coefficient is the light that halves the period",
         }],
         covariate: "photocurrent*slope",
-        signature: "after each event pixels are off in proportion to the slope, by more in one end of the light range; the shortest interval falls with light",
+        signature: "after each event pixels are off in proportion to the slope, by more in one end of the \
+                    light range; the shortest interval falls with light",
         confused_with: &["refractory", "time_constant", "parasitic_leak"],
         source: "after the parasitic photocurrent of Nozaki and Delbruck 2017; the form is assumed",
         apart: &[],
         search: Search::For(&[Sought {
             typical: Size::Over(&Size::Fixed(1.0), Measure::Light),
-            companion: Some(Companion { id: refractory::KIND.decl.id, parameter: "refractory", seconds: period }),
+            companion: Some(Companion {
+                id: refractory::KIND.decl.id,
+                parameter: "refractory",
+                seconds: period,
+            }),
             ..Sought::positive("coefficient")
         }]),
     },
     build,
 };
 
-/// What an engineer meets is a period that grows in the dark beyond the stated one, seconds; the stated one is what it comes down to in bright light.
+/// What an engineer meets is a period that grows in the dark beyond the stated one, seconds; the stated one
+/// is what it comes down to in bright light.
 fn period(applied: &Applied) -> Option<f64> {
     let bright = f64::max(applied.model.pixel.refractory_ns as f64 * 1e-9, SOME_REFRACTORY_S);
     Some(bright * (1.0 + 4.0 * applied.effect_size.max(0.0)) * (1.0 + applied.value * applied.light))

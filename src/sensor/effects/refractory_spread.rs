@@ -1,9 +1,9 @@
 //! Refractory spread: some pixels rest longer after an event than others.
 //!
-//! The refractory period is the time in which a current of picoamperes charges a small capacitor. Such a current comes from a transistor
-//! below threshold, where a small offset of the voltage is a factor on the current, so each pixel has its own period, for good.
-//! A pixel that rests longer misses more of a fast edge, and its shortest interval between events is longer.
-//! Typical: 10 to 30 % from pixel to pixel.
+//! The refractory period is the time in which a current of picoamperes charges a small capacitor. Such a
+//! current comes from a transistor below threshold, where a small offset of the voltage is a factor on the
+//! current, so each pixel has its own period, for good. A pixel that rests longer misses more of a fast edge,
+//! and its shortest interval between events is longer. Typical: 10 to 30 % from pixel to pixel.
 //!
 //! Source: Pelgrom, Duinmaijer, Welbers, "Matching properties of MOS transistors" (1989), for the offsets.
 //! Limits: log-normal with the stated period as its median; constant in time and light.
@@ -25,17 +25,23 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: Some(0.0),
             allowed: (0.0, 3.0),
             plausible: (0.03, 1.0),
-            about: "standard deviation of the logarithm of the refractory period over the pixels; for small values its relative spread",
+            about: "standard deviation of the logarithm of the refractory period over the pixels; for small \
+                    values its relative spread",
         }],
         covariate: "pixel*slope",
-        signature: "after each event a pixel is off by an amount of its own times the slope; the shortest interval between events differs from pixel to pixel",
+        signature: "after each event a pixel is off by an amount of its own times the slope; the shortest \
+                    interval between events differs from pixel to pixel",
         confused_with: &["threshold_mismatch", "threshold_noise", "refractory"],
         source: "Pelgrom, Duinmaijer, Welbers 1989",
         apart: &[],
         search: Search::For(&[Sought {
             typical: Size::Fixed(0.9),
             material: SPREAD,
-            companion: Some(Companion { id: refractory::KIND.decl.id, parameter: "refractory", seconds: period }),
+            companion: Some(Companion {
+                id: refractory::KIND.decl.id,
+                parameter: "refractory",
+                seconds: period,
+            }),
             spread_of: Some((refractory::KIND.decl.id, "refractory")),
             ..Sought::random("sigma")
         }]),
@@ -82,7 +88,9 @@ mod tests {
     #[test]
     fn the_logarithm_of_the_period_has_the_stated_spread_around_the_stated_period() {
         let effect = described("refractory_spread", json!({ "sigma": 0.2 }));
-        let logs: Vec<f64> = sites().map(|site| libm::log(effect.refractory_ns(&site, 1.0, 50_000) as f64 / 50_000.0)).collect();
+        let logs: Vec<f64> = sites()
+            .map(|site| libm::log(effect.refractory_ns(&site, 1.0, 50_000) as f64 / 50_000.0))
+            .collect();
         let (mean, sigma) = moments(&logs);
         // Five standard errors with 20,000 pixels.
         assert!(mean.abs() < 7.1e-3, "{mean}");
@@ -92,8 +100,14 @@ mod tests {
     #[test]
     fn a_pixel_keeps_its_period_in_any_light_and_zero_stays_zero() {
         let effect = described("refractory_spread", json!({ "sigma": 0.2 }));
-        assert_eq!(effect.refractory_ns(&site(3, 4), 0.1, 50_000), effect.refractory_ns(&site(3, 4), 100.0, 50_000));
-        assert_ne!(effect.refractory_ns(&site(3, 4), 1.0, 50_000), effect.refractory_ns(&site(4, 4), 1.0, 50_000));
+        assert_eq!(
+            effect.refractory_ns(&site(3, 4), 0.1, 50_000),
+            effect.refractory_ns(&site(3, 4), 100.0, 50_000)
+        );
+        assert_ne!(
+            effect.refractory_ns(&site(3, 4), 1.0, 50_000),
+            effect.refractory_ns(&site(4, 4), 1.0, 50_000)
+        );
         assert_eq!(effect.refractory_ns(&site(3, 4), 1.0, 0), 0);
     }
 
@@ -104,7 +118,10 @@ mod tests {
             let pixel = crate::forward::Pixel { refractory_ns: 2 * MS, ..ideal_pixel() };
             let effects = vec![described("refractory_spread", json!({ "sigma": 0.2 }))];
             let intervals = intervals_s(&recorded_at(&site, pixel, effects, &ramp, 60 * MS));
-            assert!(intervals.iter().all(|interval| (interval - intervals[0]).abs() < 3e-9), "constant in time");
+            assert!(
+                intervals.iter().all(|interval| (interval - intervals[0]).abs() < 3e-9),
+                "constant in time"
+            );
             libm::log((intervals[0] - 0.2 / 20.0) / 2e-3)
         };
         let (mean, sigma) = moments(&sites().take(400).map(extra).collect::<Vec<f64>>());

@@ -1,10 +1,11 @@
 //! Reset memory: the reset is incomplete, and part of the old reference stays.
 //!
-//! An event after one of the same polarity then comes early, one after the opposite polarity late, by the same contrast at every
-//! speed. Typical: 1 to 10 %.
+//! An event after one of the same polarity then comes early, one after the opposite polarity late, by the
+//! same contrast at every speed. Typical: 1 to 10 %.
 //!
-//! Source: charge injection and incomplete settling of the reset switch. Confused with: a wrong refractory period (whose error grows
-//! with the slope) and a second pole (which delays the first event of a burst only).
+//! Source: charge injection and incomplete settling of the reset switch. Confused with: a wrong refractory
+//! period (whose error grows with the slope) and a second pole (which delays the first event of a burst
+//! only).
 
 use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Unit};
@@ -26,11 +27,17 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "the part of the old reference that stays; negative = the reset overshoots",
         }],
         covariate: "previous_polarity",
-        signature: "after the same polarity events come early, after the opposite one late, by fraction x threshold",
+        signature: "after the same polarity events come early, after the opposite one late, by fraction x \
+                    threshold",
         confused_with: &["refractory", "second_pole", "time_constant"],
         source: "Lichtsteiner, Posch and Delbruck 2008 (reset switch)",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.3), material: SHARE, is_of_swing: true, ..Sought::both("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.3),
+            material: SHARE,
+            is_of_swing: true,
+            ..Sought::both("fraction")
+        }]),
     },
     build,
 };
@@ -51,7 +58,14 @@ impl Effect for ResetMemory {
         KIND.decl.id
     }
 
-    fn reference(&self, _site: &Site, _history: &History, _random: &mut Random, ideal: f64, before: f64) -> f64 {
+    fn reference(
+        &self,
+        _site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        ideal: f64,
+        before: f64,
+    ) -> f64 {
         ideal + self.fraction * (before - ideal)
     }
 }
@@ -64,9 +78,13 @@ mod tests {
     #[test]
     fn the_same_polarity_comes_early_and_the_opposite_late() {
         // Up at 20 per second for 50 ms, then down. Without memory steps are 0.2 of 1.0.
-        let triangle = Samples::of_log(100 * MS, |t| -1.0 + if t < 0.0501 { 20.0 * t } else { 1.002 - 20.0 * (t - 0.0501) });
-        let events = recorded(ideal_pixel(), vec![Box::new(ResetMemory { fraction: 0.1 })], &triangle, 100 * MS);
-        // Levels: 0.2, then every 0.18 up to 0.92; the reference stays at 0.90; the first OFF at 0.70, 0.22 below the last level.
+        let triangle = Samples::of_log(100 * MS, |t| {
+            -1.0 + if t < 0.0501 { 20.0 * t } else { 1.002 - 20.0 * (t - 0.0501) }
+        });
+        let events =
+            recorded(ideal_pixel(), vec![Box::new(ResetMemory { fraction: 0.1 })], &triangle, 100 * MS);
+        // Levels: 0.2, then every 0.18 up to 0.92; the reference stays at 0.90; the first OFF at 0.70, 0.22
+        // below the last level.
         let levels = [0.2, 0.38, 0.56, 0.74, 0.92, 0.70, 0.52, 0.34, 0.16];
         assert_eq!(events.len(), levels.len());
         for (k, (event, level)) in events.iter().zip(levels).enumerate() {

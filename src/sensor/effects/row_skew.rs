@@ -1,14 +1,18 @@
 //! Row skew: each row of the array stamps with a delay of its own.
 //!
-//! Rows are collected one after another, or the clock reaches them over wires of different length, so an event of row 100 is stamped later (or earlier)
-//! than one of row 0 that fired together with it. A moving vertical edge then looks sheared. The delay grows along the rows, or
-//! it differs at random from row to row, or both. Typical: nanoseconds to microseconds a row.
+//! Rows are collected one after another, or the clock reaches them over wires of different length, so an
+//! event of row 100 is stamped later (or earlier) than one of row 0 that fired together with it. A moving
+//! vertical edge then looks sheared. The delay grows along the rows, or it differs at random from row to row,
+//! or both. Typical: nanoseconds to microseconds a row.
 //!
-//! Sources: sensors that scan their rows; recordings in which all events of a row share a stamp.
-//! Limits: constant in time and load; the load is `readout_queue`, a wrong row time of the frames is `row_time`.
+//! Sources: sensors that scan their rows; recordings in which all events of a row share a stamp. Limits:
+//! constant in time and load; the load is `readout_queue`, a wrong row time of the frames is `row_time`.
 
 use super::sought::{Measure, Search, Size, Sought, TIME};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit, row_random};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit,
+    row_random,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -25,7 +29,8 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: Some(0.0),
                 allowed: (-1.0, 1.0),
                 plausible: (-1e-4, 1e-4),
-                about: "recorded minus true time grows by this from one row to the next; zero in row 0, negative = later rows are stamped early",
+                about: "recorded minus true time grows by this from one row to the next; zero in row 0, \
+                        negative = later rows are stamped early",
             },
             ParameterDecl {
                 name: "sigma",
@@ -37,13 +42,23 @@ pub(super) const KIND: EffectKind = EffectKind {
             },
         ],
         covariate: "row",
-        signature: "events come late by an amount linear in the row (or of the row's own), the same in a row at all times and slopes",
+        signature: "events come late by an amount linear in the row (or of the row's own), the same in a \
+                    row at all times and slopes",
         confused_with: &["row_time", "clock_offset", "readout_queue"],
         source: "sensors that scan their rows",
         apart: &[],
         search: Search::For(&[
-            Sought { typical: Size::Fixed(8e-6), material: Size::Over(&TIME, Measure::Rows), ..Sought::both("per_row") },
-            Sought { typical: Size::Fixed(150e-6), material: TIME, is_made: false, ..Sought::random("sigma") },
+            Sought {
+                typical: Size::Fixed(8e-6),
+                material: Size::Over(&TIME, Measure::Rows),
+                ..Sought::both("per_row")
+            },
+            Sought {
+                typical: Size::Fixed(150e-6),
+                material: TIME,
+                is_made: false,
+                ..Sought::random("sigma")
+            },
         ]),
     },
     build,
@@ -69,7 +84,11 @@ pub(super) struct RowSkew {
 impl RowSkew {
     /// Recorded minus true time in a row, nanoseconds.
     pub(super) fn delay_ns(&self, seed: u64, y: u32) -> i64 {
-        let own = if self.sigma_ns > 0.0 { self.sigma_ns * row_random(seed, y, KIND.decl.id).normal() } else { 0.0 };
+        let own = if self.sigma_ns > 0.0 {
+            self.sigma_ns * row_random(seed, y, KIND.decl.id).normal()
+        } else {
+            0.0
+        };
         self.per_row_ns * i64::from(y) + own.round() as i64
     }
 }

@@ -1,11 +1,12 @@
 //! Row time: the rows of a frame are not exposed at the pace that the recording states.
 //!
-//! With a rolling shutter row `r` starts `r` row times after row 0. When the real row time differs, every row is exposed
-//! earlier or later than the recording says, the more so the further down. Moving objects lean more or less than expected. Typical error: 0.1 to 5 us,
-//! or the whole row time when a rolling shutter is taken for a global one.
+//! With a rolling shutter row `r` starts `r` row times after row 0. When the real row time differs, every row
+//! is exposed earlier or later than the recording says, the more so the further down. Moving objects lean
+//! more or less than expected. Typical error: 0.1 to 5 us, or the whole row time when a rolling shutter is
+//! taken for a global one.
 //!
-//! Parameter: `row_time`, the real one; negative = rows are read from the last to the first; its null is the recording's own.
-//! A clock offset misplaces all rows alike.
+//! Parameter: `row_time`, the real one; negative = rows are read from the last to the first; its null is the
+//! recording's own. A clock offset misplaces all rows alike.
 //!
 //! Source: the paper, Section 4.1 (rolling shutter).
 //! Limits: linear in the row.
@@ -27,7 +28,8 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: None,
             allowed: (-1.0, 1.0),
             plausible: (0.0, 1e-4),
-            about: "real delay from one row to the next; 0 = global shutter, negative = from the last row to the first",
+            about: "real delay from one row to the next; 0 = global shutter, negative = from the last row \
+                    to the first",
         }],
         covariate: "row*slope",
         signature: "frames differ from what events predict in proportion to row times rate of change",

@@ -13,7 +13,15 @@ pub(crate) const SITE: Site = Site { x: 3, y: 5, width: 16, height: 12, seed: 7 
 
 /// An ideal pixel with both thresholds 0.2: no delay, no latency, no blind time.
 pub(crate) fn ideal_pixel() -> Pixel {
-    Pixel { front_end: FrontEnd::IDEAL, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP }
+    Pixel {
+        front_end: FrontEnd::IDEAL,
+        threshold_on: 0.2,
+        threshold_off: 0.2,
+        latency_ns: 0,
+        latency_spread_ns: 0.0,
+        refractory_ns: 0,
+        log_step: LOG_STEP,
+    }
 }
 
 /// Light with instants of its own.
@@ -47,14 +55,29 @@ impl Samples {
 }
 
 /// The events that are recorded from 0 to `end_ns`, with the paper's reset.
-pub(crate) fn recorded(pixel: Pixel, effects: Vec<Box<dyn Effect>>, samples: &Samples, end_ns: i64) -> Vec<PixelEvent> {
+pub(crate) fn recorded(
+    pixel: Pixel,
+    effects: Vec<Box<dyn Effect>>,
+    samples: &Samples,
+    end_ns: i64,
+) -> Vec<PixelEvent> {
     recorded_at(&SITE, pixel, effects, samples, end_ns)
 }
 
 /// [`recorded`] for another pixel of the array.
-pub(crate) fn recorded_at(site: &Site, pixel: Pixel, effects: Vec<Box<dyn Effect>>, samples: &Samples, end_ns: i64) -> Vec<PixelEvent> {
-    let chain = Chain { pixel, reset: Reset::Resample, effects: &effects, tolerance: crate::forward::TOLERANCE };
-    simulate(&chain, site, &samples.light(), 0, end_ns, &mut Noiseless).into_iter().filter_map(|fired| fired.recorded).collect()
+pub(crate) fn recorded_at(
+    site: &Site,
+    pixel: Pixel,
+    effects: Vec<Box<dyn Effect>>,
+    samples: &Samples,
+    end_ns: i64,
+) -> Vec<PixelEvent> {
+    let chain =
+        Chain { pixel, reset: Reset::Resample, effects: &effects, tolerance: crate::forward::TOLERANCE };
+    simulate(&chain, site, &samples.light(), 0, end_ns, &mut Noiseless)
+        .into_iter()
+        .filter_map(|fired| fired.recorded)
+        .collect()
 }
 
 /// Differences of in-pixel times of events that follow one another, seconds.

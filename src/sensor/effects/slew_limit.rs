@@ -1,13 +1,15 @@
 //! Slew limit: the voltage rises or falls no faster than a fixed pace, however large the step.
 //!
-//! A stage behind the photodiode has a bias current that must carry its capacitance: `|dV/dt| <= I_bias / C`. A source follower
-//! drives one direction and is limited in the other, so usually one polarity is hit. Below the limit nothing changes; above it
-//! events of that polarity come at most every `threshold / limit` seconds. Typical: 1e2 to 1e5 ln/s.
+//! A stage behind the photodiode has a bias current that must carry its capacitance: `|dV/dt| <= I_bias / C`.
+//! A source follower drives one direction and is limited in the other, so usually one polarity is hit. Below
+//! the limit nothing changes; above it events of that polarity come at most every `threshold / limit`
+//! seconds. Typical: 1e2 to 1e5 ln/s.
 //!
-//! A refractory period caps events per second; this caps voltage per second, so a higher threshold lowers the rate.
+//! A refractory period caps events per second; this caps voltage per second, so a higher threshold lowers the
+//! rate.
 //!
-//! Source: textbook behaviour of a bias-limited source follower, as in Lichtsteiner, Posch and Delbruck (2008).
-//! Limits: a hard limit, the same for all pixels and independent of light.
+//! Source: textbook behaviour of a bias-limited source follower, as in Lichtsteiner, Posch and Delbruck
+//! (2008). Limits: a hard limit, the same for all pixels and independent of light.
 
 use super::sought::{Grows, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
@@ -31,15 +33,31 @@ pub(super) const KIND: EffectKind = EffectKind {
         stage: Stage::FrontEnd,
         about: "The front-end voltage cannot rise or fall faster than a fixed pace",
         equation: "-fall <= dV/dt <= rise",
-        parameters: &[RISE, ParameterDecl { name: "fall", about: "largest fall of the voltage, ln/s, positive; 1e9 or absent = no limit", ..RISE }],
+        parameters: &[
+            RISE,
+            ParameterDecl {
+                name: "fall",
+                about: "largest fall of the voltage, ln/s, \
+                                                            positive; 1e9 or absent = no limit",
+                ..RISE
+            },
+        ],
         covariate: "slope",
         signature: "no residual up to a knee in |dV/dt|, then events ever later; usually of one polarity",
         confused_with: &["refractory", "large_signal_front_end", "readout_queue"],
         source: "Lichtsteiner, Posch and Delbruck 2008",
         apart: &[],
         search: Search::For(&[
-            Sought { typical: Size::Of(1.0, Measure::Slope), grows: Grows::AsItFalls, ..Sought::positive("rise") },
-            Sought { typical: Size::Of(1.0, Measure::Slope), grows: Grows::AsItFalls, ..Sought::positive("fall") },
+            Sought {
+                typical: Size::Of(1.0, Measure::Slope),
+                grows: Grows::AsItFalls,
+                ..Sought::positive("rise")
+            },
+            Sought {
+                typical: Size::Of(1.0, Measure::Slope),
+                grows: Grows::AsItFalls,
+                ..Sought::positive("fall")
+            },
         ]),
     },
     build,
@@ -102,7 +120,10 @@ mod tests {
         let pixel = Pixel { front_end: FrontEnd { tau_0_s: 1e-5, alpha_s: 0.0 }, ..ideal_pixel() };
         let delays_ns = |after: f64| -> Vec<i64> {
             let limit = SlewLimit { rise_per_s: f64::INFINITY, fall_per_s: 20.0 };
-            recorded(pixel, vec![Box::new(limit)], &Samples::jump(1.0, after), 100 * MS).iter().map(|event| event.t_in_ns - MS).collect()
+            recorded(pixel, vec![Box::new(limit)], &Samples::jump(1.0, after), 100 * MS)
+                .iter()
+                .map(|event| event.t_in_ns - MS)
+                .collect()
         };
         // 20 ln/s: a threshold of 0.2 every 10 ms.
         let (falls, rises) = (delays_ns(libm::exp(-1.1)), delays_ns(libm::exp(1.1)));

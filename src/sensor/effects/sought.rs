@@ -1,7 +1,8 @@
-//! What a diagnosis must know of an effect: which of its numbers may be missing from a description, how large each usually is, and from which size it matters.
+//! What a diagnosis must know of an effect: which of its numbers may be missing from a description, how large
+//! each usually is, and from which size it matters.
 //!
-//! An *effect size* of 1 is an effect that an engineer would care for, 0 none. Sizes go with how bright, fast and busy a recording is ([`Measure`]); who has the recording says how much
-//! of a measure it has.
+//! An *effect size* of 1 is an effect that an engineer would care for, 0 none. Sizes go with how bright, fast
+//! and busy a recording is ([`Measure`]); who has the recording says how much of a measure it has.
 
 use crate::model::Model;
 use std::fmt;
@@ -48,13 +49,17 @@ pub struct Sought {
     pub companion: Option<Companion>,
     /// Of a random number: the effect and the parameter whose sizes it spreads over pixels.
     pub spread_of: Option<(&'static str, &'static str)>,
-    /// Are its events counted where nothing moves? What a direct test finds is then certain however little it is, and matters.
+    /// Are its events counted where nothing moves? What a direct test finds is then certain however little it
+    /// is, and matters.
     pub is_counted: bool,
-    /// Does it change how far the log light swings on its way from event to event? A scene that is too soft or too sharp does as well, so that its gains say less.
+    /// Does it change how far the log light swings on its way from event to event? A scene that is too soft
+    /// or too sharp does as well, so that its gains say less.
     pub is_of_swing: bool,
-    /// Is a decision calibrated on recordings that are made with it? Not with what shows without any scene, nor with what looks like another number.
+    /// Is a decision calibrated on recordings that are made with it? Not with what shows without any scene,
+    /// nor with what looks like another number.
     pub is_made: bool,
-    /// Does it come behind the numbers of all other effects? So what joins an effect later leaves the others the places that documents and made recordings count them by.
+    /// Does it come behind the numbers of all other effects? So what joins an effect later leaves the others
+    /// the places that documents and made recordings count them by.
     pub comes_last: bool,
 }
 
@@ -122,7 +127,8 @@ pub enum Grows {
     Linearly,
     /// With its square.
     WithSquare,
-    /// It is a limit or a time constant that means nothing when it is infinite, not when it is 0: an effect size divides the typical value.
+    /// It is a limit or a time constant that means nothing when it is infinite, not when it is 0: an effect
+    /// size divides the typical value.
     AsItFalls,
 }
 
@@ -133,7 +139,8 @@ pub enum Field {
     Tau0,
     /// `front_end.alpha`.
     Alpha,
-    /// `comparator.threshold_on` and `threshold_off`: the number is a share of the one, and so many times of the other.
+    /// `comparator.threshold_on` and `threshold_off`: the number is a share of the one, and so many times of
+    /// the other.
     Thresholds {
         /// +1 or -1.
         off: f64,
@@ -151,7 +158,8 @@ pub enum Field {
 }
 
 impl Field {
-    /// What it states, in the unit of the number's declaration; 0 where the number is a departure from what is stated, or noise.
+    /// What it states, in the unit of the number's declaration; 0 where the number is a departure from what
+    /// is stated, or noise.
     pub fn stated(self, model: &Model) -> f64 {
         match self {
             Field::Tau0 => model.pixel.front_end.tau_0_s,

@@ -1,12 +1,14 @@
 //! Threshold asymmetry: the ON threshold is larger than stated and the OFF threshold smaller, or the reverse.
 //!
-//! A pixel that goes up and down again does not come back to where it was: the sum over its events drifts with
-//! activity (a leak drifts with time). Typical: 10 to 30 % between ON and OFF.
+//! A pixel that goes up and down again does not come back to where it was: the sum over its events drifts
+//! with activity (a leak drifts with time). Typical: 10 to 30 % between ON and OFF.
 //!
 //! Source: separate comparator biases; v2e's defaults differ by 20 %. Limits: constant over the array.
 
 use super::sought::{Field, GAIN, Search, Size, Sought};
-use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{
+    Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -25,11 +27,17 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "positive = ON needs more contrast, OFF less",
         }],
         covariate: "polarity",
-        signature: "ON events are late and rare, OFF events early and frequent; the sum of signed steps grows with activity",
+        signature: "ON events are late and rare, OFF events early and frequent; the sum of signed steps \
+                    grows with activity",
         confused_with: &["leak_events", "large_signal_front_end", "threshold_scale"],
         source: "Hu, Liu and Delbruck, v2e (2021)",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.15), material: GAIN, field: Some(Field::Thresholds { off: -1.0 }), ..Sought::both("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.15),
+            material: GAIN,
+            field: Some(Field::Thresholds { off: -1.0 }),
+            ..Sought::both("fraction")
+        }]),
     },
     build,
 };
@@ -50,7 +58,14 @@ impl Effect for ThresholdAsymmetry {
         KIND.decl.id
     }
 
-    fn thresholds(&self, _site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        _site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        _t_reset_ns: i64,
+        thresholds: &mut Thresholds,
+    ) {
         thresholds.on *= 1.0 + self.fraction;
         thresholds.off *= 1.0 - self.fraction;
     }
@@ -63,11 +78,23 @@ mod tests {
 
     #[test]
     fn counts_up_and_down_are_as_the_thresholds() {
-        // Up by 2.405 and down again a little below the start: 2.405 / 0.24 ON events, then (2.4 + 0.05) / 0.16 OFF events.
-        let triangle = Samples::of_log(200 * MS, |t| -2.0 + if t < 0.1 { 24.05 * t } else { 2.405 - 24.55 * (t - 0.1) });
-        let events = recorded(ideal_pixel(), vec![Box::new(ThresholdAsymmetry { fraction: 0.2 })], &triangle, 200 * MS);
+        // Up by 2.405 and down again a little below the start: 2.405 / 0.24 ON events, then (2.4 + 0.05) /
+        // 0.16 OFF events.
+        let triangle =
+            Samples::of_log(200 * MS, |t| -2.0 + if t < 0.1 { 24.05 * t } else { 2.405 - 24.55 * (t - 0.1) });
+        let events = recorded(
+            ideal_pixel(),
+            vec![Box::new(ThresholdAsymmetry { fraction: 0.2 })],
+            &triangle,
+            200 * MS,
+        );
         assert_eq!((count(&events, 1), count(&events, -1)), (10, 15));
-        let mirrored = recorded(ideal_pixel(), vec![Box::new(ThresholdAsymmetry { fraction: -0.2 })], &triangle, 200 * MS);
+        let mirrored = recorded(
+            ideal_pixel(),
+            vec![Box::new(ThresholdAsymmetry { fraction: -0.2 })],
+            &triangle,
+            200 * MS,
+        );
         assert_eq!((count(&mirrored, 1), count(&mirrored, -1)), (15, 10));
     }
 }

@@ -1,16 +1,20 @@
 //! Threshold drift: the contrast at which pixels fire grows or shrinks in the course of the recording.
 //!
-//! Bias currents follow temperature and supply, so a sensor that warms up counts fewer (or more) events for the same scene at the end
-//! than at the start. All pixels share it, and ON and OFF scale together. Typical: a few per cent over ten kelvin, so
-//! less than 1 % a second; a search also looks at short recordings with more.
+//! Bias currents follow temperature and supply, so a sensor that warms up counts fewer (or more) events for
+//! the same scene at the end than at the start. All pixels share it, and ON and OFF scale together. Typical:
+//! a few per cent over ten kelvin, so less than 1 % a second; a search also looks at short recordings with
+//! more.
 //!
-//! Sources: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors" (2017), for the temperature; Graca,
-//! McReynolds, Delbruck, "Shining light on the DVS pixel" (2023), for the threshold as a ratio of bias currents. No published rate.
-//! Limits: linear in time, counted from the recording's zero; a threshold is taken at the reset, so one that is held for a time T is
-//! behind by `rate x T`. The factor never falls below 0.05: at zero a pixel would fire without end.
+//! Sources: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors"
+//! (2017), for the temperature; Graca, McReynolds, Delbruck, "Shining light on the DVS pixel" (2023), for the
+//! threshold as a ratio of bias currents. No published rate. Limits: linear in time, counted from the
+//! recording's zero; a threshold is taken at the reset, so one that is held for a time T is behind by
+//! `rate x T`. The factor never falls below 0.05: at zero a pixel would fire without end.
 
 use super::sought::{GAIN, Measure, Search, Size, Sought};
-use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{
+    Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -26,10 +30,12 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: Some(0.0),
             allowed: (-100.0, 100.0),
             plausible: (-1.0, 1.0),
-            about: "growth of both thresholds per second, as a fraction of their value at time zero; positive = fewer events later on",
+            about: "growth of both thresholds per second, as a fraction of their value at time zero; \
+                    positive = fewer events later on",
         }],
         covariate: "time",
-        signature: "events count for more contrast as time goes on: the voltage at firing is off by an amount linear in time, same sense for ON and OFF",
+        signature: "events count for more contrast as time goes on: the voltage at firing is off by an \
+                    amount linear in time, same sense for ON and OFF",
         confused_with: &["threshold_scale", "leak_events", "dark_current", "a change of illumination"],
         source: "Nozaki and Delbruck 2017; Graca, McReynolds, Delbruck 2023",
         apart: &[],
@@ -61,7 +67,14 @@ impl Effect for ThresholdDrift {
         KIND.decl.id
     }
 
-    fn thresholds(&self, _site: &Site, _history: &History, _random: &mut Random, t_reset_ns: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        _site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        t_reset_ns: i64,
+        thresholds: &mut Thresholds,
+    ) {
         let factor = f64::max(1.0 + self.rate_per_s * (t_reset_ns as f64 / 1e9), LEAST_FACTOR);
         thresholds.on *= factor;
         thresholds.off *= factor;
@@ -78,7 +91,13 @@ mod tests {
     fn at(rate: f64, t_reset_ns: i64) -> Thresholds {
         let mut thresholds = Thresholds { on: 0.2, off: 0.25 };
         let effect = described("threshold_drift", json!({ "rate": rate }));
-        effect.thresholds(&site(3, 4), &History::default(), &mut Random::new(1, &[]), t_reset_ns, &mut thresholds);
+        effect.thresholds(
+            &site(3, 4),
+            &History::default(),
+            &mut Random::new(1, &[]),
+            t_reset_ns,
+            &mut thresholds,
+        );
         thresholds
     }
 

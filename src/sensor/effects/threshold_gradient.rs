@@ -1,13 +1,17 @@
 //! Threshold gradient: pixels on one side of the array fire at a smaller contrast than those on the other.
 //!
-//! The bias that sets the threshold comes in on one side and loses some voltage on its way across the array, or the wafer's doping
-//! changes slowly along it. ON and OFF scale together. Typical: up to some per cent from the centre to an edge.
+//! The bias that sets the threshold comes in on one side and loses some voltage on its way across the array,
+//! or the wafer's doping changes slowly along it. ON and OFF scale together. Typical: up to some per cent
+//! from the centre to an edge.
 //!
-//! Source: Pelgrom, Duinmaijer, Welbers, "Matching properties of MOS transistors" (1989): the part of a mismatch that depends on distance.
-//! Limits: linear in the column; nothing along the rows. The fine-grained part is `threshold_mismatch`.
+//! Source: Pelgrom, Duinmaijer, Welbers, "Matching properties of MOS transistors" (1989): the part of a
+//! mismatch that depends on distance. Limits: linear in the column; nothing along the rows. The fine-grained
+//! part is `threshold_mismatch`.
 
 use super::sought::{GAIN, Search, Size, Sought};
-use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{
+    Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -26,11 +30,20 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "relative change at the edge columns: +fraction in the last, -fraction in the first",
         }],
         covariate: "column",
-        signature: "events count for more contrast on one side of the array than on the other, linear in the column, same sense for ON and OFF",
+        signature: "events count for more contrast on one side of the array than on the other, linear in \
+                    the column, same sense for ON and OFF",
         confused_with: &["bandwidth_gradient", "vignetting", "threshold_scale"],
         source: "Pelgrom, Duinmaijer, Welbers 1989",
-        apart: &[("bandwidth_gradient", "the same scene in brighter light: a bandwidth matters less, a threshold as before")],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.2), material: GAIN, ..Sought::both("fraction") }]),
+        apart: &[(
+            "bandwidth_gradient",
+            "the same scene in brighter light: a bandwidth matters less, a \
+                                         threshold as before",
+        )],
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.2),
+            material: GAIN,
+            ..Sought::both("fraction")
+        }]),
     },
     build,
 };
@@ -51,7 +64,14 @@ impl Effect for ThresholdGradient {
         KIND.decl.id
     }
 
-    fn thresholds(&self, site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        _t_reset_ns: i64,
+        thresholds: &mut Thresholds,
+    ) {
         let factor = 1.0 + self.fraction * site.across();
         thresholds.on *= factor;
         thresholds.off *= factor;

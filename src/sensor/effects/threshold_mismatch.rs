@@ -1,14 +1,19 @@
 //! Threshold mismatch: no two pixels fire at the same contrast.
 //!
-//! Transistors of one size differ a little, so each comparator has an offset of its own that stays as long as the sensor lives.
-//! A pixel with a high threshold always fires late and rarely, its neighbour early and often: the picture gets
-//! a fixed, fine-grained pattern. ON and OFF are two comparators, drawn independently. Typical: 2 to 4 % contrast (0.02 to 0.04).
+//! Transistors of one size differ a little, so each comparator has an offset of its own that stays as long as
+//! the sensor lives. A pixel with a high threshold always fires late and rarely, its neighbour early and
+//! often: the picture gets a fixed, fine-grained pattern. ON and OFF are two comparators, drawn
+//! independently. Typical: 2 to 4 % contrast (0.02 to 0.04).
 //!
-//! Sources: Lichtsteiner, Posch, Delbruck 2008 (2.1 % contrast); Hu, Liu, Delbruck 2021 (v2e: sigma 0.03 on 0.2).
-//! Limits: normal, and no common part of ON and OFF; a pixel far out in the tail is a hot or a dead one.
+//! Sources: Lichtsteiner, Posch, Delbruck 2008 (2.1 % contrast); Hu, Liu, Delbruck 2021 (v2e: sigma 0.03 on
+//! 0.2). Limits: normal, and no common part of ON and OFF; a pixel far out in the tail is a hot or a dead
+//! one.
 
 use super::sought::{Measure, SPREAD, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit, threshold_scale};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds,
+    Unit, threshold_scale,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -17,7 +22,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: "threshold_mismatch",
         stage: Stage::Comparator,
         about: "Every pixel has thresholds of its own, which stay",
-        equation: "threshold_p(x, y) = threshold_p + sigma * z_p(x, y), z ~ N(0, 1) once for each pixel and polarity",
+        equation: "threshold_p(x, y) = threshold_p + sigma * z_p(x, y), z ~ N(0, 1) once for each pixel and \
+                   polarity",
         parameters: &[ParameterDecl {
             name: "sigma",
             unit: Unit::Number("ln"),
@@ -27,12 +33,17 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "standard deviation of a threshold over the pixels, natural-log units",
         }],
         covariate: "pixel",
-        signature: "each pixel is early or late by an amount of its own, white over the array and the same in both halves of a recording",
+        signature: "each pixel is early or late by an amount of its own, white over the array and the same \
+                    in both halves of a recording",
         confused_with: &["threshold_noise", "refractory_spread", "misalignment", "hot_pixels"],
         source: "Lichtsteiner, Posch, Delbruck 2008; Hu, Liu, Delbruck 2021",
         apart: &[
             ("threshold_noise", "the same scene again: mismatch repeats in each pixel, noise does not"),
-            ("refractory_spread", "the same scene at a third of the speed: a blind time matters a third as much, a threshold as before"),
+            (
+                "refractory_spread",
+                "the same scene at a third of the speed: a blind time matters a third as \
+                                   much, a threshold as before",
+            ),
         ],
         search: Search::For(&[Sought {
             typical: Size::Of(0.17, Measure::Threshold),
@@ -60,7 +71,14 @@ impl Effect for ThresholdMismatch {
         KIND.decl.id
     }
 
-    fn thresholds(&self, site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        _t_reset_ns: i64,
+        thresholds: &mut Thresholds,
+    ) {
         let mut own = site.random(KIND.decl.id);
         thresholds.on += self.sigma * own.normal();
         thresholds.off += self.sigma * own.normal();
@@ -92,7 +110,8 @@ mod tests {
     #[test]
     fn mean_and_spread_over_the_pixels_are_the_stated_ones() {
         let (on, off) = all(0, 0);
-        // Five standard errors with 20,000 pixels: 5 x 0.03 / sqrt(n) of the mean, that over sqrt(2) of sigma.
+        // Five standard errors with 20,000 pixels: 5 x 0.03 / sqrt(n) of the mean, that over sqrt(2) of
+        // sigma.
         for (thresholds, stated) in [(&on, 0.2), (&off, 0.25)] {
             let (mean, sigma) = moments(thresholds);
             assert!((mean - stated).abs() < 1.1e-3, "{mean}");
@@ -118,7 +137,10 @@ mod tests {
         let pace = |site: Site| {
             let effects = vec![described("threshold_mismatch", json!({ "sigma": 0.02 }))];
             let paces = intervals_s(&recorded_at(&site, ideal_pixel(), effects, &ramp, 50 * MS));
-            assert!(paces.len() >= 2 && paces.iter().all(|pace| (pace - paces[0]).abs() < 3e-9), "constant in time");
+            assert!(
+                paces.len() >= 2 && paces.iter().all(|pace| (pace - paces[0]).abs() < 3e-9),
+                "constant in time"
+            );
             paces[0]
         };
         let paces: Vec<f64> = sites().take(400).map(pace).collect();

@@ -1,15 +1,17 @@
 //! Threshold noise: the same pixel fires at a slightly different contrast each time.
 //!
-//! Opening the reset switch freezes its thermal noise (kTC noise) on the capacitor, and the comparator adds some, so the threshold
-//! is drawn afresh at every reset. A static pixel stays silent; at an edge the time of firing scatters by `sigma` over the
-//! slope of the voltage. Typical: 0.002 to 0.03.
+//! Opening the reset switch freezes its thermal noise (kTC noise) on the capacitor, and the comparator adds
+//! some, so the threshold is drawn afresh at every reset. A static pixel stays silent; at an edge the time of
+//! firing scatters by `sigma` over the slope of the voltage. Typical: 0.002 to 0.03.
 //!
-//! Sources: Joubert et al. 2021 (IEBCS redraws a threshold at each event); the normal model of Eq. (4)'s threshold.
-//! Limits: normal; one draw for both polarities, as with the description's `threshold_noise`. That a noisy voltage can cross by
-//! itself, in the dark or in a static scene, is `background_activity`.
+//! Sources: Joubert et al. 2021 (IEBCS redraws a threshold at each event); the normal model of Eq. (4)'s
+//! threshold. Limits: normal; one draw for both polarities, as with the description's `threshold_noise`. That
+//! a noisy voltage can cross by itself, in the dark or in a static scene, is `background_activity`.
 
 use super::sought::{Field, Measure, SPREAD, Search, Size, Sought};
-use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -25,11 +27,18 @@ pub(super) const KIND: EffectKind = EffectKind {
             null: Some(0.0),
             allowed: (0.0, 1.0),
             plausible: (0.002, 0.05),
-            about: "standard deviation of the threshold from one reset to the next, natural-log units; adds to a stated threshold_noise",
+            about: "standard deviation of the threshold from one reset to the next, natural-log units; adds \
+                    to a stated threshold_noise",
         }],
         covariate: "slope",
-        signature: "event times scatter by sigma / slope, independent from event to event; static pixels stay silent",
-        confused_with: &["threshold_mismatch", "timestamp_jitter", "background_activity", "refractory_spread"],
+        signature: "event times scatter by sigma / slope, independent from event to event; static pixels \
+                    stay silent",
+        confused_with: &[
+            "threshold_mismatch",
+            "timestamp_jitter",
+            "background_activity",
+            "refractory_spread",
+        ],
         source: "Joubert et al. 2021",
         apart: &[],
         search: Search::For(&[Sought {
@@ -58,7 +67,14 @@ impl Effect for ThresholdNoise {
         KIND.decl.id
     }
 
-    fn thresholds(&self, _site: &Site, _history: &History, random: &mut Random, _t_reset_ns: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        _site: &Site,
+        _history: &History,
+        random: &mut Random,
+        _t_reset_ns: i64,
+        thresholds: &mut Thresholds,
+    ) {
         let change = self.sigma * random.normal();
         thresholds.on += change;
         thresholds.off += change;
@@ -91,8 +107,14 @@ mod tests {
         // Five standard errors, as for the mismatch.
         assert!((mean - 0.2).abs() < 7.1e-4, "{mean}");
         assert!((sigma - 0.02).abs() < 5e-4, "{sigma}");
-        assert!(correlation(&on[1..], &on[..on.len() - 1]).abs() < 5.0 / 20_000f64.sqrt(), "resets are independent");
-        assert!(drawn.iter().all(|thresholds| (thresholds.off - thresholds.on - 0.05).abs() < 1e-12), "one draw for both");
+        assert!(
+            correlation(&on[1..], &on[..on.len() - 1]).abs() < 5.0 / 20_000f64.sqrt(),
+            "resets are independent"
+        );
+        assert!(
+            drawn.iter().all(|thresholds| (thresholds.off - thresholds.on - 0.05).abs() < 1e-12),
+            "one draw for both"
+        );
     }
 
     #[test]

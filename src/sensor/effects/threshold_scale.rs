@@ -1,12 +1,15 @@
 //! Threshold scale: both contrast thresholds differ from the stated ones by one factor.
 //!
-//! Every event stands for `1 + fraction` times the stated step, so the events between two frames add up to too much or too little
-//! contrast, by the same factor at every light level and speed.
+//! Every event stands for `1 + fraction` times the stated step, so the events between two frames add up to
+//! too much or too little contrast, by the same factor at every light level and speed.
 //!
-//! Source: bias settings drift with temperature and from chip to chip. Confused with: a frame gamma (only the product of both shows).
+//! Source: bias settings drift with temperature and from chip to chip. Confused with: a frame gamma (only the
+//! product of both shows).
 
 use super::sought::{Field, GAIN, Search, Size, Sought};
-use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{
+    Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -29,8 +32,16 @@ pub(super) const KIND: EffectKind = EffectKind {
         confused_with: &["frame_nonlinearity", "threshold_asymmetry", "dark_current"],
         source: "Lichtsteiner, Posch and Delbruck 2008",
         apart: &[
-            ("lateral_inhibition", "a large even surface that grows brighter: without a surround that differs there is nothing to inhibit"),
-            ("dark_current", "the same scene in twice the light: a dark current matters half as much, a threshold as before"),
+            (
+                "lateral_inhibition",
+                "a large even surface that grows brighter: without a surround that \
+                                    differs there is nothing to inhibit",
+            ),
+            (
+                "dark_current",
+                "the same scene in twice the light: a dark current matters half as much, a \
+                              threshold as before",
+            ),
             ("black_level", "a frame with the lens covered: it reads the black level"),
             ("threshold_drift", "a recording four times as long: a drift grows with it"),
         ],
@@ -61,7 +72,14 @@ impl Effect for ThresholdScale {
         KIND.decl.id
     }
 
-    fn thresholds(&self, _site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        _site: &Site,
+        _history: &History,
+        _random: &mut Random,
+        _t_reset_ns: i64,
+        thresholds: &mut Thresholds,
+    ) {
         thresholds.on *= 1.0 + self.fraction;
         thresholds.off *= 1.0 + self.fraction;
     }
@@ -76,7 +94,8 @@ mod tests {
     fn events_stand_for_larger_steps_in_both_directions() {
         for slope in [37.0, -37.0] {
             let ramp = Samples::of_log(50 * MS, |t| -1.0 + slope * t);
-            let events = recorded(ideal_pixel(), vec![Box::new(ThresholdScale { fraction: 0.5 })], &ramp, 50 * MS);
+            let events =
+                recorded(ideal_pixel(), vec![Box::new(ThresholdScale { fraction: 0.5 })], &ramp, 50 * MS);
             assert_eq!(events.len(), 6); // 1.85 / (0.2 x 1.5)
             for interval in intervals_s(&events) {
                 assert!((interval - 0.3 / 37.0).abs() < 1e-6);

@@ -1,6 +1,7 @@
 //! Time constant: the front end's low-pass has another `tau_0` or `alpha` than stated.
 //!
-//! Events follow sharp edges too late or too early: by `alpha / i` (more in the dark) or by the same time everywhere.
+//! Events follow sharp edges too late or too early: by `alpha / i` (more in the dark) or by the same time
+//! everywhere.
 //!
 //! Source: Eq. (3); both depend on bias and temperature. Absolute values: what is not given stays nominal.
 //! Confused with: a clock offset (the same delay for frames and events at every light) and a second pole.
@@ -16,8 +17,22 @@ pub(super) const KIND: EffectKind = EffectKind {
         about: "The time constant of the front end differs from the stated one",
         equation: "tau = tau_0 + alpha / i",
         parameters: &[
-            ParameterDecl { name: "tau_0", unit: Unit::Time, null: None, allowed: (0.0, 1.0), plausible: (0.0, 1e-3), about: "time constant in bright light" },
-            ParameterDecl { name: "alpha", unit: Unit::Time, null: None, allowed: (0.0, 1e4), plausible: (0.0, 0.1), about: "time times photocurrent unit" },
+            ParameterDecl {
+                name: "tau_0",
+                unit: Unit::Time,
+                null: None,
+                allowed: (0.0, 1.0),
+                plausible: (0.0, 1e-3),
+                about: "time constant in bright light",
+            },
+            ParameterDecl {
+                name: "alpha",
+                unit: Unit::Time,
+                null: None,
+                allowed: (0.0, 1e4),
+                plausible: (0.0, 0.1),
+                about: "time times photocurrent unit",
+            },
         ],
         covariate: "lag",
         signature: "events follow edges late when the true value is larger, in proportion to 1 / i for alpha",
@@ -25,7 +40,12 @@ pub(super) const KIND: EffectKind = EffectKind {
         source: "Eq. (3)",
         apart: &[],
         search: Search::For(&[
-            Sought { typical: Size::Fixed(150e-6), material: DELAY, field: Some(Field::Tau0), ..Sought::both("tau_0") },
+            Sought {
+                typical: Size::Fixed(150e-6),
+                material: DELAY,
+                field: Some(Field::Tau0),
+                ..Sought::both("tau_0")
+            },
             Sought {
                 typical: Size::Larger(&Size::Of(1.3, Measure::Alpha), &Size::Of(50e-6, Measure::Light)),
                 material: Size::Times(&DELAY, Measure::Light),

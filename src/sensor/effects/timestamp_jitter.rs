@@ -1,14 +1,18 @@
 //! Timestamp jitter: the stamp misses the instant of the event by a random amount.
 //!
-//! Between the comparator and the clock lie an arbiter and its wires, and how long they take differs from event to event. Both
-//! stamps of an event move together, so none leaves before it fired. Unlike threshold noise the scatter does not depend on how
-//! fast the light changes. Typical: 0.1 to 10 us; more through a loaded arbiter.
+//! Between the comparator and the clock lie an arbiter and its wires, and how long they take differs from
+//! event to event. Both stamps of an event move together, so none leaves before it fired. Unlike threshold
+//! noise the scatter does not depend on how fast the light changes. Typical: 0.1 to 10 us; more through a
+//! loaded arbiter.
 //!
-//! Source: the latency measurements in Lichtsteiner, Posch, Delbruck 2008.
-//! Limits: normal, cut off at four sigma, so two events of a pixel more than eight sigma apart keep their order; nearer ones can change places.
+//! Source: the latency measurements in Lichtsteiner, Posch, Delbruck 2008. Limits: normal, cut off at four
+//! sigma, so two events of a pixel more than eight sigma apart keep their order; nearer ones can change
+//! places.
 
 use super::sought::{Search, Size, Sought, TIME};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -27,11 +31,20 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "standard deviation of a stamp",
         }],
         covariate: "slope",
-        signature: "the voltage at the stamp scatters in proportion to the slope, event by event; the scatter in time is the same at any slope",
+        signature: "the voltage at the stamp scatters in proportion to the slope, event by event; the \
+                    scatter in time is the same at any slope",
         confused_with: &["threshold_noise", "timestamp_quantization", "readout_queue"],
         source: "Lichtsteiner, Posch, Delbruck 2008",
-        apart: &[("threshold_noise", "the same scene at three times the speed: jitter matters three times as much, threshold noise as before")],
-        search: Search::For(&[Sought { typical: Size::Fixed(60e-6), material: TIME, ..Sought::random("sigma") }]),
+        apart: &[(
+            "threshold_noise",
+            "the same scene at three times the speed: jitter matters three times \
+                                      as much, threshold noise as before",
+        )],
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(60e-6),
+            material: TIME,
+            ..Sought::random("sigma")
+        }]),
     },
     build,
 };
@@ -87,13 +100,22 @@ mod tests {
             event
         };
         let events: Vec<PixelEvent> = (0..20_000).map(&mut stamped).collect();
-        let errors: Vec<f64> = events.iter().zip(0..).map(|(event, k)| (event.t_in_ns - 41_000 * k) as f64).collect();
+        let errors: Vec<f64> =
+            events.iter().zip(0..).map(|(event, k)| (event.t_in_ns - 41_000 * k) as f64).collect();
         let (mean, sigma) = moments(&errors);
         // Five standard errors; the cut lowers sigma by 0.05 %.
         assert!(mean.abs() < 177.0, "{mean}");
         assert!((sigma - 5_000.0).abs() < 125.0, "{sigma}");
         assert!(correlation(&errors[1..], &errors[..errors.len() - 1]).abs() < 5.0 / 20_000f64.sqrt());
-        assert!(events.iter().all(|event| event.t_off_ns - event.t_in_ns == 1_000), "an event does not leave before it fired");
-        assert!(events.is_sorted_by(|a, b| a.t_in_ns < b.t_in_ns), "events more than eight sigma apart keep their order");
+        assert!(
+            events.iter().all(|event| event.t_off_ns - event.t_in_ns == 1_000),
+            "an event does not \
+                                                            leave before it fired"
+        );
+        assert!(
+            events.is_sorted_by(|a, b| a.t_in_ns < b.t_in_ns),
+            "events more than eight sigma apart keep \
+                                                            their order"
+        );
     }
 }

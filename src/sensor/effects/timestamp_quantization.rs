@@ -1,14 +1,17 @@
 //! Timestamp quantization: stamps are whole multiples of a step.
 //!
-//! The stamp is the count of a clock when the event is noted, so it lies up to one step before the truth, never after it. A step that
-//! is long against the interval between events makes bursts of equal stamps. Typical: 1 us; 100 us and 1 ms in some sensors and file formats.
+//! The stamp is the count of a clock when the event is noted, so it lies up to one step before the truth,
+//! never after it. A step that is long against the interval between events makes bursts of equal stamps.
+//! Typical: 1 us; 100 us and 1 ms in some sensors and file formats.
 //!
 //! Sources: manuals of event cameras; recordings whose stamps are multiples of 100 us.
 //! Limits: a perfect clock that rounds down; a jagged (nonlinear) in-pixel converter is not here.
 
 use super::clock_offset::ClockOffset;
 use super::sought::{Search, Size, Sought, TIME};
-use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use super::{
+    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit,
+};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -27,11 +30,17 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "distance between two stamps; events come up to one step early",
         }],
         covariate: "time",
-        signature: "a comb in the remainder of the stamps by the step; events early by half a step on average; many equal stamps",
+        signature: "a comb in the remainder of the stamps by the step; events early by half a step on \
+                    average; many equal stamps",
         confused_with: &["timestamp_jitter", "clock_offset", "a readout that scans the rows"],
         source: "manuals of event cameras",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(120e-6), material: TIME, is_made: false, ..Sought::positive("step") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(120e-6),
+            material: TIME,
+            is_made: false,
+            ..Sought::positive("step")
+        }]),
     },
     build,
 };
@@ -68,7 +77,11 @@ impl Effect for TimestampQuantization {
     fn chance(&self) -> Option<Chance> {
         // A stamp is the last instant of the grid: half a step early in the mean.
         let early = ClockOffset { offset_ns: -self.step_ns / 2 };
-        (self.step_ns > 0).then(|| Chance { of_stamps_s: self.step_ns as f64 * 1e-9 / libm::sqrt(12.0), known: Some(Box::new(early)), ..Chance::default() })
+        (self.step_ns > 0).then(|| Chance {
+            of_stamps_s: self.step_ns as f64 * 1e-9 / libm::sqrt(12.0),
+            known: Some(Box::new(early)),
+            ..Chance::default()
+        })
     }
 }
 
@@ -80,7 +93,11 @@ mod tests {
 
     fn stamped(step: &str, t_in_ns: i64, t_off_ns: i64) -> (i64, i64) {
         let mut event = PixelEvent { t_in_ns, t_off_ns, polarity: 1 };
-        described("timestamp_quantization", json!({ "step": step })).stamp(&site(3, 4), &mut Random::new(1, &[]), &mut event);
+        described("timestamp_quantization", json!({ "step": step })).stamp(
+            &site(3, 4),
+            &mut Random::new(1, &[]),
+            &mut event,
+        );
         (event.t_in_ns, event.t_off_ns)
     }
 

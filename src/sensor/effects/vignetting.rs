@@ -1,13 +1,15 @@
 //! Vignetting: frames get darker towards the corners and events do not follow, or the other way round.
 //!
-//! A lens gives a share `cos^4` of its light at an angle off the axis. Light lost to both paths cancels in the logarithm and nobody sees
-//! it; what is modelled is the frames' share relative to the light that the event circuit works with. With `r` from 0 (centre) to 1 (corner) and
-//! a corner angle `a`, `share = 1 / (1 + r^2 tan^2 a)^2`, and `falloff = 1 - cos^4 a`. Typical: 0.1 to 0.6.
+//! A lens gives a share `cos^4` of its light at an angle off the axis. Light lost to both paths cancels in
+//! the logarithm and nobody sees it; what is modelled is the frames' share relative to the light that the
+//! event circuit works with. With `r` from 0 (centre) to 1 (corner) and a corner angle `a`,
+//! `share = 1 / (1 + r^2 tan^2 a)^2`, and `falloff = 1 - cos^4 a`. Typical: 0.1 to 0.6.
 //!
-//! Parameter: `falloff`, the share that frames lose at the corner; positive = frames are too dark there (chief-ray angle of the frame
-//! pixels). Negative = frames are too bright there: flat-field corrected, although the event circuit did get less light; the curve is then
-//! the reciprocal. Either way the frames state a photocurrent that is not the one which sets the time constant: at the corner events
-//! come earlier (later) than the frames let expect.
+//! Parameter: `falloff`, the share that frames lose at the corner; positive = frames are too dark there
+//! (chief-ray angle of the frame pixels). Negative = frames are too bright there: flat-field corrected,
+//! although the event circuit did get less light; the curve is then the reciprocal. Either way the frames
+//! state a photocurrent that is not the one which sets the time constant: at the corner events come earlier
+//! (later) than the frames let expect.
 //!
 //! Source: the cos^4 law of natural vignetting; EMVA 1288 for its removal.
 //! Limits: centred on the array and round; depends on nothing but the radius.
@@ -21,7 +23,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: "vignetting",
         stage: Stage::Exposure,
         about: "Frames darken towards the corners and events do not (negative: the reverse)",
-        equation: "charge = integral of i / (1 + r^2 * ((1 - falloff)^-0.5 - 1))^2, r = 0 (centre) to 1 (corner)",
+        equation: "charge = integral of i / (1 + r^2 * ((1 - falloff)^-0.5 - 1))^2, r = 0 (centre) to 1 \
+                   (corner)",
         parameters: &[ParameterDecl {
             name: "falloff",
             unit: Unit::Number("fraction"),
@@ -31,11 +34,16 @@ pub(super) const KIND: EffectKind = EffectKind {
             about: "share of the light that frames lose at the corners against the events; negative = gain",
         }],
         covariate: "radius",
-        signature: "frames are off by a factor that grows with the radius, at every light; the events' delay follows the other light",
+        signature: "frames are off by a factor that grows with the radius, at every light; the events' \
+                    delay follows the other light",
         confused_with: &["time_constant", "bandwidth_gradient", "black_level"],
         source: "the cos^4 law",
         apart: &[("bandwidth_gradient", "an even bright surface: vignetting shows in a single frame")],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.3), material: SHARE, ..Sought::both("falloff") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.3),
+            material: SHARE,
+            ..Sought::both("falloff")
+        }]),
     },
     build,
 };
@@ -74,7 +82,8 @@ impl Effect for Vignetting {
 mod tests {
     use super::*;
 
-    const READING: Reading = Reading { frame: 0, previous_charge: 0.0, gain: 850.0, black_level: 16.0, saturation: 1023.0 };
+    const READING: Reading =
+        Reading { frame: 0, previous_charge: 0.0, gain: 850.0, black_level: 16.0, saturation: 1023.0 };
 
     fn charge(falloff: f64, x: u32, y: u32) -> f64 {
         Vignetting { falloff }.charge(&Site { x, y, width: 9, height: 7, seed: 1 }, &READING, 2.0)
@@ -100,6 +109,10 @@ mod tests {
     fn a_flat_field_correction_is_the_reciprocal() {
         // Multiplying by 1 / 0.6 at the corner is a gain of 2/3.
         let (loses, gains) = (Vignetting { falloff: 0.4 }, Vignetting { falloff: -2.0 / 3.0 });
-        assert!([0.0, 0.3, 0.7, 1.0].iter().all(|&radius| (loses.share(radius) * gains.share(radius) - 1.0).abs() < 1e-14));
+        assert!(
+            [0.0, 0.3, 0.7, 1.0]
+                .iter()
+                .all(|&radius| (loses.share(radius) * gains.share(radius) - 1.0).abs() < 1e-14)
+        );
     }
 }

@@ -1,11 +1,15 @@
-//! Which of several readings of a recording agrees best: the share of the frames' log change that events explain, on pairs of frames that were not fitted.
+//! Which of several readings of a recording agrees best: the share of the frames' log change that events
+//! explain, on pairs of frames that were not fitted.
 //!
-//! Tiles of some pairs of frames hold the log change of each pixel ([`Changes`]). Each reading (another unit, another offset, a mirrored picture, ...) sorts the same events into
-//! counts of its own ([`Trial`]). The counts are fitted to the changes on half of the pairs, with two thresholds that are not negative and, where a trial fits one, an offset in
-//! time; what the fit explains is measured on the other half, and the same with the halves exchanged. All trials are measured on the same pixels, so that a reading that brings no
-//! event between the frames explains none of their change.
+//! Tiles of some pairs of frames hold the log change of each pixel ([`Changes`]). Each reading (another unit,
+//! another offset, a mirrored picture, ...) sorts the same events into counts of its own ([`Trial`]). The
+//! counts are fitted to the changes on half of the pairs, with two thresholds that are not negative and,
+//! where a trial fits one, an offset in time; what the fit explains is measured on the other half, and the
+//! same with the halves exchanged. All trials are measured on the same pixels, so that a reading that brings
+//! no event between the frames explains none of their change.
 //!
-//! Limits: a change of all tiles of a pair alike is taken out (an exposure that adapts). Neighbouring pairs share a frame, whose noise is then in both halves.
+//! Limits: a change of all tiles of a pair alike is taken out (an exposure that adapts). Neighbouring pairs
+//! share a frame, whose noise is then in both halves.
 
 use super::draw::{estimate, peak};
 use super::{Centring, Estimate};
@@ -32,13 +36,18 @@ pub struct Changes {
 }
 
 impl Changes {
-    /// Adds a pair of frames: its tiles in order, each with the part of the picture that it belongs to (for intervals) and the log change of its [`TILE`] squared pixels. A value
-    /// that is not finite is not known.
+    /// Adds a pair of frames: its tiles in order, each with the part of the picture that it belongs to (for
+    /// intervals) and the log change of its [`TILE`] squared pixels. A value that is not finite is not known.
     pub fn push(&mut self, tiles: &[(usize, Vec<f32>)]) {
         if self.first.is_empty() {
             self.first.push(0);
         }
-        let mut known: Vec<f32> = tiles.iter().flat_map(|(_, change)| change).copied().filter(|change| change.is_finite()).collect();
+        let mut known: Vec<f32> = tiles
+            .iter()
+            .flat_map(|(_, change)| change)
+            .copied()
+            .filter(|change| change.is_finite())
+            .collect();
         let middle = median(&mut known);
         let mut sizes: Vec<f32> = known.iter().map(|change| (change - middle).abs()).collect();
         let limit = quantile(&mut sizes, KEPT);
@@ -46,7 +55,12 @@ impl Changes {
         parts.sort_unstable();
         parts.dedup();
         for (part, change) in tiles {
-            let value = |n: usize| change.get(n).filter(|change| change.is_finite()).map_or(0.0, |change| (change - middle).clamp(-limit, limit));
+            let value = |n: usize| {
+                change
+                    .get(n)
+                    .filter(|change| change.is_finite())
+                    .map_or(0.0, |change| (change - middle).clamp(-limit, limit))
+            };
             self.change.extend((0..PIXELS).map(value));
             self.unit.push(self.units + parts.partition_point(|other| other < part));
         }
@@ -91,8 +105,8 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// For the pairs of `changes`, whose middles this reading puts at `mids_ns` (a pair whose middles do not rise holds no event). With `fits_offset` an offset of up to a period to
-    /// each side is fitted.
+    /// For the pairs of `changes`, whose middles this reading puts at `mids_ns` (a pair whose middles do not
+    /// rise holds no event). With `fits_offset` an offset of up to a period to each side is fitted.
     pub fn new(changes: &Changes, mids_ns: &[(i64, i64)], fits_offset: bool) -> Trial {
         let length = |mids: &(i64, i64)| mids.1.saturating_sub(mids.0);
         let mut periods: Vec<i64> = mids_ns.iter().map(length).filter(|period| *period > 0).collect();
@@ -101,21 +115,32 @@ impl Trial {
         let mut at = 0;
         let window = |(pair, mids): (usize, &(i64, i64))| {
             // A pair around a gap is no pair of neighbours: with steps it would take memory for the gap.
-            let is_pair = length(mids) > 0 && length(mids) < period_ns.saturating_mul(4) && pair < changes.pairs();
+            let is_pair =
+                length(mids) > 0 && length(mids) < period_ns.saturating_mul(4) && pair < changes.pairs();
             is_pair.then(|| {
                 let reach_ns = if fits_offset { period_ns } else { 0 };
                 let step_ns = if fits_offset { (period_ns / STEPS).max(1) } else { length(mids) };
                 let start_ns = mids.0.saturating_sub(reach_ns);
-                let steps = if fits_offset { (length(mids).saturating_add(reach_ns.saturating_mul(2)) / step_ns + 2) as usize } else { 1 };
-                let window = Window { mids_ns: *mids, start_ns, step_ns, steps, at, tiles: changes.tiles(pair) };
+                let steps = if fits_offset {
+                    (length(mids).saturating_add(reach_ns.saturating_mul(2)) / step_ns + 2) as usize
+                } else {
+                    1
+                };
+                let window =
+                    Window { mids_ns: *mids, start_ns, step_ns, steps, at, tiles: changes.tiles(pair) };
                 at += steps * window.tiles * PIXELS;
                 window
             })
         };
         let windows: Vec<Option<Window>> = mids_ns.iter().enumerate().map(window).collect();
-        let end = |window: &Window| window.start_ns.saturating_add(window.step_ns.saturating_mul(window.steps as i64));
-        let mut order: Vec<(i64, i64, usize)> =
-            windows.iter().enumerate().filter_map(|(pair, window)| window.as_ref().map(|window| (window.start_ns, end(window), pair))).collect();
+        let end = |window: &Window| {
+            window.start_ns.saturating_add(window.step_ns.saturating_mul(window.steps as i64))
+        };
+        let mut order: Vec<(i64, i64, usize)> = windows
+            .iter()
+            .enumerate()
+            .filter_map(|(pair, window)| window.as_ref().map(|window| (window.start_ns, end(window), pair)))
+            .collect();
         order.sort_unstable();
         let mut latest = i64::MIN;
         order.iter_mut().for_each(|(_, end, _)| {
@@ -130,7 +155,8 @@ impl Trial {
         self.period_ns
     }
 
-    /// Takes an event at this reading's time. `tile_of` gives the tile, counted within its pair, and the pixel within the tile that the event falls on; none beyond all tiles.
+    /// Takes an event at this reading's time. `tile_of` gives the tile, counted within its pair, and the
+    /// pixel within the tile that the event falls on; none beyond all tiles.
     #[inline]
     pub fn event(&mut self, t_ns: i64, is_on: bool, tile_of: impl Fn(usize) -> Option<(usize, usize)>) {
         let after = self.order.partition_point(|(start, ..)| *start <= t_ns);
@@ -144,7 +170,9 @@ impl Trial {
             if step >= window.steps {
                 continue;
             }
-            if let Some((tile, pixel)) = tile_of(pair).filter(|(tile, pixel)| *tile < window.tiles && *pixel < PIXELS) {
+            if let Some((tile, pixel)) =
+                tile_of(pair).filter(|(tile, pixel)| *tile < window.tiles && *pixel < PIXELS)
+            {
                 let counts = if is_on { &mut self.on } else { &mut self.off };
                 let count = &mut counts[window.at + (step * window.tiles + tile) * PIXELS + pixel];
                 *count = count.saturating_add(1);
@@ -152,7 +180,8 @@ impl Trial {
         }
     }
 
-    /// Counts of a pair's pixels between the two middles, both later by `offset_ns`; less the mean, with the largest brought in.
+    /// Counts of a pair's pixels between the two middles, both later by `offset_ns`; less the mean, with the
+    /// largest brought in.
     fn between(&self, pair: usize, counts: &[u8], offset_ns: f64) -> Option<Vec<f32>> {
         let window = self.windows[pair]?;
         let at = |t: i64| (t.saturating_sub(window.start_ns) as f64 + offset_ns) / window.step_ns as f64;
@@ -177,7 +206,8 @@ impl Trial {
     }
 }
 
-/// When light changed, from when events came, for readings that scale time: an event with the time by which [`Centring`] would put it earlier.
+/// When light changed, from when events came, for readings that scale time: an event with the time by which
+/// [`Centring`] would put it earlier.
 #[derive(Clone, Debug)]
 pub struct Waits(Centring);
 
@@ -187,7 +217,8 @@ impl Waits {
         Waits(Centring::new(pixels, i64::MAX))
     }
 
-    /// Takes the next event of a pixel and gives the one that waited: its stamp, by how much the middle of its change is earlier, and its sign.
+    /// Takes the next event of a pixel and gives the one that waited: its stamp, by how much the middle of
+    /// its change is earlier, and its sign.
     #[inline]
     #[must_use]
     pub fn next(&mut self, pixel: usize, t_ns: i64, is_on: bool) -> Option<(i64, i64, bool)> {
@@ -198,14 +229,17 @@ impl Waits {
 
     /// Every pixel whose last event still waits, with that event as [`Waits::next`] gives it.
     pub fn rest(&self) -> impl Iterator<Item = (usize, i64, i64, bool)> + '_ {
-        self.0.rest().filter_map(|(pixel, t, is_on)| self.0.waits(pixel).map(|stamp| (pixel, stamp, stamp.saturating_sub(t), is_on)))
+        self.0.rest().filter_map(|(pixel, t, is_on)| {
+            self.0.waits(pixel).map(|stamp| (pixel, stamp, stamp.saturating_sub(t), is_on))
+        })
     }
 }
 
 /// How well a reading agrees with the frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agreement {
-    /// Share of the variance of the frames' log change that the events explain, on held-out pairs; 1 = all, 0 = none, negative = worse than no events.
+    /// Share of the variance of the frames' log change that the events explain, on held-out pairs; 1 = all, 0
+    /// = none, negative = worse than no events.
     pub explained: Estimate,
     /// How much more the best reading explains, from the same draws; zero for the best itself.
     pub behind: Estimate,
@@ -232,15 +266,21 @@ impl Counted {
     fn of(changes: &Changes, trial: &Trial, offset_ns: f64) -> Counted {
         let mut counted = Counted { tiles: vec![[0.0; 6]; changes.unit.len()], pairs: 0 };
         for pair in 0..changes.pairs().min(trial.windows.len()) {
-            let (on, off) = (trial.between(pair, &trial.on, offset_ns), trial.between(pair, &trial.off, offset_ns));
+            let (on, off) =
+                (trial.between(pair, &trial.on, offset_ns), trial.between(pair, &trial.off, offset_ns));
             counted.pairs += usize::from(on.is_some() || off.is_some());
             for tile in 0..changes.tiles(pair) {
                 let change = &changes.change[(changes.first[pair] + tile) * PIXELS..][..PIXELS];
-                let of = |counts: &Option<Vec<f32>>, n: usize| counts.as_ref().map_or(0.0, |counts| f64::from(counts[tile * PIXELS + n]));
+                let of = |counts: &Option<Vec<f32>>, n: usize| {
+                    counts.as_ref().map_or(0.0, |counts| f64::from(counts[tile * PIXELS + n]))
+                };
                 let moments = &mut counted.tiles[changes.first[pair] + tile];
                 for (n, change) in change.iter().enumerate() {
                     let (a, b, y) = (of(&on, n), of(&off, n), f64::from(*change));
-                    moments.iter_mut().zip([a * a, a * b, b * b, a * y, b * y, y * y]).for_each(|(sum, more)| *sum += more);
+                    moments
+                        .iter_mut()
+                        .zip([a * a, a * b, b * b, a * y, b * y, y * y])
+                        .for_each(|(sum, more)| *sum += more);
                 }
             }
         }
@@ -249,7 +289,9 @@ impl Counted {
 
     /// Summed over the pairs that `takes` takes.
     fn total(&self, changes: &Changes, takes: impl Fn(usize) -> bool) -> Moments {
-        let tiles = (0..changes.pairs()).filter(|pair| takes(*pair)).flat_map(|pair| changes.first[pair]..changes.first[pair + 1]);
+        let tiles = (0..changes.pairs())
+            .filter(|pair| takes(*pair))
+            .flat_map(|pair| changes.first[pair]..changes.first[pair + 1]);
         tiles.fold([0.0; 6], |total, tile| std::array::from_fn(|n| total[n] + self.tiles[tile][n]))
     }
 }
@@ -273,7 +315,8 @@ fn residual(&[aa, ab, bb, ay, by, yy]: &Moments, (on, off): (f64, f64)) -> f64 {
     yy + on * on * aa + off * off * bb - 2.0 * on * off * ab - 2.0 * on * ay + 2.0 * off * by
 }
 
-/// Measured on held-out pairs: squares of the change, squares that are left, products and squares of the prediction, by unit.
+/// Measured on held-out pairs: squares of the change, squares that are left, products and squares of the
+/// prediction, by unit.
 struct Measured {
     units: Vec<[f64; 4]>,
     offset_ns: f64,
@@ -284,14 +327,28 @@ struct Measured {
 impl Measured {
     fn of(changes: &Changes, trial: &Trial) -> Measured {
         let step_ns = trial.period_ns as f64 / STEPS as f64;
-        let offsets: Vec<f64> = if trial.fits_offset { (-STEPS..=STEPS).map(|n| n as f64 * step_ns).collect() } else { vec![0.0] };
-        let counted: Vec<Counted> = offsets.iter().map(|offset| Counted::of(changes, trial, *offset)).collect();
+        let offsets: Vec<f64> = if trial.fits_offset {
+            (-STEPS..=STEPS).map(|n| n as f64 * step_ns).collect()
+        } else {
+            vec![0.0]
+        };
+        let counted: Vec<Counted> =
+            offsets.iter().map(|offset| Counted::of(changes, trial, *offset)).collect();
         let left = |takes: &dyn Fn(usize) -> bool| -> Vec<f64> {
-            counted.iter().map(|counted| counted.total(changes, takes)).map(|total| -residual(&total, fit(&total))).collect()
+            counted
+                .iter()
+                .map(|counted| counted.total(changes, takes))
+                .map(|total| -residual(&total, fit(&total)))
+                .collect()
         };
         // Of equal offsets (no events at any) the one nearest none.
-        let best =
-            |left: &[f64]| (0..left.len()).max_by(|a, b| left[*a].total_cmp(&left[*b]).then(offsets[*b].abs().total_cmp(&offsets[*a].abs()))).unwrap_or(0);
+        let best = |left: &[f64]| {
+            (0..left.len())
+                .max_by(|a, b| {
+                    left[*a].total_cmp(&left[*b]).then(offsets[*b].abs().total_cmp(&offsets[*a].abs()))
+                })
+                .unwrap_or(0)
+        };
         let mut units = vec![[0.0; 4]; changes.units];
         for half in 0..2 {
             let chosen = &counted[best(&left(&|pair| pair % 2 == half))];
@@ -310,11 +367,19 @@ impl Measured {
         let at = best(&all);
         let between = peak(&all, at).map_or(0.0, |top| (top - at as f64) * step_ns);
         let thresholds = fit(&counted[at].total(changes, |_| true));
-        Measured { units, offset_ns: offsets[at] + if trial.fits_offset { between } else { 0.0 }, thresholds, pairs: counted[at].pairs }
+        Measured {
+            units,
+            offset_ns: offsets[at] + if trial.fits_offset { between } else { 0.0 },
+            thresholds,
+            pairs: counted[at].pairs,
+        }
     }
 
     fn total(&self, weights: &[f64]) -> [f64; 4] {
-        self.units.iter().zip(weights).fold([0.0; 4], |total, (sums, weight)| std::array::from_fn(|n| total[n] + weight * sums[n]))
+        self.units
+            .iter()
+            .zip(weights)
+            .fold([0.0; 4], |total, (sums, weight)| std::array::from_fn(|n| total[n] + weight * sums[n]))
     }
 
     fn explained(&self, weights: &[f64]) -> Option<f64> {
@@ -323,7 +388,8 @@ impl Measured {
     }
 }
 
-/// How well each trial agrees with the changes, in the order of `trials`; none where there are fewer than two pairs of frames, or nothing changes in them.
+/// How well each trial agrees with the changes, in the order of `trials`; none where there are fewer than two
+/// pairs of frames, or nothing changes in them.
 pub fn agreements(changes: &Changes, trials: &[Trial]) -> Option<Vec<Agreement>> {
     if changes.pairs() < 2 || changes.units < 2 || trials.is_empty() {
         return None;
@@ -336,7 +402,9 @@ pub fn agreements(changes: &Changes, trials: &[Trial]) -> Option<Vec<Agreement>>
         let [all, _, product, predicted] = one.total(&ones);
         Some(Agreement {
             explained: estimate(changes.units, |weights| one.explained(weights))?,
-            behind: estimate(changes.units, |weights| Some(measured[best].explained(weights)? - one.explained(weights)?))?,
+            behind: estimate(changes.units, |weights| {
+                Some(measured[best].explained(weights)? - one.explained(weights)?)
+            })?,
             correlation: if all * predicted > 0.0 { product / (all * predicted).sqrt() } else { 0.0 },
             offset_ns: one.offset_ns,
             thresholds: one.thresholds,
@@ -365,11 +433,14 @@ mod tests {
     const PAIRS: usize = 8;
     const TILES: usize = 12;
 
-    /// A random change of every pixel in every pair, constant over its period; events at whole thresholds of 0.2 and 0.3.
+    /// A random change of every pixel in every pair, constant over its period; events at whole thresholds of
+    /// 0.2 and 0.3.
     fn changes(random: &mut Random) -> Changes {
         let mut changes = Changes::default();
         for _ in 0..PAIRS {
-            let tiles: Vec<(usize, Vec<f32>)> = (0..TILES).map(|tile| (tile / 3, (0..PIXELS).map(|_| 0.7 * random.normal() as f32).collect())).collect();
+            let tiles: Vec<(usize, Vec<f32>)> = (0..TILES)
+                .map(|tile| (tile / 3, (0..PIXELS).map(|_| 0.7 * random.normal() as f32).collect()))
+                .collect();
             changes.push(&tiles);
         }
         changes
@@ -385,7 +456,15 @@ mod tests {
                 for pixel in 0..PIXELS {
                     let change = f64::from(changes.change[(pair * TILES + tile) * PIXELS + pixel]);
                     let count = (change.abs() / if change > 0.0 { 0.2 } else { 0.3 }).round() as i64;
-                    (0..count).for_each(|n| each(pair as i64 * PERIOD + (2 * n + 1) * PERIOD / (2 * count), change > 0.0, pair, tile, pixel));
+                    (0..count).for_each(|n| {
+                        each(
+                            pair as i64 * PERIOD + (2 * n + 1) * PERIOD / (2 * count),
+                            change > 0.0,
+                            pair,
+                            tile,
+                            pixel,
+                        )
+                    });
                 }
             }
         }
@@ -394,7 +473,8 @@ mod tests {
     /// What events explain when a trial sees them at other times, of other pixels, or with the other sign.
     fn of(mids_ns: &[(i64, i64)], fits_offset: bool, shift: usize, swaps: bool) -> Vec<Agreement> {
         let changes = changes(&mut Random::new(5, &[]));
-        let mut trials = vec![Trial::new(&changes, &mids(0), false), Trial::new(&changes, mids_ns, fits_offset)];
+        let mut trials =
+            vec![Trial::new(&changes, &mids(0), false), Trial::new(&changes, mids_ns, fits_offset)];
         events(&changes, |t, is_on, pair, tile, pixel| {
             trials[0].event(t, is_on, |at| (at == pair).then_some((tile, pixel)));
             trials[1].event(t, is_on != swaps, |_| Some((tile, (pixel + shift) % PIXELS)));
@@ -405,22 +485,36 @@ mod tests {
     #[test]
     fn events_that_are_the_change_explain_it_with_its_thresholds() {
         let right = of(&mids(0), false, 0, false)[0];
-        assert!(right.explained.value > 0.95 && right.explained.ci95.0 > 0.9 && right.correlation > 0.97, "{right:?}");
-        assert!((right.thresholds.0 - 0.2).abs() < 0.02 && (right.thresholds.1 - 0.3).abs() < 0.03 && right.pairs == PAIRS, "{right:?}");
+        assert!(
+            right.explained.value > 0.95 && right.explained.ci95.0 > 0.9 && right.correlation > 0.97,
+            "{right:?}"
+        );
+        assert!(
+            (right.thresholds.0 - 0.2).abs() < 0.02
+                && (right.thresholds.1 - 0.3).abs() < 0.03
+                && right.pairs == PAIRS,
+            "{right:?}"
+        );
         assert_eq!(right.behind, Estimate { value: 0.0, ci95: (0.0, 0.0) });
     }
 
     #[test]
     fn other_pixels_other_signs_and_other_times_are_behind() {
         let late: Vec<(i64, i64)> = mids(1_000 * PERIOD);
-        for wrong in
-            [of(&mids(0), false, 1, false)[1], of(&mids(0), false, 0, true)[1], of(&late, false, 0, false)[1], of(&mids(PERIOD / 2), false, 0, false)[1]]
-        {
+        for wrong in [
+            of(&mids(0), false, 1, false)[1],
+            of(&mids(0), false, 0, true)[1],
+            of(&late, false, 0, false)[1],
+            of(&mids(PERIOD / 2), false, 0, false)[1],
+        ] {
             assert!(wrong.explained.value < 0.7 && wrong.behind.ci95.0 > 0.25, "{wrong:?}");
         }
         // Without an event between the frames nothing is explained, and nothing is lost.
         let none = of(&late, false, 0, false)[1];
-        assert!(none.explained.value.abs() < 1e-9 && none.pairs == 0 && none.thresholds == (0.0, 0.0), "{none:?}");
+        assert!(
+            none.explained.value.abs() < 1e-9 && none.pairs == 0 && none.thresholds == (0.0, 0.0),
+            "{none:?}"
+        );
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! Intervals by drawing again: the same estimate from units drawn at random with replacement, and the middle 95 % of what comes out.
+//! Intervals by drawing again: the same estimate from units drawn at random with replacement, and the middle
+//! 95 % of what comes out.
 
 use super::Estimate;
 use photocurrent_core::random::Random;
@@ -6,7 +7,8 @@ use photocurrent_core::random::Random;
 /// Draws: the ends of the interval then have an error of about a tenth of it.
 const DRAWS: usize = 200;
 
-/// An estimate from `units` that count once, with the interval from units that count as often as they are drawn. None when the estimate is none, or in a tenth of the draws.
+/// An estimate from `units` that count once, with the interval from units that count as often as they are
+/// drawn. None when the estimate is none, or in a tenth of the draws.
 pub(super) fn estimate(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Option<Estimate> {
     let value = of(&vec![1.0; units])?;
     let mut random = Random::new(1, &[units as u64]);
@@ -25,9 +27,13 @@ pub(super) fn estimate(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Opti
     Some(Estimate { value, ci95: (at(0.025).min(value), at(0.975).max(value)) })
 }
 
-/// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those next to it; none at an end, or where nothing is finite.
+/// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those
+/// next to it; none at an end, or where nothing is finite.
 pub(super) fn top(curve: &[f64]) -> Option<f64> {
-    peak(curve, (0..curve.len()).filter(|n| curve[*n].is_finite()).max_by(|a, b| curve[*a].total_cmp(&curve[*b]))?)
+    peak(
+        curve,
+        (0..curve.len()).filter(|n| curve[*n].is_finite()).max_by(|a, b| curve[*a].total_cmp(&curve[*b]))?,
+    )
 }
 
 /// The same, when it is known which value is the largest.
@@ -54,7 +60,10 @@ mod tests {
     fn the_interval_of_a_mean_is_that_of_its_standard_error() {
         let mut random = Random::new(3, &[]);
         let values: Vec<f64> = (0..400).map(|_| random.normal()).collect();
-        let found = estimate(values.len(), |weights| Some(values.iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() / 400.0)).unwrap();
+        let found = estimate(values.len(), |weights| {
+            Some(values.iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() / 400.0)
+        })
+        .unwrap();
         // 1.96 / sqrt(400) to each side; the draws leave a tenth.
         let half = 0.5 * (found.ci95.1 - found.ci95.0);
         assert!((half - 0.098).abs() < 0.02, "{half}");

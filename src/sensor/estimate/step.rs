@@ -1,12 +1,17 @@
 //! The log change of one event: thresholds from frames.
 //!
-//! Between two frames the logarithm of a place changes by `c_on` for each ON event of a pixel and by `-c_off` for each OFF event. The net events of a pixel are fitted
-//! on the change of the frames, for rising and falling places by themselves, with places that lie far off (noise events, flicker) counted for less (Huber).
+//! Between two frames the logarithm of a place changes by `c_on` for each ON event of a pixel and by `-c_off`
+//! for each OFF event. The net events of a pixel are fitted on the change of the frames, for rising and
+//! falling places by themselves, with places that lie far off (noise events, flicker) counted for less
+//! (Huber).
 //!
-//! An event count is a change rounded to whole events, so it is the count that is fitted and not the change: rounding then makes noise and no bias. The reverse holds
-//! for noise of the frames, so only bright places are taken, and only changes well over that noise. Dark places are what makes thresholds come out too large: one step of the scale is
-//! a large change there, and their slow pixels lose events. A change that reverses costs the pixel up to a threshold before its next event, whatever its size: the line that is fitted
-//! need not begin at zero, and its slope counts. The largest values may be saturated and are taken as unknown.
+//! An event count is a change rounded to whole events, so it is the count that is fitted and not the change:
+//! rounding then makes noise and no bias. The reverse holds for noise of the frames, so only bright places
+//! are taken, and only changes well over that noise. Dark places are what makes thresholds come out too
+//! large: one step of the scale is a large change there, and their slow pixels lose events. A change that
+//! reverses costs the pixel up to a threshold before its next event, whatever its size: the line that is
+//! fitted need not begin at zero, and its slope counts. The largest values may be saturated and are taken as
+//! unknown.
 
 use super::draw::estimate;
 use super::panel::ACROSS;
@@ -113,9 +118,11 @@ fn rows(panel: &Panel, offset_ns: f64) -> Rows {
     for stretch in &panel.stretches {
         let summed = stretch.summed(1.0, 1.0);
         for frame in 1..stretch.mids_ns.len() {
-            let (from, to) = (stretch.mids_ns[frame - 1] as f64 + offset_ns, stretch.mids_ns[frame] as f64 + offset_ns);
+            let (from, to) =
+                (stretch.mids_ns[frame - 1] as f64 + offset_ns, stretch.mids_ns[frame] as f64 + offset_ns);
             let mut net = vec![0.0; places];
-            let is_inside = stretch.add_at(&summed, to, 1.0, &mut net) && stretch.add_at(&summed, from, -1.0, &mut net);
+            let is_inside =
+                stretch.add_at(&summed, to, 1.0, &mut net) && stretch.add_at(&summed, from, -1.0, &mut net);
             for place in (0..places).filter(|_| is_inside) {
                 let (before, after) = (stretch.logs(frame - 1)[place], stretch.logs(frame)[place]);
                 let change = f64::from(after - before);
@@ -127,7 +134,10 @@ fn rows(panel: &Panel, offset_ns: f64) -> Rows {
                     found.too_dark += 1;
                     continue;
                 }
-                let (unit, net) = (pair * 4096 + u32::from(panel.parts[place]), f64::from(net[place] / panel.pixels[place] as f32));
+                let (unit, net) = (
+                    pair * 4096 + u32::from(panel.parts[place]),
+                    f64::from(net[place] / panel.pixels[place] as f32),
+                );
                 let (rows, net) = if change > 0.0 { (&mut found.up, net) } else { (&mut found.down, -net) };
                 rows.push(Row { unit, net, change: change.abs() });
             }
@@ -152,7 +162,10 @@ fn huber(rows: &[Row]) -> Option<(Vec<f64>, f64)> {
         let mut sizes: Vec<f64> = left.iter().map(|left| left.abs()).collect();
         sizes.sort_by(f64::total_cmp);
         sigma = 1.4826 * sizes[sizes.len() / 2];
-        weights = left.iter().map(|left| if left.abs() <= HUBER * sigma { 1.0 } else { HUBER * sigma / left.abs() }).collect();
+        weights = left
+            .iter()
+            .map(|left| if left.abs() <= HUBER * sigma { 1.0 } else { HUBER * sigma / left.abs() })
+            .collect();
     }
     Some((weights, sigma))
 }
@@ -168,8 +181,9 @@ pub struct StepGains {
     pub measured: usize,
 }
 
-/// Gains of other thresholds than `stated` (ON, OFF): events for a change of frames, fitted on half of the picture's parts and judged on the other, both ways, with normal errors whose
-/// size is that of the half that is fitted. None where too few bright places changed.
+/// Gains of other thresholds than `stated` (ON, OFF): events for a change of frames, fitted on half of the
+/// picture's parts and judged on the other, both ways, with normal errors whose size is that of the half that
+/// is fitted. None where too few bright places changed.
 pub fn step_gains(panel: &Panel, offset_ns: f64, stated: (f64, f64)) -> Option<StepGains> {
     let Rows { up, down, .. } = rows(panel, offset_ns);
     if up.len() < FEWEST || down.len() < FEWEST {
@@ -182,21 +196,36 @@ pub fn step_gains(panel: &Panel, offset_ns: f64, stated: (f64, f64)) -> Option<S
         // Weighted sums of the fitted half: 1, change, events, change squared, change times events.
         let sums = |(rows, weights, _): &(&Vec<Row>, Vec<f64>, f64)| {
             let mut total = [0.0; 5];
-            rows.iter().zip(weights).filter(|(row, _)| side(row) == half).for_each(|(row, weight)| add(&mut total, *weight, &products(row)));
+            rows.iter()
+                .zip(weights)
+                .filter(|(row, _)| side(row) == half)
+                .for_each(|(row, weight)| add(&mut total, *weight, &products(row)));
             total
         };
         let fitted = [sums(&ways[0]), sums(&ways[1])];
-        let centred = |[n, change, events, squares, products]: Sums| (products - change * events / n, squares - change * change / n);
+        let centred = |[n, change, events, squares, products]: Sums| {
+            (products - change * events / n, squares - change * change / n)
+        };
         let (up, down) = (centred(fitted[0]), centred(fitted[1]));
-        let factor = (ways[0].2 * up.0 + ways[1].2 * down.0) / (ways[0].2 * ways[0].2 * up.1 + ways[1].2 * ways[1].2 * down.1);
-        let slopes = [[ways[0].2, ways[1].2], [factor * ways[0].2, factor * ways[1].2], [up.0 / up.1, down.0 / down.1]];
+        let factor = (ways[0].2 * up.0 + ways[1].2 * down.0)
+            / (ways[0].2 * ways[0].2 * up.1 + ways[1].2 * ways[1].2 * down.1);
+        let slopes = [
+            [ways[0].2, ways[1].2],
+            [factor * ways[0].2, factor * ways[1].2],
+            [up.0 / up.1, down.0 / down.1],
+        ];
         for (found, slopes) in found.iter_mut().zip(slopes) {
-            for ((rows, weights, _), (slope, [n, change, events, ..])) in ways.iter().zip(slopes.into_iter().zip(fitted)) {
+            for ((rows, weights, _), (slope, [n, change, events, ..])) in
+                ways.iter().zip(slopes.into_iter().zip(fitted))
+            {
                 let none = (events - slope * change) / n;
-                let square = |row: &Row| (row.net - none - slope * row.change) * (row.net - none - slope * row.change);
+                let square =
+                    |row: &Row| (row.net - none - slope * row.change) * (row.net - none - slope * row.change);
                 let of = |which: usize| {
                     let chosen = rows.iter().zip(weights).filter(move |(row, _)| side(row) == which);
-                    chosen.fold((0.0, 0.0), |(count, sum), (row, weight)| (count + weight, sum + weight * square(row)))
+                    chosen.fold((0.0, 0.0), |(count, sum), (row, weight)| {
+                        (count + weight, sum + weight * square(row))
+                    })
                 };
                 let variance = (of(half).1 / n).max(1e-12);
                 let (count, left) = of(1 - half);

@@ -1,4 +1,5 @@
-//! Recordings with known truth, made by the simulator: textures that move over a small array, frames that are true means of the light.
+//! Recordings with known truth, made by the simulator: textures that move over a small array, frames that are
+//! true means of the light.
 
 use super::*;
 use crate::forward::{LinearLight, Noiseless, Pixel, simulate_events};
@@ -29,12 +30,24 @@ struct Made {
     noise: f64,
 }
 
-const PLAIN: Made = Made { on: 0.2, off: 0.2, late_ns: 0, drift_ns_per_s: 0.0, exposure_ns: 2_000_000, row_time_ns: 0, speed: 250.0, alpha_s: 0.0, noise: 0.0 };
+const PLAIN: Made = Made {
+    on: 0.2,
+    off: 0.2,
+    late_ns: 0,
+    drift_ns_per_s: 0.0,
+    exposure_ns: 2_000_000,
+    row_time_ns: 0,
+    speed: 250.0,
+    alpha_s: 0.0,
+    noise: 0.0,
+};
 
 /// Logarithm of the light: waves that drift, of several lengths so that nothing repeats from frame to frame.
 fn log_light(made: &Made, x: f64, y: f64, t_ns: f64) -> f64 {
     let x = x - made.speed * t_ns * 1e-9;
-    1.0 + 0.55 * libm::sin(0.41 * x + 0.23 * y) + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0) + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
+    1.0 + 0.55 * libm::sin(0.41 * x + 0.23 * y)
+        + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0)
+        + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
 }
 
 /// Events and frames; with `states` the front end is stated.
@@ -58,9 +71,11 @@ fn stated(made: Made, states: bool) -> Panel {
     for y in 0..HEIGHT {
         for x in 0..WIDTH {
             let place = (y * WIDTH + x) as usize;
-            let light: Vec<f64> = t_ns.iter().map(|t| libm::exp(log_light(&made, x.into(), y.into(), *t as f64))).collect();
+            let light: Vec<f64> =
+                t_ns.iter().map(|t| libm::exp(log_light(&made, x.into(), y.into(), *t as f64))).collect();
             let mut events: Vec<(i64, bool)> = Vec::new();
-            for event in simulate_events(&pixel, &LinearLight::new(&t_ns, &light), 0, end_ns, &mut Noiseless) {
+            for event in simulate_events(&pixel, &LinearLight::new(&t_ns, &light), 0, end_ns, &mut Noiseless)
+            {
                 let wander = (made.noise * PERIOD_NS as f64 * random.normal()) as i64;
                 if random.uniform() >= made.noise {
                     events.push((event.t_in_ns + wander, event.polarity > 0));
@@ -77,7 +92,8 @@ fn stated(made: Made, states: bool) -> Panel {
             for (frame, mid) in mids.iter().enumerate() {
                 let start = (mid - made.exposure_ns / 2 + i64::from(y) * made.row_time_ns) as f64;
                 let instants = (0..40).map(|n| start + (f64::from(n) + 0.5) / 40.0 * made.exposure_ns as f64);
-                let mean = instants.map(|t| libm::exp(log_light(&made, x.into(), y.into(), t)) / 40.0).sum::<f64>();
+                let mean =
+                    instants.map(|t| libm::exp(log_light(&made, x.into(), y.into(), t)) / 40.0).sum::<f64>();
                 stretch.frame_mut(frame)[place] = libm::log(mean) as f32;
             }
         }
@@ -85,7 +101,9 @@ fn stated(made: Made, states: bool) -> Panel {
     late.extend(centring.rest().map(|(place, t, is_on)| (t, place, is_on)));
     if states {
         // Frames read the photocurrent itself.
-        let delay = Delay::new(FrontEnd { tau_0_s: 0.0, alpha_s: made.alpha_s }, 1.0, 1e9, 0.5 * PERIOD_NS as f64).unwrap();
+        let delay =
+            Delay::new(FrontEnd { tau_0_s: 0.0, alpha_s: made.alpha_s }, 1.0, 1e9, 0.5 * PERIOD_NS as f64)
+                .unwrap();
         (0..FRAMES).for_each(|frame| stretch.delay(frame, |log| delay.ns(libm::exp(f64::from(log)))));
     }
     for (t, place, is_on) in late {
@@ -114,17 +132,20 @@ fn near(found: &Estimate, truth: f64, slack: f64, widest: f64) {
 fn late_events_are_as_late_as_they_were_made() {
     for late_ns in [0, 6_000_000, -3_500_000] {
         let found = offset(&panel(Made { late_ns, ..PLAIN })).unwrap();
-        // An event every three milliseconds or so: a tenth of that is the step that a shift can be reported from.
+        // An event every three milliseconds or so: a tenth of that is the step that a shift can be reported
+        // from.
         near(&found.ns, late_ns as f64, 300_000.0, 1_000_000.0);
         assert!(found.correlation > 0.9, "{found:?}");
     }
 }
 
-/// tau = alpha / i: 1 to 11 ms for a photocurrent of 0.9 to 9. Of light that goes up and down that fast a part of it is not certain.
+/// tau = alpha / i: 1 to 11 ms for a photocurrent of 0.9 to 9. Of light that goes up and down that fast a
+/// part of it is not certain.
 #[test]
 fn the_delay_of_a_stated_front_end_is_subtracted() {
     let slow = Made { alpha_s: 10e-3, ..PLAIN };
-    let (unknown, known) = (offset(&stated(slow, false)).unwrap().ns, offset(&stated(slow, true)).unwrap().ns);
+    let (unknown, known) =
+        (offset(&stated(slow, false)).unwrap().ns, offset(&stated(slow, true)).unwrap().ns);
     assert!(unknown.value > 2e6 && known.value.abs() < 0.5 * unknown.value, "{unknown:?} {known:?}");
     // What is late beyond it is left.
     let late = offset(&stated(Made { late_ns: 3_000_000, ..slow }, true)).unwrap().ns;
@@ -151,7 +172,12 @@ fn nothing_that_moves_gives_no_offset() {
 fn clocks_that_drift_apart_do_so_at_their_rate() {
     let found = drift(&panel(Made { drift_ns_per_s: 30e6, ..PLAIN })).unwrap();
     near(&found.ns_per_s, 30e6, 8e6, 40e6);
-    assert!(found.halves_ns_per_s.0 > 15e6 && found.halves_ns_per_s.1 > 15e6 && found.correlation > found.correlation_at_none, "{found:?}");
+    assert!(
+        found.halves_ns_per_s.0 > 15e6
+            && found.halves_ns_per_s.1 > 15e6
+            && found.correlation > found.correlation_at_none,
+        "{found:?}"
+    );
     let none = drift(&panel(PLAIN)).unwrap();
     assert!(none.ns_per_s.holds(0.0) || none.ns_per_s.value.abs() < 6e6, "{none:?}");
 }
@@ -178,10 +204,14 @@ fn the_exposure_that_blurred_the_frames_is_found() {
         let found = exposure(&panel(made), (0.1, 0.1), &exactly(0.0)).unwrap();
         near(&found, exposure_ns as f64, 1_000_000.0, 6_000_000.0);
     }
-    assert_eq!(exposure(&panel(Made { speed: 0.0, ..PLAIN }), (0.2, 0.2), &exactly(0.0)), Err(Unclear::NoChange));
+    assert_eq!(
+        exposure(&panel(Made { speed: 0.0, ..PLAIN }), (0.2, 0.2), &exactly(0.0)),
+        Err(Unclear::NoChange)
+    );
 }
 
-/// A mean over any time smooths noise: without the limit on what a length must explain, these give some five to thirteen milliseconds.
+/// A mean over any time smooths noise: without the limit on what a length must explain, these give some five
+/// to thirteen milliseconds.
 #[test]
 fn noise_of_events_is_no_blur() {
     for (noise, speed) in [(0.1, 120.0), (0.1, 400.0), (0.3, 250.0)] {
@@ -196,8 +226,8 @@ fn noise_widens_an_offset_and_does_not_move_it() {
     near(&found.ns, 4_000_000.0, 700_000.0, 3_000_000.0);
 }
 
-/// Thresholds and offset as the recording itself gives them, events with noise, speeds and textures that no limit was chosen on: the interval holds the truth, or none
-/// is given.
+/// Thresholds and offset as the recording itself gives them, events with noise, speeds and textures that no
+/// limit was chosen on: the interval holds the truth, or none is given.
 #[test]
 fn an_exposure_is_covered_or_not_given() {
     let mut given = 0;
@@ -219,7 +249,8 @@ fn an_exposure_is_covered_or_not_given() {
     assert!(given >= 1, "{given} of five");
 }
 
-/// Dark places with frames of whole steps and pixels that lose half of their events: what a fit over all places would take for thresholds twice as large.
+/// Dark places with frames of whole steps and pixels that lose half of their events: what a fit over all
+/// places would take for thresholds twice as large.
 #[test]
 fn dark_places_that_lose_events_do_not_move_thresholds() {
     let mut panel = panel(PLAIN);
@@ -233,7 +264,11 @@ fn dark_places_that_lose_events_do_not_move_thresholds() {
             *log = libm::log(libm::fmax(steps, 0.5) * libm::exp(2.15) / 255.0) as f32;
         }
         for counts in [&mut stretch.on, &mut stretch.off] {
-            counts.iter_mut().skip(place).step_by(places).for_each(|count| *count = if random.uniform() < 0.5 { 0 } else { *count });
+            counts
+                .iter_mut()
+                .skip(place)
+                .step_by(places)
+                .for_each(|count| *count = if random.uniform() < 0.5 { 0 } else { *count });
         }
     }
     let found = thresholds(&panel, 0.0).unwrap();

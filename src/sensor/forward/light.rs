@@ -1,13 +1,15 @@
 //! Light on one pixel: photocurrents at instants, linear between them.
 //!
-//! Linear pieces keep the exposure integral exact and let the front end answer in closed form. Effects that change the light of the event
-//! path are applied at the instants; one that bends straight light says how finely it must be cut.
+//! Linear pieces keep the exposure integral exact and let the front end answer in closed form. Effects that
+//! change the light of the event path are applied at the instants; one that bends straight light says how
+//! finely it must be cut.
 
 use crate::effects::{Effect, Site};
 use photocurrent_core::Exposure;
 use std::borrow::Cow;
 
-/// Light on one pixel: photocurrent at instants, linear between them, constant before the first and after the last.
+/// Light on one pixel: photocurrent at instants, linear between them, constant before the first and after the
+/// last.
 #[derive(Clone, Copy, Debug)]
 pub struct LinearLight<'a> {
     pub(super) t_ns: &'a [i64],
@@ -19,12 +21,19 @@ impl<'a> LinearLight<'a> {
     ///
     /// # Panics
     ///
-    /// When the slices are empty or differ in length, the instants do not increase, or a photocurrent is not positive
-    /// and finite: its logarithm is needed everywhere.
+    /// When the slices are empty or differ in length, the instants do not increase, or a photocurrent is not
+    /// positive and finite: its logarithm is needed everywhere.
     pub fn new(t_ns: &'a [i64], photocurrent: &'a [f64]) -> Self {
-        assert!(!t_ns.is_empty() && t_ns.len() == photocurrent.len(), "light has one photocurrent per instant");
+        assert!(
+            !t_ns.is_empty() && t_ns.len() == photocurrent.len(),
+            "light has one photocurrent per \
+                                                            instant"
+        );
         assert!(t_ns.is_sorted_by(|before, after| before < after), "instants of light increase");
-        assert!(photocurrent.iter().all(|&i| i > 0.0 && i.is_finite()), "photocurrent is positive and finite");
+        assert!(
+            photocurrent.iter().all(|&i| i > 0.0 && i.is_finite()),
+            "photocurrent is positive and finite"
+        );
         LinearLight { t_ns, photocurrent }
     }
 
@@ -61,7 +70,8 @@ impl<'a> LinearLight<'a> {
     }
 }
 
-/// One linear piece of light; the piece before the first instant and the one after the last are constant and without end.
+/// One linear piece of light; the piece before the first instant and the one after the last are constant and
+/// without end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Piece {
     /// Where it starts and ends; the far end of an endless piece is the largest (smallest) time.
@@ -90,9 +100,18 @@ impl LinearLight<'_> {
         let before = after.saturating_sub(1);
         let start_ns = if after == 0 { i64::MIN } else { self.t_ns[before] };
         match self.t_ns.get(after) {
-            Some(&end_ns) if after > 0 => Piece { start_ns, end_ns, first: self.photocurrent[before], last: self.photocurrent[after] },
-            Some(&end_ns) => Piece { start_ns, end_ns, first: self.photocurrent[0], last: self.photocurrent[0] },
-            None => Piece { start_ns, end_ns: i64::MAX, first: self.photocurrent[before], last: self.photocurrent[before] },
+            Some(&end_ns) if after > 0 => {
+                Piece { start_ns, end_ns, first: self.photocurrent[before], last: self.photocurrent[after] }
+            }
+            Some(&end_ns) => {
+                Piece { start_ns, end_ns, first: self.photocurrent[0], last: self.photocurrent[0] }
+            }
+            None => Piece {
+                start_ns,
+                end_ns: i64::MAX,
+                first: self.photocurrent[before],
+                last: self.photocurrent[before],
+            },
         }
     }
 }
@@ -110,9 +129,18 @@ impl<'a> EventLight<'a> {
     /// # Panics
     ///
     /// When an effect makes a photocurrent that is not positive.
-    pub(super) fn new(effects: &[Box<dyn Effect>], site: &Site, light: LinearLight<'a>, start_ns: i64, end_ns: i64) -> EventLight<'a> {
+    pub(super) fn new(
+        effects: &[Box<dyn Effect>],
+        site: &Site,
+        light: LinearLight<'a>,
+        start_ns: i64,
+        end_ns: i64,
+    ) -> EventLight<'a> {
         if effects.is_empty() {
-            return EventLight { t_ns: Cow::Borrowed(light.t_ns), photocurrent: Cow::Borrowed(light.photocurrent) };
+            return EventLight {
+                t_ns: Cow::Borrowed(light.t_ns),
+                photocurrent: Cow::Borrowed(light.photocurrent),
+            };
         }
         let t_ns = match effects.iter().filter_map(|effect| effect.light_step_ns()).min() {
             Some(step_ns) => Cow::Owned(refined(light.t_ns, step_ns.max(1), start_ns, end_ns)),
@@ -126,7 +154,10 @@ impl<'a> EventLight<'a> {
             effects.iter().fold(light.between(after, t), |i, effect| effect.event_light(site, t, i))
         };
         let photocurrent: Vec<f64> = t_ns.iter().map(seen).collect();
-        assert!(photocurrent.iter().all(|&i| i > 0.0 && i.is_finite()), "photocurrent is positive and finite");
+        assert!(
+            photocurrent.iter().all(|&i| i > 0.0 && i.is_finite()),
+            "photocurrent is positive and finite"
+        );
         EventLight { t_ns, photocurrent: Cow::Owned(photocurrent) }
     }
 

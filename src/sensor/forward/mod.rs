@@ -1,22 +1,24 @@
 //! The sensor forward: light on one pixel goes in, events and frame values come out.
 //!
-//! The chain is the one that the inverse model undoes: photocurrent, logarithm, low-pass, comparator, in-pixel stamp,
-//! readout latency, off-pixel stamp, refractory period, new reference. In contrast to the inverse model nothing is
-//! extrapolated: the voltage really moves while the pixel is blind, and the reference is taken at the end.
-//! Effects ([`crate::effects`]) enter at every place of the chain; without any, the chain is the paper's.
+//! The chain is the one that the inverse model undoes: photocurrent, logarithm, low-pass, comparator,
+//! in-pixel stamp, readout latency, off-pixel stamp, refractory period, new reference. In contrast to the
+//! inverse model nothing is extrapolated: the voltage really moves while the pixel is blind, and the
+//! reference is taken at the end. Effects ([`crate::effects`]) enter at every place of the chain; without
+//! any, the chain is the paper's.
 //!
-//! Light is given at instants and is linear between them. Each piece is cut into steps by how much `ln i` changes; within a step
-//! the voltage has a closed form (`steps`) and the instant of a crossing is solved for, not rounded to the step. Halving
-//! `log_step` divides the error by eight.
-//! Front ends without a closed form are integrated with error control instead (`numeric`).
+//! Light is given at instants and is linear between them. Each piece is cut into steps by how much `ln i`
+//! changes; within a step the voltage has a closed form (`steps`) and the instant of a crossing is solved
+//! for, not rounded to the step. Halving `log_step` divides the error by eight. Front ends without a closed
+//! form are integrated with error control instead (`numeric`).
 //!
-//! - [`LinearLight`]: the light. [`Chain`]: the pixel, its reset rule and its effects. [`simulate`]: events. [`simulate_events`]: the same
-//!   for the paper's pixel.
+//! - [`LinearLight`]: the light. [`Chain`]: the pixel, its reset rule and its effects. [`simulate`]: events.
+//!   [`simulate_events`]: the same for the paper's pixel.
 //! - [`read_frames`]: digital numbers of one pixel. [`neighbours`]: light that comes from other pixels.
 //!
-//! Source: Eqs. (1)-(5) and Section 3; `V_ref` is latched at `t_off + t_rp` ("resample" reset), or moves by one threshold ("advance").
-//! Limits: one pixel, so a queue on the readout bus needs further passes ([`crate::effects::Effect::informed`]); no shot noise of the
-//! photocurrent: noise enters as a threshold that varies per event and as events without a crossing.
+//! Source: Eqs. (1)-(5) and Section 3; `V_ref` is latched at `t_off + t_rp` ("resample" reset), or moves by
+//! one threshold ("advance"). Limits: one pixel, so a queue on the readout bus needs further passes
+//! ([`crate::effects::Effect::informed`]); no shot noise of the photocurrent: noise enters as a threshold
+//! that varies per event and as events without a crossing.
 //!
 //! # Example
 //!
@@ -54,7 +56,8 @@ use crate::effects::Site;
 use crate::front_end::FrontEnd;
 use photocurrent_core::sensor::Reset;
 
-/// The usual step: a crossing is then exact to a part in 100,000 of the time that the light takes for the step, some nanoseconds.
+/// The usual step: a crossing is then exact to a part in 100,000 of the time that the light takes for the
+/// step, some nanoseconds.
 pub const LOG_STEP: f64 = 0.025;
 
 /// What the simulated pixel is made of.
@@ -72,7 +75,8 @@ pub struct Pixel {
     pub latency_spread_ns: f64,
     /// Refractory period after `t_off`, nanoseconds, not negative.
     pub refractory_ns: i64,
-    /// The most by which ln i changes over one step of the low-pass, positive; [`LOG_STEP`] unless errors are studied.
+    /// The most by which ln i changes over one step of the low-pass, positive; [`LOG_STEP`] unless errors are
+    /// studied.
     pub log_step: f64,
 }
 
@@ -95,15 +99,22 @@ pub struct Noiseless;
 
 impl PixelNoise for Noiseless {}
 
-/// The events of one pixel of the paper's model from `start_ns` to `end_ns`, in time order: [`simulate`] without effects.
+/// The events of one pixel of the paper's model from `start_ns` to `end_ns`, in time order: [`simulate`]
+/// without effects.
 ///
-/// The pixel starts settled (Eq. 6), armed, and with the reference at its voltage. Events whose `t_in` lies in the
-/// span are put out even when their `t_off` does not.
+/// The pixel starts settled (Eq. 6), armed, and with the reference at its voltage. Events whose `t_in` lies
+/// in the span are put out even when their `t_off` does not.
 ///
 /// # Panics
 ///
 /// When `log_step` is not positive.
-pub fn simulate_events(pixel: &Pixel, light: &LinearLight<'_>, start_ns: i64, end_ns: i64, noise: &mut impl PixelNoise) -> Vec<PixelEvent> {
+pub fn simulate_events(
+    pixel: &Pixel,
+    light: &LinearLight<'_>,
+    start_ns: i64,
+    end_ns: i64,
+    noise: &mut impl PixelNoise,
+) -> Vec<PixelEvent> {
     let chain = Chain { pixel: *pixel, reset: Reset::Resample, effects: &[], tolerance: TOLERANCE };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
     simulate(&chain, &site, light, start_ns, end_ns, noise).into_iter().map(|fired| fired.event).collect()

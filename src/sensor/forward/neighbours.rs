@@ -1,14 +1,18 @@
-//! Light that comes from other pixels: the kernels of effects, applied to a plane of photocurrents at one instant.
+//! Light that comes from other pixels: the kernels of effects, applied to a plane of photocurrents at one
+//! instant.
 //!
-//! Kernels follow one another in the order of the catalogue. Beyond the edge of the plane the nearest pixel stands in, so a band of rows
-//! gives the values of the whole array when it carries [`halo`] rows more on each inner side.
+//! Kernels follow one another in the order of the catalogue. Beyond the edge of the plane the nearest pixel
+//! stands in, so a band of rows gives the values of the whole array when it carries [`halo`] rows more on
+//! each inner side.
 
 use crate::effects::{Domain, Effect, Kernel, Tap};
 use crate::elementary::{exp, ln};
 
 /// How many pixels away the light of the event path may come from.
 pub fn halo(effects: &[Box<dyn Effect>]) -> u32 {
-    let reach = |kernel: Kernel| kernel.taps.iter().map(|tap| tap.dx.unsigned_abs().max(tap.dy.unsigned_abs())).max().unwrap_or(0);
+    let reach = |kernel: Kernel| {
+        kernel.taps.iter().map(|tap| tap.dx.unsigned_abs().max(tap.dy.unsigned_abs())).max().unwrap_or(0)
+    };
     effects.iter().filter_map(|effect| effect.kernel()).map(reach).sum()
 }
 
@@ -55,8 +59,13 @@ pub fn mixed(kernel: &Kernel, light: impl Fn(&Tap) -> f64) -> f64 {
     }
 }
 
-/// The logarithm of the weighted sum at `count` instants; `log_light` appends the log light of a tap at each of them.
-pub(crate) fn mixed_log(kernel: &Kernel, count: usize, mut log_light: impl FnMut(&Tap, &mut Vec<f64>)) -> Vec<f64> {
+/// The logarithm of the weighted sum at `count` instants; `log_light` appends the log light of a tap at each
+/// of them.
+pub(crate) fn mixed_log(
+    kernel: &Kernel,
+    count: usize,
+    mut log_light: impl FnMut(&Tap, &mut Vec<f64>),
+) -> Vec<f64> {
     let (mut sum, mut log) = (vec![0.0; count], Vec::with_capacity(count));
     for tap in &kernel.taps {
         log.clear();

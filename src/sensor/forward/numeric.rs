@@ -1,18 +1,19 @@
 //! The front end that has no closed form: second pole, exponential transistor, slew limits, high-pass.
 //!
-//! Three states in a cascade: the low-pass `v1`, the second pole `v2`, the level `h` that a high-pass subtracts. They are stiff
-//! (microseconds and milliseconds), so the method is implicit: Rodas3, a Rosenbrock method of order 3 that is L-stable and needs no
-//! iteration (Sandu et al., "Benchmarking stiff ODE solvers II", 1997); the Jacobian is triangular. Steps are chosen
-//! so that the estimated error stays below a tolerance, [`TOLERANCE`] unless a caller asks for less. Inside a step the state is the same method with a shorter step, so a crossing
-//! time is as good as the integration itself, not as an interpolation.
+//! Three states in a cascade: the low-pass `v1`, the second pole `v2`, the level `h` that a high-pass
+//! subtracts. They are stiff (microseconds and milliseconds), so the method is implicit: Rodas3, a Rosenbrock
+//! method of order 3 that is L-stable and needs no iteration (Sandu et al., "Benchmarking stiff ODE solvers
+//! II", 1997); the Jacobian is triangular. Steps are chosen so that the estimated error stays below a
+//! tolerance, [`TOLERANCE`] unless a caller asks for less. Inside a step the state is the same method with a
+//! shorter step, so a crossing time is as good as the integration itself, not as an interpolation.
 //!
 //! Limits: time constants below [`TAU_LEAST_S`] are taken as that; it is far below a stamp's resolution.
 
 use super::response::Response;
 use crate::effects::{Drive, FrontEndModel};
 
-/// Error allowed per step, natural-log units. At a slope of 1 ln/s this moves a crossing by 0.1 us; the solution carried on
-/// is one order better than the estimate.
+/// Error allowed per step, natural-log units. At a slope of 1 ln/s this moves a crossing by 0.1 us; the
+/// solution carried on is one order better than the estimate.
 pub const TOLERANCE: f64 = 1e-7;
 
 /// The shortest time constant, seconds.
@@ -64,10 +65,19 @@ impl System<'_> {
         let tau_s = f64::max(low_pass.tau_0_s + low_pass.alpha_s / i, TAU_LEAST_S);
         let per_light = -self.slope_per_s / (i * i);
         let (tau_2_s, tau_2_rate) = match self.model.second_pole {
-            Some(pole) => (f64::max(pole.tau_s + pole.tau_light_s / i, TAU_LEAST_S), pole.tau_light_s * per_light),
+            Some(pole) => {
+                (f64::max(pole.tau_s + pole.tau_light_s / i, TAU_LEAST_S), pole.tau_light_s * per_light)
+            }
             None => (1.0, 0.0),
         };
-        Drives { settled: libm::log(i), settled_per_s: self.slope_per_s / i, tau_s, tau_rate: low_pass.alpha_s * per_light, tau_2_s, tau_2_rate }
+        Drives {
+            settled: libm::log(i),
+            settled_per_s: self.slope_per_s / i,
+            tau_s,
+            tau_rate: low_pass.alpha_s * per_light,
+            tau_2_s,
+            tau_2_rate,
+        }
     }
 
     fn rates(&self, at: &Drives, y: &State) -> Rates {
@@ -93,7 +103,11 @@ impl System<'_> {
 
     /// What the comparator sees of a state or, as it is linear, of its rates.
     pub(super) fn output(&self, y: &State) -> f64 {
-        if self.model.high_pass_s.is_finite() { self.before_high_pass(y) - y[2] } else { self.before_high_pass(y) }
+        if self.model.high_pass_s.is_finite() {
+            self.before_high_pass(y) - y[2]
+        } else {
+            self.before_high_pass(y)
+        }
     }
 
     /// The output's rate of change.
@@ -106,7 +120,8 @@ impl System<'_> {
         let (here, there) = (self.drives(t_s), self.drives(t_s + h));
         let start = self.rates(&here, y);
         let has_second = self.model.second_pole.is_some();
-        // Jacobian rows: [j11, 0, 0], [1, -1, 0] / tau_2, [0, 1, -1] / tau_h (or [1, 0, -1] without a second pole).
+        // Jacobian rows: [j11, 0, 0], [1, -1, 0] / tau_2, [0, 1, -1] / tau_h (or [1, 0, -1] without a second
+        // pole).
         let to_second = if has_second { 1.0 / here.tau_2_s } else { 0.0 };
         let to_level = 1.0 / self.model.high_pass_s;
         let diagonal = 1.0 / (h * GAMMA);
@@ -118,23 +133,34 @@ impl System<'_> {
         };
         let f2_t = if has_second { -start.f[1] * here.tau_2_rate / here.tau_2_s } else { 0.0 };
         let in_time = [h * start.f1_t, h * f2_t, 0.0];
-        let of = |f: &State, terms: &[(f64, &State)]| -> State { std::array::from_fn(|n| f[n] + terms.iter().map(|(weight, k)| weight * k[n]).sum::<f64>()) };
+        let of = |f: &State, terms: &[(f64, &State)]| -> State {
+            std::array::from_fn(|n| f[n] + terms.iter().map(|(weight, k)| weight * k[n]).sum::<f64>())
+        };
         let k1 = solve(of(&start.f, &[(0.5, &in_time)]));
         let k2 = solve(of(&start.f, &[(4.0 / h, &k1), (1.5, &in_time)]));
         let y3 = of(y, &[(2.0, &k1)]);
         let k3 = solve(of(&self.rates(&there, &y3).f, &[(1.0 / h, &k1), (-1.0 / h, &k2)]));
         let y4 = of(&y3, &[(1.0, &k3)]);
-        let k4 = solve(of(&self.rates(&there, &y4).f, &[(1.0 / h, &k1), (-1.0 / h, &k2), (-8.0 / 3.0 / h, &k3)]));
+        let k4 =
+            solve(of(&self.rates(&there, &y4).f, &[(1.0 / h, &k1), (-1.0 / h, &k2), (-8.0 / 3.0 / h, &k3)]));
         let error = k4.iter().fold(0.0, |most, k| f64::max(most, k.abs()));
         (of(&y4, &[(1.0, &k4)]), error)
     }
 
-    /// A step from `t_s`, at most `most_s` long, whose error is within the tolerance; `guess_s` becomes the guess for the next one.
-    pub(super) fn controlled_step(&self, t_s: f64, y: &State, most_s: f64, guess_s: &mut f64) -> (State, f64) {
+    /// A step from `t_s`, at most `most_s` long, whose error is within the tolerance; `guess_s` becomes the
+    /// guess for the next one.
+    pub(super) fn controlled_step(
+        &self,
+        t_s: f64,
+        y: &State,
+        most_s: f64,
+        guess_s: &mut f64,
+    ) -> (State, f64) {
         let mut h = f64::min(*guess_s, most_s);
         loop {
             let (end, error) = self.step(t_s, y, h);
-            let factor = if error == 0.0 { 5.0 } else { (0.9 * libm::cbrt(self.tolerance / error)).clamp(0.2, 5.0) };
+            let factor =
+                if error == 0.0 { 5.0 } else { (0.9 * libm::cbrt(self.tolerance / error)).clamp(0.2, 5.0) };
             if error <= self.tolerance || h <= STEP_LEAST_S {
                 // A step cut short by the end of the light's piece says little about the next one.
                 let was_cut_short = h < *guess_s;
@@ -160,10 +186,22 @@ pub(super) struct NumericResponse<'a> {
 }
 
 impl<'a> NumericResponse<'a> {
-    /// The step of `system` from `start` at `t_s` to `end` over `length_s`, with the drift of the comparator's input.
-    pub(super) fn new(system: System<'a>, t_s: f64, start: State, end: &State, length_s: f64, drift: f64, drift_per_s: f64) -> Self {
+    /// The step of `system` from `start` at `t_s` to `end` over `length_s`, with the drift of the
+    /// comparator's input.
+    pub(super) fn new(
+        system: System<'a>,
+        t_s: f64,
+        start: State,
+        end: &State,
+        length_s: f64,
+        drift: f64,
+        drift_per_s: f64,
+    ) -> Self {
         let first = (system.output(&start) + drift, system.output_rate(t_s, &start) + drift_per_s);
-        let last = (system.output(end) + drift + drift_per_s * length_s, system.output_rate(t_s + length_s, end) + drift_per_s);
+        let last = (
+            system.output(end) + drift + drift_per_s * length_s,
+            system.output_rate(t_s + length_s, end) + drift_per_s,
+        );
         NumericResponse { system, t_s, start, length_s, drift, drift_per_s, ends: [first, last] }
     }
 }
@@ -171,7 +209,11 @@ impl<'a> NumericResponse<'a> {
 impl Response for NumericResponse<'_> {
     fn value(&self, t_s: f64) -> f64 {
         let drift = self.drift + self.drift_per_s * t_s;
-        if t_s <= 0.0 { self.ends[0].0 } else { self.system.output(&self.system.step(self.t_s, &self.start, t_s).0) + drift }
+        if t_s <= 0.0 {
+            self.ends[0].0
+        } else {
+            self.system.output(&self.system.step(self.t_s, &self.start, t_s).0) + drift
+        }
     }
 
     /// The turning points of the cubic with the same values and slopes at the ends.
@@ -179,7 +221,8 @@ impl Response for NumericResponse<'_> {
         let [(u0, r0), (u1, r1)] = self.ends;
         let h = self.length_s;
         // Slope of the cubic in s = t / h: a s^2 + b s + c.
-        let (a, b, c) = (3.0 * (2.0 * (u0 - u1) + h * (r0 + r1)), 2.0 * (3.0 * (u1 - u0) - h * (2.0 * r0 + r1)), h * r0);
+        let (a, b, c) =
+            (3.0 * (2.0 * (u0 - u1) + h * (r0 + r1)), 2.0 * (3.0 * (u1 - u0) - h * (2.0 * r0 + r1)), h * r0);
         let root = libm::sqrt(b * b - 4.0 * a * c);
         let q = -0.5 * (b + if b < 0.0 { -root } else { root });
         let inside = |s: f64| Some(s * h).filter(|&t_s| t_s > from_s && t_s < to_s);

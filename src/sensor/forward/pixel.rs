@@ -7,7 +7,8 @@ use super::steps::Steps;
 use super::{Pixel, PixelNoise};
 use crate::comparator::{fired_polarity, signed_step};
 use crate::effects::{
-    Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous, Thresholds, effect::BURST_GAP_NS, effect::Streams,
+    Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous,
+    Thresholds, effect::BURST_GAP_NS, effect::Streams,
 };
 use crate::elementary;
 use crate::front_end::settled_voltage;
@@ -25,8 +26,8 @@ pub struct Chain<'a> {
     pub reset: Reset,
     /// In the order of the catalogue.
     pub effects: &'a [Box<dyn Effect>],
-    /// Error allowed per step where the front end is integrated by numbers, natural-log units: [`TOLERANCE`](super::TOLERANCE) moves a crossing by
-    /// 0.1 us at 1 ln/s.
+    /// Error allowed per step where the front end is integrated by numbers, natural-log units:
+    /// [`TOLERANCE`](super::TOLERANCE) moves a crossing by 0.1 us at 1 ln/s.
     pub tolerance: f64,
 }
 
@@ -41,15 +42,23 @@ pub struct Fired {
     pub recorded: Option<PixelEvent>,
 }
 
-/// The events of one pixel from `start_ns` to `end_ns`, in order of true in-pixel time; `light` is what falls on it, neighbours' parts included.
+/// The events of one pixel from `start_ns` to `end_ns`, in order of true in-pixel time; `light` is what falls
+/// on it, neighbours' parts included.
 ///
-/// The pixel starts settled, armed, and with the reference at its voltage. `noise` is asked for thresholds and latencies as in
-/// [`super::simulate_events`]; effects draw from streams of their own.
+/// The pixel starts settled, armed, and with the reference at its voltage. `noise` is asked for thresholds
+/// and latencies as in [`super::simulate_events`]; effects draw from streams of their own.
 ///
 /// # Panics
 ///
 /// When `log_step` is not positive, or an effect makes a photocurrent that is not positive.
-pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_ns: i64, end_ns: i64, noise: &mut impl PixelNoise) -> Vec<Fired> {
+pub fn simulate(
+    chain: &Chain<'_>,
+    site: &Site,
+    light: &LinearLight<'_>,
+    start_ns: i64,
+    end_ns: i64,
+    noise: &mut impl PixelNoise,
+) -> Vec<Fired> {
     assert!(chain.pixel.log_step > 0.0, "the step of the simulation is positive");
     let seen = EventLight::new(chain.effects, site, *light, start_ns, end_ns);
     let seen = seen.get();
@@ -57,7 +66,8 @@ pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_n
     let stated = Thresholds { on: chain.pixel.threshold_on, off: chain.pixel.threshold_off };
     let mut leak = Leak::default();
     let (mut impulses, mut spontaneous): (Vec<Impulse>, Vec<Spontaneous>) = (Vec::new(), Vec::new());
-    let mut streams: Vec<Streams> = chain.effects.iter().map(|effect| Streams::new(site, effect.id())).collect();
+    let mut streams: Vec<Streams> =
+        chain.effects.iter().map(|effect| Streams::new(site, effect.id())).collect();
     for (effect, streams) in chain.effects.iter().zip(&mut streams) {
         effect.front_end(site, &mut model);
         let more = effect.leak(site, &stated);
@@ -71,7 +81,11 @@ pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_n
     spontaneous.retain(|event| event.t_ns >= start_ns && event.t_ns < end_ns);
     spontaneous.sort_by_key(|event| event.t_ns);
     let start_voltage = settled_voltage(seen.at(start_ns));
-    let front = if model.is_plain() { Front::Plain(start_voltage) } else { Front::Numeric { state: [start_voltage; 3], guess_s: 1e-7 } };
+    let front = if model.is_plain() {
+        Front::Plain(start_voltage)
+    } else {
+        Front::Numeric { state: [start_voltage; 3], guess_s: 1e-7 }
+    };
     let mut run = Run {
         chain,
         site,
@@ -131,7 +145,8 @@ struct Run<'a, N> {
     noise: &'a mut N,
     streams: Vec<Streams>,
     front: Front,
-    /// Leaks and impulses of the comparator's input so far; the reference is held in the same units, drift included.
+    /// Leaks and impulses of the comparator's input so far; the reference is held in the same units, drift
+    /// included.
     drift: f64,
     reference: f64,
     /// The reference at the last event, and the comparator's input that fired it.
@@ -159,7 +174,11 @@ impl<N: PixelNoise> Run<'_, N> {
                     self.fire(from, event.polarity, value, Cause::Spontaneous);
                 }
             }
-            let limit = [impulses.peek().map(|impulse| impulse.t_ns), spontaneous.peek().map(|event| event.t_ns)].into_iter().flatten().min();
+            let limit =
+                [impulses.peek().map(|impulse| impulse.t_ns), spontaneous.peek().map(|event| event.t_ns)]
+                    .into_iter()
+                    .flatten()
+                    .min();
             let limit = limit.unwrap_or(end_ns).min(end_ns);
             from = match self.front {
                 Front::Plain(_) => {
@@ -185,22 +204,28 @@ impl<N: PixelNoise> Run<'_, N> {
         for n in 0..steps.count {
             let (from_ns, to_ns) = (steps.t_ns[n], steps.t_ns[n + 1]);
             let end = steps.end_voltage(n, voltage);
-            let drift_per_s = if is_leaking { self.leak_per_s(|| from_ns + (to_ns - from_ns) / 2) } else { 0.0 };
+            let drift_per_s =
+                if is_leaking { self.leak_per_s(|| from_ns + (to_ns - from_ns) / 2) } else { 0.0 };
             let drift_end = self.drift + drift_per_s * steps.length_s[n];
             let may_fire = match self.blind_until_ns {
                 Some(until_ns) => until_ns <= to_ns || self.chain.reset == Reset::AdvanceLossy,
                 None => {
-                    let (low, high) = (self.reference - self.thresholds.off, self.reference + self.thresholds.on);
+                    let (low, high) =
+                        (self.reference - self.thresholds.off, self.reference + self.thresholds.on);
                     let ends = [voltage + self.drift, end + drift_end];
                     let (first, last) = (steps.settled[n], steps.settled[n + 1]);
-                    // The voltage runs after the light. While it does so in one direction, a crossing shows at the end; and it stays between
-                    // where it is and where the light goes.
+                    // The voltage runs after the light. While it does so in one direction, a crossing shows
+                    // at the end; and it stays between where it is and where the light goes.
                     let is_outside = ends.iter().any(|input| *input >= high || *input <= low);
                     let reach = drift_per_s.abs() * steps.length_s[n];
-                    let [first_slope, last_slope] = steps.end_slopes(n, voltage - first).map(|slope| slope + drift_per_s * steps.length_s[n]);
+                    let [first_slope, last_slope] = steps
+                        .end_slopes(n, voltage - first)
+                        .map(|slope| slope + drift_per_s * steps.length_s[n]);
                     let turns = (first_slope > 0.0) != (last_slope > 0.0);
                     is_outside
-                        || turns && (first.max(last).max(voltage) + self.drift + reach >= high || first.min(last).min(voltage) + self.drift - reach <= low)
+                        || turns
+                            && (first.max(last).max(voltage) + self.drift + reach >= high
+                                || first.min(last).min(voltage) + self.drift - reach <= low)
                 }
             };
             if may_fire {
@@ -219,7 +244,9 @@ impl<N: PixelNoise> Run<'_, N> {
         match &self.front {
             Front::Plain(voltage) => *voltage + self.drift,
             Front::Numeric { state, .. } => {
-                System { model: &self.model, first: 1.0, slope_per_s: 0.0, tolerance: self.chain.tolerance }.output(state) + self.drift
+                System { model: &self.model, first: 1.0, slope_per_s: 0.0, tolerance: self.chain.tolerance }
+                    .output(state)
+                    + self.drift
             }
         }
     }
@@ -236,7 +263,8 @@ impl<N: PixelNoise> Run<'_, N> {
             }
         }
         if self.blind_until_ns.is_none()
-            && let Some(polarity) = fired_polarity(pushed, self.reference, self.thresholds.on, self.thresholds.off)
+            && let Some(polarity) =
+                fired_polarity(pushed, self.reference, self.thresholds.on, self.thresholds.off)
         {
             self.fire(impulse.t_ns, polarity, pushed, Cause::Crossing);
         }
@@ -248,7 +276,12 @@ impl<N: PixelNoise> Run<'_, N> {
         let length_s = (to_ns - from_ns) as f64 / 1e9;
         let first = piece.at(from_ns);
         let model = self.model;
-        let system = System { model: &model, first, slope_per_s: (piece.at(to_ns) - first) / length_s, tolerance: self.chain.tolerance };
+        let system = System {
+            model: &model,
+            first,
+            slope_per_s: (piece.at(to_ns) - first) / length_s,
+            tolerance: self.chain.tolerance,
+        };
         let mut now_s = 0.0;
         while now_s < length_s {
             let (end, step_s) = system.controlled_step(now_s, &state, length_s - now_s, &mut guess_s);
@@ -291,7 +324,9 @@ impl<N: PixelNoise> Run<'_, N> {
                 }
             }
             let Thresholds { on, off } = self.thresholds;
-            let Some((fired_s, polarity)) = response.first_crossing((now_s, value), length_s, self.reference, on, off) else {
+            let Some((fired_s, polarity)) =
+                response.first_crossing((now_s, value), length_s, self.reference, on, off)
+            else {
                 break;
             };
             let is_late = fired_s == now_s;
@@ -300,7 +335,8 @@ impl<N: PixelNoise> Run<'_, N> {
             }
             self.fire(origin.nanoseconds_at(fired_s), polarity, value, Cause::Crossing);
             if is_late && self.blind_until_ns.is_none() {
-                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can resolve.
+                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest
+                // that stamps can resolve.
                 now_s += 1e-9;
                 if now_s >= length_s {
                     break;
@@ -310,7 +346,8 @@ impl<N: PixelNoise> Run<'_, N> {
         }
     }
 
-    /// Moves the reference for crossings inside the blind time, without events; gives the instant of the last and the input there.
+    /// Moves the reference for crossings inside the blind time, without events; gives the instant of the last
+    /// and the input there.
     fn lose(&mut self, response: &impl Response, from: (f64, f64), to_s: f64) -> (f64, f64) {
         let mut now = from;
         let Thresholds { on, off } = self.thresholds;
@@ -358,7 +395,9 @@ impl<N: PixelNoise> Run<'_, N> {
             pixel.refractory_ns
         } else {
             let i = self.seen.at(left_ns);
-            effects.fold(pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(self.site, i, refractory_ns))
+            effects.fold(pixel.refractory_ns, |refractory_ns, effect| {
+                effect.refractory_ns(self.site, i, refractory_ns)
+            })
         };
         let armed_ns = left_ns + refractory_ns;
         self.before = self.reference;
@@ -366,7 +405,9 @@ impl<N: PixelNoise> Run<'_, N> {
         self.threshold_offset = self.noise.threshold_offset();
         // Without blind time the reference is the threshold itself: no error adds up from rounded stamps.
         let moved = match cause {
-            Cause::Crossing => self.reference + signed_step(polarity, self.thresholds.on, self.thresholds.off),
+            Cause::Crossing => {
+                self.reference + signed_step(polarity, self.thresholds.on, self.thresholds.off)
+            }
             Cause::Spontaneous => value,
         };
         if armed_ns > t_in_ns {
@@ -385,18 +426,30 @@ impl<N: PixelNoise> Run<'_, N> {
             last.overshoot = ideal - self.fired_value;
         }
         for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
-            self.reference = effect.reference(self.site, &self.history, &mut streams.reference, self.reference, self.before);
+            self.reference = effect.reference(
+                self.site,
+                &self.history,
+                &mut streams.reference,
+                self.reference,
+                self.before,
+            );
         }
         self.draw_thresholds(t_reset_ns);
     }
 
     fn draw_thresholds(&mut self, t_reset_ns: i64) {
         let pixel = &self.chain.pixel;
-        let mut thresholds = Thresholds { on: pixel.threshold_on + self.threshold_offset, off: pixel.threshold_off + self.threshold_offset };
+        let mut thresholds = Thresholds {
+            on: pixel.threshold_on + self.threshold_offset,
+            off: pixel.threshold_off + self.threshold_offset,
+        };
         for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
             effect.thresholds(self.site, &self.history, &mut streams.thresholds, t_reset_ns, &mut thresholds);
         }
-        self.thresholds = Thresholds { on: f64::max(thresholds.on, THRESHOLD_FLOOR), off: f64::max(thresholds.off, THRESHOLD_FLOOR) };
+        self.thresholds = Thresholds {
+            on: f64::max(thresholds.on, THRESHOLD_FLOOR),
+            off: f64::max(thresholds.off, THRESHOLD_FLOOR),
+        };
     }
 }
 

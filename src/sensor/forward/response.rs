@@ -1,7 +1,7 @@
 //! The comparator's input over one step, and where it crosses a threshold.
 //!
-//! A crossing is solved for, never rounded to a step. The plain front end has a closed form ([`super::steps`]), plus a leak that is linear
-//! in time. Other front ends bring their own [`Response`].
+//! A crossing is solved for, never rounded to a step. The plain front end has a closed form
+//! ([`super::steps`]), plus a leak that is linear in time. Other front ends bring their own [`Response`].
 
 use super::steps::{Steps, Weights};
 use crate::comparator::fired_polarity;
@@ -27,8 +27,16 @@ pub(super) trait Response {
         0.0
     }
 
-    /// The first instant from that of `from`, an instant and the input there, to `to_s` at which a threshold is crossed or already exceeded, and the polarity.
-    fn first_crossing(&self, from: (f64, f64), to_s: f64, reference: f64, on: f64, off: f64) -> Option<(f64, i8)> {
+    /// The first instant from that of `from`, an instant and the input there, to `to_s` at which a threshold
+    /// is crossed or already exceeded, and the polarity.
+    fn first_crossing(
+        &self,
+        from: (f64, f64),
+        to_s: f64,
+        reference: f64,
+        on: f64,
+        off: f64,
+    ) -> Option<(f64, i8)> {
         if self.stays_within(reference - off, reference + on) {
             return None;
         }
@@ -69,7 +77,8 @@ pub(super) trait Response {
 
 /// The plain front end over one prepared step, and the drift of the comparator's input.
 ///
-/// The trait's seconds become the share `sigma` of the step's length in time constants: inside the step time is a parabola in sigma.
+/// The trait's seconds become the share `sigma` of the step's length in time constants: inside the step time
+/// is a parabola in sigma.
 pub(super) struct StepResponse {
     /// Voltage above the settled one at the start.
     ahead: f64,
@@ -92,7 +101,14 @@ const SETTLED: f64 = 1e-14;
 
 impl StepResponse {
     /// Step `n` from `voltage`, whose end is `end`.
-    pub(super) fn new(steps: &Steps, n: usize, voltage: f64, end: f64, drift: f64, drift_per_s: f64) -> StepResponse {
+    pub(super) fn new(
+        steps: &Steps,
+        n: usize,
+        voltage: f64,
+        end: f64,
+        drift: f64,
+        drift_per_s: f64,
+    ) -> StepResponse {
         let (settled, middle) = (steps.settled[n], steps.middle[n]);
         let ahead = voltage - settled;
         let ahead = if ahead.abs() < SETTLED { 0.0 } else { ahead };
@@ -129,8 +145,10 @@ impl StepResponse {
     fn at(&self, sigma: f64) -> (f64, f64) {
         let weights = Weights::after(self.theta * sigma);
         let (slope, bend) = (self.slope, self.bend * sigma);
-        let voltage = self.settled + self.ahead * weights.kept + sigma * (slope * weights.slope + bend * weights.bend);
-        let voltage_slope = slope * weights.constant + 2.0 * bend * weights.slope - self.theta * self.ahead * weights.kept;
+        let voltage =
+            self.settled + self.ahead * weights.kept + sigma * (slope * weights.slope + bend * weights.bend);
+        let voltage_slope =
+            slope * weights.constant + 2.0 * bend * weights.slope - self.theta * self.ahead * weights.kept;
         let drift_slope = self.drift_per_s * self.length_s * (1.0 + self.warp * (1.0 - 2.0 * sigma));
         (voltage + (self.drift + self.drift_per_s * self.seconds(sigma)), voltage_slope + drift_slope)
     }
@@ -147,8 +165,8 @@ impl Response for StepResponse {
         }
     }
 
-    /// The voltage runs after the light, which rises or falls all through the step: it turns at most once, where it meets the light. A drift
-    /// moves that instant and is far too slow to add another.
+    /// The voltage runs after the light, which rises or falls all through the step: it turns at most once,
+    /// where it meets the light. A drift moves that instant and is far too slow to add another.
     fn turning_points(&self, from_s: f64, to_s: f64) -> [Option<f64>; 2] {
         let first = if from_s <= 0.0 { self.slopes[0] } else { self.at(self.sigma(from_s)).1 };
         let last = if to_s >= self.length_s { self.slopes[1] } else { self.at(self.sigma(to_s)).1 };
@@ -192,7 +210,8 @@ impl Response for StepResponse {
 }
 
 impl StepResponse {
-    /// Where the cubic with the same values and slopes at the step's ends, taken as sigma over value, has `level`; on a part of a step, the straight line.
+    /// Where the cubic with the same values and slopes at the step's ends, taken as sigma over value, has
+    /// `level`; on a part of a step, the straight line.
     fn guess(&self, level: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
         let rise = to.1 - from.1;
         let share = ((level - from.1) / rise).clamp(0.0, 1.0);

@@ -1,13 +1,16 @@
-//! The plain front end over many steps at once: everything about a step that does not depend on the voltage it starts from.
+//! The plain front end over many steps at once: everything about a step that does not depend on the voltage
+//! it starts from.
 //!
-//! The low-pass is linear in its voltage, so the voltage at a step's end is `kept` times that at its start plus a part that the light alone decides. Both are
-//! worked out for [`CHUNK`] steps in one loop without branches (structure of arrays, vector instructions); what is left from
-//! step to step is a multiplication and an addition, and the search for a crossing in the few steps that can hold one.
+//! The low-pass is linear in its voltage, so the voltage at a step's end is `kept` times that at its start
+//! plus a part that the light alone decides. Both are worked out for [`CHUNK`] steps in one loop without
+//! branches (structure of arrays, vector instructions); what is left from step to step is a multiplication
+//! and an addition, and the search for a crossing in the few steps that can hold one.
 //!
-//! Time is counted in time constants: with `theta = integral of dt / tau` the low-pass is `dV / dtheta = u - V`, `u = ln i`, for any course of `tau`.
-//! Light is linear in time within a step. `tau` along the step enters by Simpson's rule, `u` as the parabola in theta through the step's
-//! start, middle and end; for that parabola the voltage has a closed form. The error of a step is of third order in the change of
-//! `ln i`; constant light is exact over any length, and so is a time constant of zero.
+//! Time is counted in time constants: with `theta = integral of dt / tau` the low-pass is
+//! `dV / dtheta = u - V`, `u = ln i`, for any course of `tau`. Light is linear in time within a step. `tau`
+//! along the step enters by Simpson's rule, `u` as the parabola in theta through the step's start, middle and
+//! end; for that parabola the voltage has a closed form. The error of a step is of third order in the change
+//! of `ln i`; constant light is exact over any length, and so is a time constant of zero.
 
 use super::light::LinearLight;
 use crate::elementary;
@@ -17,7 +20,8 @@ use multiversion::multiversion;
 /// Steps prepared in one go: their arrays stay in the first-level cache.
 pub(super) const CHUNK: usize = 64;
 
-/// Steps one after another, and how the low-pass answers to each. Entry `n` is of a step; `n` and `n + 1` are of its ends, whose arrays are a whole number of vectors long.
+/// Steps one after another, and how the low-pass answers to each. Entry `n` is of a step; `n` and `n + 1` are
+/// of its ends, whose arrays are a whole number of vectors long.
 pub(super) struct Steps {
     pub count: usize,
     pub t_ns: [i64; CHUNK + 8],
@@ -66,16 +70,25 @@ impl Steps {
         self.settled[n] + (voltage - self.settled[n]) * self.kept[n] + self.driven[n]
     }
 
-    /// The voltage's slope over sigma at the start and the end of step `n`, when it starts `ahead` of the settled one.
+    /// The voltage's slope over sigma at the start and the end of step `n`, when it starts `ahead` of the
+    /// settled one.
     pub(super) fn end_slopes(&self, n: usize, ahead: f64) -> [f64; 2] {
         let pull = self.theta[n] * ahead;
         [-pull, self.driven_slope[n] - pull * self.kept[n]]
     }
 
-    /// Takes as many steps as fit from `from_ns` on, none beyond `limit_ns`. `next` is the first of the light's instants after `from_ns`.
+    /// Takes as many steps as fit from `from_ns` on, none beyond `limit_ns`. `next` is the first of the
+    /// light's instants after `from_ns`.
     ///
     /// In a step the light changes by at most the factor `1 + change`, unless a nanosecond does more.
-    pub(super) fn fill(&mut self, light: &LinearLight<'_>, next: &mut usize, from_ns: i64, limit_ns: i64, change: f64) {
+    pub(super) fn fill(
+        &mut self,
+        light: &LinearLight<'_>,
+        next: &mut usize,
+        from_ns: i64,
+        limit_ns: i64,
+        change: f64,
+    ) {
         let (instants, values) = (light.t_ns, light.photocurrent);
         while *next < instants.len() && instants[*next] <= from_ns {
             *next += 1;
@@ -85,10 +98,15 @@ impl Steps {
         let mut n = 0;
         while n < CHUNK && t < limit_ns {
             // A run of equal values is one step.
-            while *next + 1 < instants.len() && values[*next] == i && values[*next + 1] == i && instants[*next] < limit_ns {
+            while *next + 1 < instants.len()
+                && values[*next] == i
+                && values[*next + 1] == i
+                && instants[*next] < limit_ns
+            {
                 *next += 1;
             }
-            let (end_ns, end) = if *next < instants.len() { (instants[*next], values[*next]) } else { (i64::MAX, i) };
+            let (end_ns, end) =
+                if *next < instants.len() { (instants[*next], values[*next]) } else { (i64::MAX, i) };
             let piece = (t, i);
             let (rise, least) = (end - i, if end < i { end } else { i });
             if rise.abs() > change * least {
@@ -185,7 +203,8 @@ pub(super) struct Weights {
 }
 
 impl Weights {
-    /// `w_0 = 1 - exp(-x)`, `w_k = 1 - k w_(k-1) / x`; for short times upwards from the series of `w_2 = 2 x sum of (-x)^n / (n + 3)!`.
+    /// `w_0 = 1 - exp(-x)`, `w_k = 1 - k w_(k-1) / x`; for short times upwards from the series of
+    /// `w_2 = 2 x sum of (-x)^n / (n + 3)!`.
     #[inline(always)]
     pub(super) fn after(x: f64) -> Weights {
         const SHORT: f64 = 0.05;
@@ -193,11 +212,18 @@ impl Weights {
         let per_long = 1.0 / if x < SHORT { SHORT } else { x };
         let slope = 1.0 - constant * per_long;
         let bend = 1.0 - 2.0 * slope * per_long;
-        let series = 1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x * (1.0 / 720.0 - x * (1.0 / 5_040.0 - x * (1.0 / 40_320.0)))));
+        let series = 1.0 / 6.0
+            - x * (1.0 / 24.0
+                - x * (1.0 / 120.0 - x * (1.0 / 720.0 - x * (1.0 / 5_040.0 - x * (1.0 / 40_320.0)))));
         let short_bend = 2.0 * x * series;
         let short_slope = 0.5 * x * (1.0 - short_bend);
         let is_short = x < SHORT;
-        Weights { kept: 1.0 - constant, constant, slope: if is_short { short_slope } else { slope }, bend: if is_short { short_bend } else { bend } }
+        Weights {
+            kept: 1.0 - constant,
+            constant,
+            slope: if is_short { short_slope } else { slope },
+            bend: if is_short { short_bend } else { bend },
+        }
     }
 }
 
@@ -221,14 +247,19 @@ mod tests {
             let weights = Weights::after(x);
             for (power, weight) in [(0, weights.constant), (1, weights.slope), (2, weights.bend)] {
                 let expected = by_sum(x, power);
-                assert!((weight - expected).abs() < 2e-7 * expected, "x = {x}, power {power}: {weight} {expected}");
+                assert!(
+                    (weight - expected).abs() < 2e-7 * expected,
+                    "x = {x}, power {power}: {weight} \
+                                                            {expected}"
+                );
             }
         }
     }
 
     #[test]
     fn steps_end_at_instants_of_the_light_and_change_it_a_little() {
-        let (t_ns, photocurrent) = (vec![0, 1000, 5000, 6000, 7000, 9000], vec![1.0, 1.0, 8.0, 8.0, 8.0, 2.0]);
+        let (t_ns, photocurrent) =
+            (vec![0, 1000, 5000, 6000, 7000, 9000], vec![1.0, 1.0, 8.0, 8.0, 8.0, 2.0]);
         let light = LinearLight::new(&t_ns, &photocurrent);
         let mut steps = Steps::new();
         let (mut next, mut from, mut ends, mut values) = (0, -500, vec![-500], vec![1.0]);
@@ -238,12 +269,18 @@ mod tests {
             values.extend_from_slice(&steps.photocurrent[1..=steps.count]);
             from = *ends.last().unwrap();
         }
-        assert!(ends.is_sorted_by(|a, b| a < b) && [1000, 5000, 9000, 12_000].iter().all(|t| ends.contains(t)), "{ends:?}");
+        assert!(
+            ends.is_sorted_by(|a, b| a < b) && [1000, 5000, 9000, 12_000].iter().all(|t| ends.contains(t)),
+            "{ends:?}"
+        );
         // Constant light needs no instants of its own: 5000 to 7000 is one step.
         assert!(!ends.contains(&6000) && ends.contains(&7000), "{ends:?}");
         for (&t, &i) in ends.iter().zip(&values) {
             assert!((i / light.at(t) - 1.0).abs() < 1e-14);
         }
-        assert!(values.windows(2).all(|pair| pair[1] / pair[0] < 1.301 && pair[0] / pair[1] < 1.301), "{values:?}");
+        assert!(
+            values.windows(2).all(|pair| pair[1] / pair[0] < 1.301 && pair[0] / pair[1] < 1.301),
+            "{values:?}"
+        );
     }
 }

@@ -1,6 +1,8 @@
-//! A candidate solution: photocurrent and voltage of every knot, the digital numbers they predict, and the cost.
+//! A candidate solution: photocurrent and voltage of every knot, the digital numbers they predict, and the
+//! cost.
 //!
-//! Every way to fill one ends in the same state equation, Eq. (1) with Eqs. (2), (3) and (6), evaluated forward.
+//! Every way to fill one ends in the same state equation, Eq. (1) with Eqs. (2), (3) and (6), evaluated
+//! forward.
 
 use super::interval::{Settling, fold, reach_step, settling_at};
 use super::overlap::Overlap;
@@ -16,12 +18,13 @@ const FOLDED_MOVE_LIMIT: f64 = 2.0;
 pub(super) enum Held {
     /// They stay there and follow the voltage.
     Stay,
-    /// They take their measured step, if it is possible. A fold can be a false minimum: at it the light changes at first
-    /// order and the step only at second, so the EVS row alone cannot pull a knot off.
+    /// They take their measured step, if it is possible. A fold can be a false minimum: at it the light
+    /// changes at first order and the step only at second, so the EVS row alone cannot pull a knot off.
     Release,
 }
 
-/// One point of the search, with everything the cost needs. All columns are as long as the knots (at least one).
+/// One point of the search, with everything the cost needs. All columns are as long as the knots (at least
+/// one).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Candidate {
     /// `u_k = ln i_pd(k)`.
@@ -45,7 +48,8 @@ pub(super) struct Candidate {
 
 impl Candidate {
     fn resize(&mut self, knots: usize) {
-        for column in [&mut self.log_photocurrent, &mut self.voltage, &mut self.step, &mut self.photocurrent] {
+        for column in [&mut self.log_photocurrent, &mut self.voltage, &mut self.step, &mut self.photocurrent]
+        {
             column.resize(knots, 0.0);
         }
         self.settling.resize(knots, Settling::default());
@@ -54,7 +58,12 @@ impl Candidate {
     /// Takes `log_photocurrent` (the measured step where it lies beyond a fold) and follows Eq. (1).
     ///
     /// Like the other ways to fill a candidate, returns whether the cost is finite and every value in range.
-    pub(super) fn set_log_photocurrent(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, log_photocurrent: impl Iterator<Item = f64>) -> bool {
+    pub(super) fn set_log_photocurrent(
+        &mut self,
+        problem: &PixelProblem<'_>,
+        overlap: &Overlap,
+        log_photocurrent: impl Iterator<Item = f64>,
+    ) -> bool {
         self.resize(problem.t_s.len());
         for (k, u) in log_photocurrent.enumerate().take(problem.t_s.len()) {
             if k == 0 {
@@ -67,7 +76,12 @@ impl Candidate {
     }
 
     /// Starts at voltage `level` and makes the measured steps, as far as the front end can.
-    pub(super) fn set_measured_steps(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, level: f64) -> bool {
+    pub(super) fn set_measured_steps(
+        &mut self,
+        problem: &PixelProblem<'_>,
+        overlap: &Overlap,
+        level: f64,
+    ) -> bool {
         self.resize(problem.t_s.len());
         self.start(level);
         for k in 1..problem.t_s.len() {
@@ -76,8 +90,17 @@ impl Candidate {
         self.evaluate(problem, overlap)
     }
 
-    /// Moves every unknown of `from` by `change`; `stages`, taken at `from`, say what the unknown of each knot is.
-    pub(super) fn set_moved(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, from: &Candidate, stages: &[Stage], change: &[f64], held: Held) -> bool {
+    /// Moves every unknown of `from` by `change`; `stages`, taken at `from`, say what the unknown of each
+    /// knot is.
+    pub(super) fn set_moved(
+        &mut self,
+        problem: &PixelProblem<'_>,
+        overlap: &Overlap,
+        from: &Candidate,
+        stages: &[Stage],
+        change: &[f64],
+        held: Held,
+    ) -> bool {
         self.resize(problem.t_s.len());
         self.start(from.step[0] + change[0]);
         for (k, stage) in stages.iter().enumerate().skip(1) {
@@ -94,7 +117,9 @@ impl Candidate {
                         self.set_fold(problem, k, u);
                     }
                 }
-                Chart::Fold if held == Held::Release => self.make_step(problem, k, problem.steps[k], f64::NAN),
+                Chart::Fold if held == Held::Release => {
+                    self.make_step(problem, k, problem.steps[k], f64::NAN)
+                }
                 Chart::Fold => self.set_fold(problem, k, from.log_photocurrent[k]),
             }
         }

@@ -1,8 +1,9 @@
 //! The quadratic form of the EVS rows, factored along the chain of knots.
 //!
-//! Stage `k` costs `ss s^2 + 2 sv s V + vv V^2` in its unknown `s` and the voltage change `V` handed to it, and hands on
-//! `V' = (1 + step_v) V + step_s s`. Minimising from the last knot backwards leaves one number per knot (the cost
-//! to come, `P V^2`), as in a linear-quadratic regulator. Without folds `P` stays 0 and everything is a division.
+//! Stage `k` costs `ss s^2 + 2 sv s V + vv V^2` in its unknown `s` and the voltage change `V` handed to it,
+//! and hands on `V' = (1 + step_v) V + step_s s`. Minimising from the last knot backwards leaves one number
+//! per knot (the cost to come, `P V^2`), as in a linear-quadratic regulator. Without folds `P` stays 0 and
+//! everything is a division.
 
 use super::linear::Linearised;
 
@@ -16,7 +17,8 @@ pub(super) struct Chain {
 }
 
 impl Chain {
-    /// Factors the chain with `damping` added, and returns the curvature left for the free level (`P` at the first knot).
+    /// Factors the chain with `damping` added, and returns the curvature left for the free level (`P` at the
+    /// first knot).
     pub(super) fn factor(&mut self, linear: &Linearised, damping: f64) -> f64 {
         let knots = linear.stages.len();
         self.inverse_pivots.resize(knots, 1.0);
@@ -38,7 +40,13 @@ impl Chain {
     }
 
     /// Minimises the chain's cost minus `pull(k) s_k` over all knots but the first, which is held at `level`.
-    pub(super) fn solve(&self, linear: &Linearised, pull: impl Fn(usize) -> f64, level: f64, out: &mut [f64]) {
+    pub(super) fn solve(
+        &self,
+        linear: &Linearised,
+        pull: impl Fn(usize) -> f64,
+        level: f64,
+        out: &mut [f64],
+    ) {
         if !self.has_fold {
             // Nothing answers to the voltage: every unknown minimises its own row.
             for (k, (out, inverse_pivot)) in out.iter_mut().zip(&self.inverse_pivots).enumerate() {

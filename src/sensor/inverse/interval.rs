@@ -1,19 +1,21 @@
-//! One interval between two knots: how fast the front end settles in it, and which settled voltage makes a given step.
+//! One interval between two knots: how fast the front end settles in it, and which settled voltage makes a
+//! given step.
 //!
 //! Forward, a settled voltage `u` at the interval's end moves the front end by `d = gamma (u - V)`, Eq. (1).
 //! The solver works with the steps `d` as unknowns, so it needs the inverse. With the time constant of the
-//! interval's start, gamma is known and that is a division. With the end's, gamma depends on `u` itself and one
-//! scalar equation is solved.
+//! interval's start, gamma is known and that is a division. With the end's, gamma depends on `u` itself and
+//! one scalar equation is solved.
 //!
 //! A surprise: that equation is monotone only down to a *fold*. A darker target is further away but also
 //! slower to approach, so the fall per interval has a largest value; a step beyond it does not exist
-//! (measured steps stretched by readout compensation do ask for it). In closed form, with `y = dt / tau(u)` and
-//! `q = (alpha / i) / tau`, the slope has the sign of `(e^y - 1) / y - q (V - u)`, which grows with `u`: one fold, and a
-//! unique solution above it. [`reach_step`] returns the fold when asked for more.
+//! (measured steps stretched by readout compensation do ask for it). In closed form, with `y = dt / tau(u)`
+//! and `q = (alpha / i) / tau`, the slope has the sign of `(e^y - 1) / y - q (V - u)`, which grows with `u`:
+//! one fold, and a unique solution above it. [`reach_step`] returns the fold when asked for more.
 //!
-//! Below the fold lies a second, darker solution for every step that exists. It is an artefact of the linear low-pass (a
-//! darker pixel cannot fall more slowly), and it fools the cost: on reference problem 8 it reaches 39.75, under the
-//! published optimum of 48.21, with two knots e^2 too dark. The search therefore never goes beyond a fold.
+//! Below the fold lies a second, darker solution for every step that exists. It is an artefact of the linear
+//! low-pass (a darker pixel cannot fall more slowly), and it fools the cost: on reference problem 8 it
+//! reaches 39.75, under the published optimum of 48.21, with two knots e^2 too dark. The search therefore
+//! never goes beyond a fold.
 
 use super::problem::{LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN};
 use crate::front_end::{FrontEnd, settled_photocurrent, settling, time_constant};
@@ -60,14 +62,19 @@ pub(super) struct Reached {
     pub step: f64,
 }
 
-/// The log photocurrent at the interval's end that moves the front end by `step` from `voltage`, with the time
-/// constant of that same photocurrent ([`crate::front_end::TauRule::End`]).
+/// The log photocurrent at the interval's end that moves the front end by `step` from `voltage`, with the
+/// time constant of that same photocurrent ([`crate::front_end::TauRule::End`]).
 ///
 /// Solved to full precision by Newton's method inside a shrinking bracket; `guess` only saves iterations. A
 /// fall that does not exist gives the fold and its step.
 pub(super) fn reach_step(front_end: &FrontEnd, voltage: f64, step: f64, dt_s: f64, guess: f64) -> Reached {
-    // A rise is at least one whole step, since gamma is at most 1. A fall may not exist, so only the start bounds it.
-    let (mut low, mut high) = if step > 0.0 { (voltage + step, LOG_PHOTOCURRENT_MAX + 1.0) } else { (LOG_PHOTOCURRENT_MIN - 1.0, voltage) };
+    // A rise is at least one whole step, since gamma is at most 1. A fall may not exist, so only the start
+    // bounds it.
+    let (mut low, mut high) = if step > 0.0 {
+        (voltage + step, LOG_PHOTOCURRENT_MAX + 1.0)
+    } else {
+        (LOG_PHOTOCURRENT_MIN - 1.0, voltage)
+    };
     let is_inside = |u: f64, low: f64, high: f64| u > low && u < high;
     let mut u = guess;
     if front_end.alpha_s == 0.0 || step == 0.0 || !is_inside(u, low, high) {

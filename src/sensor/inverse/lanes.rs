@@ -1,11 +1,13 @@
 //! Eq. (13) for sixteen pixels at once, one per lane of single precision.
 //!
-//! The same minimum by the same change of unknowns as [`super::solve`] (see `linear`): the steps `d_k` of the front-end voltage are unknown, the
-//! EVS rows are identities, and each round solves an M x M system per pixel. The rare cases are left out: a pixel that comes near a
-//! fold, or has not settled after a few rounds, is handed back as unsolved, for the scalar solver. A pixel's result
-//! depends neither on the other lanes nor on which lane it has.
+//! The same minimum by the same change of unknowns as [`super::solve`] (see `linear`): the steps `d_k` of the
+//! front-end voltage are unknown, the EVS rows are identities, and each round solves an M x M system per
+//! pixel. The rare cases are left out: a pixel that comes near a fold, or has not settled after a few rounds,
+//! is handed back as unsolved, for the scalar solver. A pixel's result depends neither on the other lanes nor
+//! on which lane it has.
 //!
-//! Layout: one [`Lanes`] per knot and quantity, knots in time order. Shorter pixels are padded with knots that change nothing.
+//! Layout: one [`Lanes`] per knot and quantity, knots in time order. Shorter pixels are padded with knots
+//! that change nothing.
 
 use super::problem::{LOG_PHOTOCURRENT_MAX, PixelProblem};
 use crate::front_end::{FrontEnd, TauRule, settled_photocurrent, settling_rate};
@@ -16,13 +18,15 @@ use multiversion::multiversion;
 
 /// Rounds after which a pixel is left to the scalar solver; most need four to six.
 const MAX_ROUNDS: usize = 16;
-/// Trials of Newton's method per knot: at the start, in the first rounds, and in later ones, which move little.
+/// Trials of Newton's method per knot: at the start, in the first rounds, and in later ones, which move
+/// little.
 const START_TRIALS: usize = 4;
 const EARLY_TRIALS: usize = 2;
 const LATE_TRIALS: usize = 1;
 /// How many rounds are early.
 const EARLY_ROUNDS: usize = 3;
-/// How far Newton's last trial may have moved a log photocurrent: the error left is about its square, and later rounds take it away.
+/// How far Newton's last trial may have moved a log photocurrent: the error left is about its square, and
+/// later rounds take it away.
 const SOLVED: f32 = 0.05;
 /// The longest move of a log photocurrent in one trial.
 const LONGEST_MOVE: f32 = 1.0;
@@ -97,7 +101,8 @@ struct Point {
     voltage: Vec<Lanes>,
     log_photocurrent: Vec<Lanes>,
     photocurrent: Vec<Lanes>,
-    /// Derivatives of the log photocurrent by the knot's step, by the voltage before it, and by the log photocurrent before it.
+    /// Derivatives of the log photocurrent by the knot's step, by the voltage before it, and by the log
+    /// photocurrent before it.
     by_step: Vec<Lanes>,
     by_voltage: Vec<Lanes>,
     by_before: Vec<Lanes>,
@@ -123,11 +128,13 @@ struct Linear {
 }
 
 impl LaneGroup {
-    /// Solves `problems`: one to sixteen pixels, each with two knots or more and the same number of frames, front end, rule, gain, black level and EVS weight.
+    /// Solves `problems`: one to sixteen pixels, each with two knots or more and the same number of frames,
+    /// front end, rule, gain, black level and EVS weight.
     ///
     /// # Panics
     ///
-    /// When they are none or more than sixteen, or differ in what must be equal. Every problem must have passed [`PixelProblem::check`].
+    /// When they are none or more than sixteen, or differ in what must be equal. Every problem must have
+    /// passed [`PixelProblem::check`].
     pub fn solve(&mut self, problems: &[PixelProblem<'_>]) {
         assert!((1..=LANES).contains(&problems.len()), "a group has one pixel per lane");
         let first = &problems[0];
@@ -148,8 +155,15 @@ impl LaneGroup {
         let log_photocurrent = &self.current.log_photocurrent[..self.counts[n]];
         let Point { cost, evs_cost, cis_cost, .. } = &self.current;
         let (event_square, frame_square) = (f64::from(evs_cost.0[n]), f64::from(cis_cost.0[n]));
-        let misfit = Misfit { event_square, events: self.counts[n] - 1, frame_square, frames: self.given.frames };
-        (self.solved.0[n] > 0.0).then(|| LaneSolution { log_photocurrent, lane: n, cost: cost.0[n], misfit, iterations: self.rounds.0[n] as usize })
+        let misfit =
+            Misfit { event_square, events: self.counts[n] - 1, frame_square, frames: self.given.frames };
+        (self.solved.0[n] > 0.0).then(|| LaneSolution {
+            log_photocurrent,
+            lane: n,
+            cost: cost.0[n],
+            misfit,
+            iterations: self.rounds.0[n] as usize,
+        })
     }
 }
 
@@ -163,7 +177,8 @@ fn resize(columns: &mut [&mut Vec<Lanes>], length: usize) {
 impl Given {
     fn fill(&mut self, problems: &[PixelProblem<'_>]) {
         let first = &problems[0];
-        let (knots, frames) = (problems.iter().map(|problem| problem.t_s.len()).max().unwrap_or(1), first.frames.len());
+        let (knots, frames) =
+            (problems.iter().map(|problem| problem.t_s.len()).max().unwrap_or(1), first.frames.len());
         (self.knots, self.frames) = (knots, frames);
         self.front_end = first.front_end.lift();
         self.tau_rule = first.tau_rule;
@@ -216,9 +231,19 @@ fn solve(group: &mut LaneGroup) {
         *rounds = *rounds + active;
         linear.fill(given, current);
         linear.step(given, current);
-        trial.move_from(given, current, &linear.change, share, if round < EARLY_ROUNDS { EARLY_TRIALS } else { LATE_TRIALS });
+        trial.move_from(
+            given,
+            current,
+            &linear.change,
+            share,
+            if round < EARLY_ROUNDS { EARLY_TRIALS } else { LATE_TRIALS },
+        );
         let moved = trial.distance(current);
-        let is_better = (current.cost * (one + Lanes::splat(COST_NOISE))).at_least(trial.cost, trial.valid * active, zero);
+        let is_better = (current.cost * (one + Lanes::splat(COST_NOISE))).at_least(
+            trial.cost,
+            trial.valid * active,
+            zero,
+        );
         let is_whole = share.at_least(one, active * trial.valid, zero);
         let is_small = Lanes::splat(STEP_TOLERANCE).at_least(moved, is_whole, zero);
         if is_better == one {
@@ -236,7 +261,8 @@ fn solve(group: &mut LaneGroup) {
     }
 }
 
-/// Two candidates at the level of the closed form (see `level`): the measured steps, or the closed form's photocurrents; per lane the cheaper one.
+/// Two candidates at the level of the closed form (see `level`): the measured steps, or the closed form's
+/// photocurrents; per lane the cheaper one.
 #[inline(always)]
 fn start(given: &Given, current: &mut Point, other: &mut Point) {
     let (mut sum, mut largest) = (Lanes::ZERO, Lanes::ZERO);
@@ -266,14 +292,19 @@ fn start(given: &Given, current: &mut Point, other: &mut Point) {
     other.settle_towards(given);
     current.begin(level);
     current.make_steps(given, START_TRIALS);
-    let is_other = (current.cost * current.valid).at_least(other.cost, other.valid, Lanes::ZERO).max(other.valid - current.valid);
+    let is_other = (current.cost * current.valid)
+        .at_least(other.cost, other.valid, Lanes::ZERO)
+        .max(other.valid - current.valid);
     current.take(other, is_other);
     current.valid = current.valid * is_lit;
 }
 
 impl Point {
     fn resize(&mut self, given: &Given) {
-        resize(&mut [&mut self.step, &mut self.voltage, &mut self.log_photocurrent, &mut self.photocurrent], given.knots);
+        resize(
+            &mut [&mut self.step, &mut self.voltage, &mut self.log_photocurrent, &mut self.photocurrent],
+            given.knots,
+        );
         resize(&mut [&mut self.by_step, &mut self.by_voltage, &mut self.by_before], given.knots);
         resize(&mut [&mut self.dn], given.frames);
     }
@@ -286,7 +317,8 @@ impl Point {
         self.step[0] = level;
     }
 
-    /// Takes the log photocurrents that are there and follows Eq. (1). Its derivatives are not set: a start only.
+    /// Takes the log photocurrents that are there and follows Eq. (1). Its derivatives are not set: a start
+    /// only.
     #[inline(always)]
     fn settle_towards(&mut self, given: &Given) {
         self.begin(self.log_photocurrent[0]);
@@ -294,14 +326,16 @@ impl Point {
         for k in 1..given.knots {
             let (u, voltage) = (self.log_photocurrent[k], self.voltage[k - 1]);
             let lit = settled_photocurrent(u);
-            let settling = LaneSettling::at(given, given.tau_rule.pick(self.photocurrent[k - 1], lit), given.dt_s[k]);
+            let settling =
+                LaneSettling::at(given, given.tau_rule.pick(self.photocurrent[k - 1], lit), given.dt_s[k]);
             let drive = u - voltage;
             self.photocurrent[k] = lit;
             self.step[k] = settling.gamma * drive;
             self.voltage[k] = voltage + self.step[k];
             if given.tau_rule == TauRule::End {
                 let slope = settling.gamma + settling.slope * drive;
-                self.valid = slope.at_least(settling.gamma * Lanes::splat(FOLD_SLOPE), self.valid, Lanes::ZERO);
+                self.valid =
+                    slope.at_least(settling.gamma * Lanes::splat(FOLD_SLOPE), self.valid, Lanes::ZERO);
                 self.by_step[k] = Lanes::splat(1.0) / slope;
                 self.by_voltage[k] = settling.gamma * self.by_step[k];
             } else {
@@ -438,7 +472,8 @@ impl Point {
     }
 }
 
-/// gamma of one interval and its slope by the log photocurrent that sets the time constant; as `interval`'s, without the second derivative.
+/// gamma of one interval and its slope by the log photocurrent that sets the time constant; as `interval`'s,
+/// without the second derivative.
 struct LaneSettling {
     gamma: Lanes,
     slope: Lanes,
@@ -501,7 +536,8 @@ impl Linear {
                 for k in 1..knots {
                     sum = sum + row[k] * other[k];
                 }
-                self.system[l * frames + m] = sum * given.evs_variance + if l == m { given.variance[l] } else { Lanes::ZERO };
+                self.system[l * frames + m] =
+                    sum * given.evs_variance + if l == m { given.variance[l] } else { Lanes::ZERO };
             }
         }
         self.factor(frames);
@@ -533,7 +569,10 @@ impl Linear {
                 let mut sum = self.system[l * frames + m];
                 for j in 0..m {
                     // The diagonal is inverted already, the row still holds L D.
-                    sum = sum - self.system[l * frames + j] * self.system[m * frames + j] * self.system[j * frames + j];
+                    sum = sum
+                        - self.system[l * frames + j]
+                            * self.system[m * frames + j]
+                            * self.system[j * frames + j];
                 }
                 self.system[l * frames + m] = if m == l { Lanes::splat(1.0) / sum } else { sum };
             }

@@ -1,8 +1,9 @@
 //! The closed form: measured steps through an ideal front end, at the level that fits the frames best.
 //!
-//! With `V_FE = V_DC` the photocurrent is `e^level * exp(sum of steps)`, so every digital number is proportional
-//! to `e^level` and the best level is one weighted mean. This is the event-based double integral (EDI); it starts the iteration,
-//! and it is the double-integral estimate of a pixel that does not converge. For a pixel without events it is the exact solution.
+//! With `V_FE = V_DC` the photocurrent is `e^level * exp(sum of steps)`, so every digital number is
+//! proportional to `e^level` and the best level is one weighted mean. This is the event-based double integral
+//! (EDI); it starts the iteration, and it is the double-integral estimate of a pixel that does not converge.
+//! For a pixel without events it is the exact solution.
 
 use super::overlap::Overlap;
 use super::problem::{LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, PixelProblem};
@@ -10,7 +11,11 @@ use super::problem::{LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, PixelProblem};
 /// Fills `log_photocurrent` (one per knot, at least one); returns whether the frames are brighter than black.
 ///
 /// A pixel at or below black has no level: every value is then [`LOG_PHOTOCURRENT_MIN`].
-pub(super) fn fit_level(problem: &PixelProblem<'_>, overlap: &Overlap, log_photocurrent: &mut Vec<f64>) -> bool {
+pub(super) fn fit_level(
+    problem: &PixelProblem<'_>,
+    overlap: &Overlap,
+    log_photocurrent: &mut Vec<f64>,
+) -> bool {
     log_photocurrent.clear();
     log_photocurrent.push(0.0);
     let (mut sum, mut largest) = (0.0, 0.0);

@@ -1,12 +1,14 @@
-//! The problem linearised at a candidate: how each unknown moves the voltages, the photocurrents and the rows.
+//! The problem linearised at a candidate: how each unknown moves the voltages, the photocurrents and the
+//! rows.
 //!
-//! Idea: change the unknowns from `u_k` to `d_1 = V(1)` and `d_k = V(k) - V(k-1)`. Then every EVS row of Eq. (13) is
-//! `measured step - d_k`, an identity, and only the few CIS rows are nonlinear. Their gradients come from
-//! one backward sweep each over the chain of intervals.
+//! Idea: change the unknowns from `u_k` to `d_1 = V(1)` and `d_k = V(k) - V(k-1)`. Then every EVS row of Eq.
+//! (13) is `measured step - d_k`, an identity, and only the few CIS rows are nonlinear. Their gradients come
+//! from one backward sweep each over the chain of intervals.
 //!
-//! At a fold (see `interval`) a step no longer determines the photocurrent, so there `u_k` itself stays
-//! the unknown ([`Chart::LogPhotocurrent`]) and the EVS row is the nonlinear one. Its second derivative is kept,
-//! because at a fold the first one vanishes while the residual does not. Dim pixels have many such knots, bright ones none.
+//! At a fold (see `interval`) a step no longer determines the photocurrent, so there `u_k` itself stays the
+//! unknown ([`Chart::LogPhotocurrent`]) and the EVS row is the nonlinear one. Its second derivative is kept,
+//! because at a fold the first one vanishes while the residual does not. Dim pixels have many such knots,
+//! bright ones none.
 
 use super::candidate::Candidate;
 use super::overlap::Overlap;
@@ -16,8 +18,8 @@ use crate::front_end::TauRule;
 
 /// Below this share of gamma, the slope of step by log photocurrent is too close to a fold to divide by.
 ///
-/// Any value between 0 and 1 gives the same minimum. With 0.25, dim pixels near a fold crept (steps shrinking by a tenth);
-/// with 0.5 the curvature below catches them.
+/// Any value between 0 and 1 gives the same minimum. With 0.25, dim pixels near a fold crept (steps shrinking
+/// by a tenth); with 0.5 the curvature below catches them.
 const FOLD_SLOPE: f64 = 0.5;
 
 /// Curvature, as a share of that at full settling, that a folded knot has at least: keeps the step finite.
@@ -83,7 +85,12 @@ fn stage(problem: &PixelProblem<'_>, at: &Candidate, k: usize) -> Stage {
     let identity_row = Stage { step_s: 1.0, curvature_ss: weight, damping: weight, ..Stage::default() };
     // d = gamma (u - V), so u = V + d / gamma.
     if problem.tau_rule == TauRule::Start {
-        return Stage { u_s: 1.0 / settling.gamma, u_v: 1.0, u_before: -drive * settling.slope / settling.gamma, ..identity_row };
+        return Stage {
+            u_s: 1.0 / settling.gamma,
+            u_v: 1.0,
+            u_before: -drive * settling.slope / settling.gamma,
+            ..identity_row
+        };
     }
     let slope = settling.gamma + settling.slope * drive;
     if slope >= FOLD_SLOPE * settling.gamma {
@@ -108,9 +115,9 @@ fn stage(problem: &PixelProblem<'_>, at: &Candidate, k: usize) -> Stage {
 
 /// Holds knots at their folds, and adds second derivatives of the whole cost at knots near one.
 ///
-/// One backward sweep gives the force on each step and each log photocurrent. A knot at its fold whose frames ask
-/// for less light is held there. Near a fold, force times second derivative is the curvature that Gauss-Newton
-/// leaves out; it is added where it helps (elsewhere the step might not descend).
+/// One backward sweep gives the force on each step and each log photocurrent. A knot at its fold whose frames
+/// ask for less light is held there. Near a fold, force times second derivative is the curvature that
+/// Gauss-Newton leaves out; it is added where it helps (elsewhere the step might not descend).
 fn treat_folds(problem: &PixelProblem<'_>, overlap: &Overlap, at: &Candidate, stages: &mut [Stage]) {
     let mut on_voltage = 0.0;
     for (k, stage) in stages.iter_mut().enumerate().skip(1).rev() {
@@ -122,7 +129,8 @@ fn treat_folds(problem: &PixelProblem<'_>, overlap: &Overlap, at: &Candidate, st
         let on_step = problem.evs_weight * (at.step[k] - problem.steps[k]) + on_voltage;
         let is_near_fold = stage.chart == Chart::LogPhotocurrent;
         let is_at_fold = is_near_fold && stage.step_s <= -AT_FOLD * stage.step_v;
-        // A digital number is exponential in a log photocurrent, so its own second derivative equals its first.
+        // A digital number is exponential in a log photocurrent, so its own second derivative equals its
+        // first.
         let extra = on_step * stage.step_ss + direct;
         if is_at_fold && direct > 0.0 {
             *stage = stage.held_at_fold();

@@ -1,8 +1,8 @@
 //! The inverse model: from events and frame values of one pixel to its photocurrent over time.
 //!
 //! The photocurrent is wanted at every event, such that (a) the front end, following it with its delay, moves
-//! by the measured step from event to event, and (b) its integral over each exposure gives the measured digital
-//! number. That is a nonlinear least-squares problem per pixel, Eq. (13), and pixels do not interact.
+//! by the measured step from event to event, and (b) its integral over each exposure gives the measured
+//! digital number. That is a nonlinear least-squares problem per pixel, Eq. (13), and pixels do not interact.
 //!
 //! Ideas, in the order of the files:
 //!
@@ -11,16 +11,18 @@
 //! - `overlap`: which hold lies in which exposure.
 //! - `level`: the closed form without front-end delay: the start, and the double-integral estimate.
 //! - `candidate`: a point of the search and its cost.
-//! - `linear`: unknowns `d_k = V(k) - V(k-1)` turn the EVS rows into identities; gradients by backward sweeps.
+//! - `linear`: unknowns `d_k = V(k) - V(k-1)` turn the EVS rows into identities; gradients by backward
+//!   sweeps.
 //! - `chain`, `newton`: the Gauss-Newton step from an M x M system.
 //! - `lanes`: the same for sixteen pixels at once in single precision.
 //! - this file: the damped iteration (Levenberg-Marquardt) around them.
 //!
-//! Limits: photocurrent is constant between knots, so a pixel without events in an exposure is flat there. With
-//! [`crate::front_end::TauRule::End`] a fall that the low-pass cannot make leaves a residual in its EVS row (see
-//! `interval`). The cost is not convex: minima beyond a fold are excluded on purpose, and a start far too dark can be caught
-//! at one (`a_start_far_too_dark_can_stop_at_a_fold`); from the frames every reference problem reaches its optimum.
-//! A pixel at or below black cannot be solved and returns the double-integral estimate, flagged.
+//! Limits: photocurrent is constant between knots, so a pixel without events in an exposure is flat there.
+//! With [`crate::front_end::TauRule::End`] a fall that the low-pass cannot make leaves a residual in its EVS
+//! row (see `interval`). The cost is not convex: minima beyond a fold are excluded on purpose, and a start
+//! far too dark can be caught at one (`a_start_far_too_dark_can_stop_at_a_fold`); from the frames every
+//! reference problem reaches its optimum. A pixel at or below black cannot be solved and returns the
+//! double-integral estimate, flagged.
 //!
 //! ```
 //! # use photocurrent_sensor::front_end::{FrontEnd, TauRule};
@@ -60,7 +62,10 @@ mod stage;
 mod tests;
 
 pub use lanes::{LaneGroup, LaneSolution};
-pub use problem::{FrameSample, LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, Outcome, PixelProblem, ProblemError, Solution, SolveOptions, Start};
+pub use problem::{
+    FrameSample, LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, Outcome, PixelProblem, ProblemError, Solution,
+    SolveOptions, Start,
+};
 
 use candidate::{Candidate, Held};
 use level::fit_level;
@@ -81,7 +86,8 @@ const RELEASE_GAIN: f64 = 1e-6;
 /// A step counts for convergence only when damping does not shorten it.
 const DAMPING_NEGLIGIBLE: f64 = 1e-2;
 
-/// Memory for [`solve`]: one per thread, reused for every pixel, so that nothing is allocated after the largest one.
+/// Memory for [`solve`]: one per thread, reused for every pixel, so that nothing is allocated after the
+/// largest one.
 ///
 /// Holds no state between pixels: the result does not depend on what was solved before.
 #[derive(Clone, Debug, Default)]
@@ -98,7 +104,11 @@ pub struct Workspace {
 ///
 /// Returns an error only for a problem that cannot be posed. One that does not converge gives the safe
 /// estimate, marked in [`Solution::outcome`]: that is data, for the caller to count and show.
-pub fn solve<'w>(problem: &PixelProblem<'_>, options: &SolveOptions, workspace: &'w mut Workspace) -> Result<Solution<'w>, ProblemError> {
+pub fn solve<'w>(
+    problem: &PixelProblem<'_>,
+    options: &SolveOptions,
+    workspace: &'w mut Workspace,
+) -> Result<Solution<'w>, ProblemError> {
     solve_from(problem, Start::FromFrames, options, workspace)
 }
 
@@ -147,8 +157,9 @@ impl Workspace {
             assert_eq!(given.len(), problem.t_s.len(), "a start has one log photocurrent per knot");
             return self.current.set_log_photocurrent(problem, &self.overlap, given.iter().copied());
         }
-        // Two candidates at one level: the measured steps, or the closed form's photocurrents. The first meets all EVS
-        // rows but overshoots wildly where the front end is slow; the second is tame. The cheaper one starts.
+        // Two candidates at one level: the measured steps, or the closed form's photocurrents. The first
+        // meets all EVS rows but overshoots wildly where the front end is slow; the second is tame. The
+        // cheaper one starts.
         let level = self.closed_form[0];
         let with_steps = self.current.set_measured_steps(problem, &self.overlap, level);
         let closed_form = self.closed_form.iter().copied();
@@ -169,7 +180,15 @@ impl Workspace {
                 is_linear_here = true;
             }
             let is_finite = self.newton.compute(problem, &self.linear, &self.current.dn, damping);
-            let is_valid = is_finite && self.trial.set_moved(problem, &self.overlap, &self.current, &self.linear.stages, &self.newton.change, Held::Stay);
+            let is_valid = is_finite
+                && self.trial.set_moved(
+                    problem,
+                    &self.overlap,
+                    &self.current,
+                    &self.linear.stages,
+                    &self.newton.change,
+                    Held::Stay,
+                );
             if is_valid {
                 let is_small = self.trial.distance(&self.current) <= options.step_tolerance;
                 let is_better = self.trial.cost <= self.current.cost * (1.0 + COST_NOISE);
@@ -177,7 +196,8 @@ impl Workspace {
                     std::mem::swap(&mut self.current, &mut self.trial);
                     is_linear_here = false;
                 }
-                // At the minimum rounding decides whether the last tiny step lowers the cost; either end will do.
+                // At the minimum rounding decides whether the last tiny step lowers the cost; either end will
+                // do.
                 if is_small && damping <= DAMPING_NEGLIGIBLE {
                     if !self.release_folds(problem) {
                         return (true, iteration);
@@ -205,7 +225,8 @@ impl Workspace {
         }
         self.newton.change.fill(0.0);
         let (stages, change) = (&self.linear.stages, &self.newton.change);
-        let is_valid = self.trial.set_moved(problem, &self.overlap, &self.current, stages, change, Held::Release);
+        let is_valid =
+            self.trial.set_moved(problem, &self.overlap, &self.current, stages, change, Held::Release);
         // By a margin, or rounding could hold and release for ever.
         let is_better = is_valid && self.trial.cost < self.current.cost * (1.0 - RELEASE_GAIN);
         if is_better {
@@ -215,7 +236,12 @@ impl Workspace {
     }
 
     /// Returns the closed form, with the cost and digital numbers of an ideal front end.
-    fn closed_form_solution(&mut self, problem: &PixelProblem<'_>, outcome: Outcome, iterations: usize) -> Solution<'_> {
+    fn closed_form_solution(
+        &mut self,
+        problem: &PixelProblem<'_>,
+        outcome: Outcome,
+        iterations: usize,
+    ) -> Solution<'_> {
         let mut cost = 0.0;
         self.current.dn.clear();
         for (l, frame) in problem.frames.iter().enumerate() {
@@ -226,6 +252,14 @@ impl Workspace {
             self.current.dn.push(dn);
         }
         let misfit = problem.misfit(0.0, cost);
-        Solution { log_photocurrent: &self.closed_form, front_end_voltage: &self.closed_form, dn: &self.current.dn, cost, misfit, iterations, outcome }
+        Solution {
+            log_photocurrent: &self.closed_form,
+            front_end_voltage: &self.closed_form,
+            dn: &self.current.dn,
+            cost,
+            misfit,
+            iterations,
+            outcome,
+        }
     }
 }

@@ -1,9 +1,10 @@
-//! The damped Gauss-Newton step of one pixel, from an M x M system (M frames) instead of an N x N one (N knots).
+//! The damped Gauss-Newton step of one pixel, from an M x M system (M frames) instead of an N x N one (N
+//! knots).
 //!
 //! The EVS rows alone form a chain: each knot's unknown has its own row, and knots are tied only through the
-//! voltage that they hand on. Minimising over the chain is a scalar recursion (Riccati), which is plain division
-//! wherever no fold is involved. The M dense CIS rows and the free level are added by the Woodbury identity.
-//! O(N M^2) in all; exact, as long as a dense solve would be.
+//! voltage that they hand on. Minimising over the chain is a scalar recursion (Riccati), which is plain
+//! division wherever no fold is involved. The M dense CIS rows and the free level are added by the Woodbury
+//! identity. O(N M^2) in all; exact, as long as a dense solve would be.
 
 use super::chain::Chain;
 use super::linear::Linearised;
@@ -46,7 +47,13 @@ impl NewtonStep {
     /// Computes `change`; `damping` 0 is plain Gauss-Newton. Returns whether the step is finite.
     ///
     /// `dn` are the digital numbers predicted where `linear` was taken.
-    pub(super) fn compute(&mut self, problem: &PixelProblem<'_>, linear: &Linearised, dn: &[f64], damping: f64) -> bool {
+    pub(super) fn compute(
+        &mut self,
+        problem: &PixelProblem<'_>,
+        linear: &Linearised,
+        dn: &[f64],
+        damping: f64,
+    ) -> bool {
         let (knots, frames) = (linear.stages.len(), problem.frames.len());
         self.resize(knots, frames);
         let level_curvature = self.chain.factor(linear, damping);
@@ -92,12 +99,14 @@ impl NewtonStep {
         let Some(factor) = Cholesky::new(system) else {
             return false;
         };
-        // level = (b S^-1 r - g z) / (P_0 + b S^-1 b), with b the DN change per unit of level and z the chain's response.
+        // level = (b S^-1 r - g z) / (P_0 + b S^-1 b), with b the DN change per unit of level and z the
+        // chain's response.
         self.solved_level_pull.copy_from(&self.level_pull);
         factor.solve_mut(&mut self.solved_level_pull);
         let level_gradient = dot(&linear.evs_gradient, &self.level_response);
         let curvature = level_curvature + self.level_pull.dot(&self.solved_level_pull);
-        let level = (self.solved_level_pull.dot(&self.dn_pull) - level_gradient) / (curvature * (1.0 + damping));
+        let level =
+            (self.solved_level_pull.dot(&self.dn_pull) - level_gradient) / (curvature * (1.0 + damping));
         let multipliers = &mut self.dn_pull;
         multipliers.axpy(-level, &self.level_pull, 1.0);
         factor.solve_mut(multipliers);

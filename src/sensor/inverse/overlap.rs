@@ -1,7 +1,7 @@
 //! How long each knot's hold lies inside each exposure.
 //!
-//! The predicted digital number is `black_level + gain * sum_k i_k T_lk`, with `T_lk` this table: it depends on
-//! times only, so it is filled once per pixel and every iteration is then a sum. Source: Eq. (5) with the
+//! The predicted digital number is `black_level + gain * sum_k i_k T_lk`, with `T_lk` this table: it depends
+//! on times only, so it is filled once per pixel and every iteration is then a sum. Source: Eq. (5) with the
 //! zero-order hold of Section 4.1; the first knot also holds before itself, the last one for ever.
 
 use super::problem::PixelProblem;
@@ -11,7 +11,8 @@ use super::problem::PixelProblem;
 pub(super) struct Overlap {
     seconds: Vec<f64>,
     knots: usize,
-    /// Per row, how many leading columns can differ from zero. Gradients beyond are zero too: the sweep skips them.
+    /// Per row, how many leading columns can differ from zero. Gradients beyond are zero too: the sweep skips
+    /// them.
     used: Vec<usize>,
 }
 
@@ -58,13 +59,20 @@ mod tests {
 
     #[test]
     fn overlaps_agree_with_the_exact_exposure_integral() {
-        let frames = [(0.0, 1e-3), (2.5e-3, 4e-3), (4e-3, 9e-3)].map(|(start_s, end_s)| FrameSample { start_s, end_s, dn: 0.0, weight: 1.0 });
+        let frames = [(0.0, 1e-3), (2.5e-3, 4e-3), (4e-3, 9e-3)].map(|(start_s, end_s)| FrameSample {
+            start_s,
+            end_s,
+            dn: 0.0,
+            weight: 1.0,
+        });
         let t_s = [5e-4, 3e-3, 5e-3];
         let problem = PixelProblem { t_s: &t_s, steps: &[0.0; 3], frames: &frames, ..problem() };
         let photocurrent = [2.0, 0.5, 7.0];
         let mut overlap = Overlap::default();
         overlap.fill(&problem);
-        for (l, (start_ns, end_ns)) in [(0, 1_000_000), (2_500_000, 4_000_000), (4_000_000, 9_000_000)].iter().enumerate() {
+        for (l, (start_ns, end_ns)) in
+            [(0, 1_000_000), (2_500_000, 4_000_000), (4_000_000, 9_000_000)].iter().enumerate()
+        {
             let exposure = Exposure::new(*start_ns, *end_ns);
             let exact = HeldTrack::new(&[500_000, 3_000_000, 5_000_000], &photocurrent).integral(exposure);
             let sum: f64 = overlap.row(l).iter().zip(photocurrent).map(|(seconds, i)| seconds * i).sum();

@@ -23,16 +23,16 @@ pub struct FrameSample {
 
 /// Everything measured and known about one pixel: Eqs. (1)-(8) with the cost of Eq. (13).
 ///
-/// Unknown is `u_k = ln i_pd(k)` at each knot; the photocurrent holds from a knot to the next, `i(1)` before the
-/// first and `i(N)` after the last. The cost, without a factor 1/2, is
-/// `evs_weight * sum_k (steps[k] - (V(k) - V(k-1)))^2 + sum_l weight_l (dn_l - DN_l)^2`.
+/// Unknown is `u_k = ln i_pd(k)` at each knot; the photocurrent holds from a knot to the next, `i(1)` before
+/// the first and `i(N)` after the last. The cost, without a factor 1/2, is `evs_weight * sum_k (steps[k] -
+/// (V(k) - V(k-1)))^2 + sum_l weight_l (dn_l - DN_l)^2`.
 ///
 /// Times are `f64` seconds. A caller with nanosecond stamps subtracts an origin near the pixel's data first
 /// (the first exposure's start, say) so that differences stay exact to far below a nanosecond.
 ///
-/// The first knot has no EVS row: there `V = V_DC`, Eq. (6). In the paper it is the first event, whose own step is
-/// then unused. A caller who puts an extra knot at the first exposure's start keeps that step as well,
-/// and gets exactly the event-based double integral when the front end is ideal and one frame is given.
+/// The first knot has no EVS row: there `V = V_DC`, Eq. (6). In the paper it is the first event, whose own
+/// step is then unused. A caller who puts an extra knot at the first exposure's start keeps that step as
+/// well, and gets exactly the event-based double integral when the front end is ideal and one frame is given.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelProblem<'a> {
     /// Knot times, seconds, strictly increasing. Empty means no event: one knot is then understood.
@@ -58,7 +58,10 @@ pub struct PixelProblem<'a> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ProblemError {
     /// Events alone fix only ratios of photocurrent, never its level.
-    #[error("no frame sample: events alone leave the photocurrent's level open; give at least one exposure of this pixel")]
+    #[error(
+        "no frame sample: events alone leave the photocurrent's level open; give at least one exposure \
+             of this pixel"
+    )]
     NoFrames,
     /// `t_s` and `steps` are columns of one list.
     #[error("{knots} knot times but {steps} steps; give one signed step per knot (the first is not read)")]
@@ -89,7 +92,10 @@ pub enum ProblemError {
         expected: &'static str,
     },
     /// Two knots at one instant, or out of order.
-    #[error("t_s[{index}] does not come after the knot before it; sort the events and merge equal stamps by adding their steps")]
+    #[error(
+        "t_s[{index}] does not come after the knot before it; sort the events and merge equal stamps by \
+             adding their steps"
+    )]
     KnotsNotIncreasing {
         /// The later of the two.
         index: usize,
@@ -105,7 +111,12 @@ pub enum ProblemError {
 impl PixelProblem<'_> {
     /// The misfit whose EVS rows cost `evs_cost` and whose CIS rows cost `cis_cost`.
     pub(super) fn misfit(&self, evs_cost: f64, cis_cost: f64) -> Misfit {
-        Misfit { event_square: evs_cost, events: self.t_s.len().saturating_sub(1), frame_square: cis_cost, frames: self.frames.len() }
+        Misfit {
+            event_square: evs_cost,
+            events: self.t_s.len().saturating_sub(1),
+            frame_square: cis_cost,
+            frames: self.frames.len(),
+        }
     }
 
     /// Checks every promise of the fields; the first broken one is returned.
@@ -151,7 +162,9 @@ impl PixelProblem<'_> {
     }
 
     fn check_ranges(&self) -> Result<(), ProblemError> {
-        let refuse = |quantity, index, value, expected| Err(ProblemError::OutOfRange { quantity, index, value, expected });
+        let refuse = |quantity, index, value, expected| {
+            Err(ProblemError::OutOfRange { quantity, index, value, expected })
+        };
         for (index, frame) in self.frames.iter().enumerate() {
             if frame.weight <= 0.0 {
                 return refuse("frames.weight", index, frame.weight, "leave an untrusted frame out instead");
@@ -191,8 +204,9 @@ pub struct SolveOptions {
     pub max_iterations: usize,
     /// Converged when an undamped step moves no log photocurrent by more than this (natural-log units).
     ///
-    /// Convergence is linear, as a rule with a factor near 1/20, so what is left is far smaller than the last step.
-    /// A step norm rather than a cost decrease: the decrease drowns in rounding first, above all in `f32`.
+    /// Convergence is linear, as a rule with a factor near 1/20, so what is left is far smaller than the last
+    /// step. A step norm rather than a cost decrease: the decrease drowns in rounding first, above all in
+    /// `f32`.
     pub step_tolerance: f64,
 }
 
@@ -207,10 +221,10 @@ impl Default for SolveOptions {
 pub enum Outcome {
     /// A minimum of the cost, or the closed form of a pixel without events.
     Converged,
-    /// The iteration did not reach a minimum; this is the double-integral estimate instead: the measured steps through an ideal
-    /// front end, at the level that fits the digital numbers best (an event-based double integral).
-    /// A pixel whose frames lie at or below the black level has no photocurrent to fit: it comes out as
-    /// [`LOG_PHOTOCURRENT_MIN`] everywhere.
+    /// The iteration did not reach a minimum; this is the double-integral estimate instead: the measured
+    /// steps through an ideal front end, at the level that fits the digital numbers best (an event-based
+    /// double integral). A pixel whose frames lie at or below the black level has no photocurrent to fit: it
+    /// comes out as [`LOG_PHOTOCURRENT_MIN`] everywhere.
     FellBack,
 }
 
@@ -223,7 +237,8 @@ pub struct Solution<'w> {
     pub front_end_voltage: &'w [f64],
     /// Predicted digital number per frame sample.
     pub dn: &'w [f64],
-    /// The cost of Eq. (13). For a double-integral estimate, that of the ideal front end (its EVS rows are then met exactly).
+    /// The cost of Eq. (13). For a double-integral estimate, that of the ideal front end (its EVS rows are
+    /// then met exactly).
     pub cost: f64,
     /// The same in two parts: EVS rows as events, CIS rows as frames, each times its weight.
     pub misfit: Misfit,

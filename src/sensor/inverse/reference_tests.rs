@@ -39,7 +39,11 @@ fn for_each_problem(mut check: impl FnMut(usize, &PixelProblem<'_>, &Given)) {
     for (index, given) in reference.problems.iter().enumerate() {
         let t_s: Vec<f64> = given.t_ms.iter().map(|t| t * 1e-3).collect();
         let weight = 1.0 / (reference.sigma_cis_dn * reference.sigma_cis_dn);
-        let frames: Vec<FrameSample> = given.cis.iter().map(|&[start, end, dn]| FrameSample { start_s: start * 1e-3, end_s: end * 1e-3, dn, weight }).collect();
+        let frames: Vec<FrameSample> = given
+            .cis
+            .iter()
+            .map(|&[start, end, dn]| FrameSample { start_s: start * 1e-3, end_s: end * 1e-3, dn, weight })
+            .collect();
         let problem = PixelProblem {
             t_s: &t_s,
             steps: &given.c,
@@ -54,14 +58,19 @@ fn for_each_problem(mut check: impl FnMut(usize, &PixelProblem<'_>, &Given)) {
     }
 }
 
-/// Panics unless `solution` is the file's optimum: cost to 1e-6, log photocurrents to 1e-4 where a frame sees them.
+/// Panics unless `solution` is the file's optimum: cost to 1e-6, log photocurrents to 1e-4 where a frame sees
+/// them.
 fn assert_is_optimum(index: usize, problem: &PixelProblem<'_>, given: &Given, solution: &Solution<'_>) {
     assert!(solution.has_converged(), "problem {index} did not converge");
     let relative = solution.cost / given.cost - 1.0;
     assert!(relative.abs() < 1e-6, "problem {index}: cost {} instead of {}", solution.cost, given.cost);
     // An independent reading of the cost, straight from Eqs. (1)-(8).
     let restated = cost(problem, solution.log_photocurrent);
-    assert!((restated / solution.cost - 1.0).abs() < 1e-10, "problem {index}: {restated} and {}", solution.cost);
+    assert!(
+        (restated / solution.cost - 1.0).abs() < 1e-10,
+        "problem {index}: {restated} and {}",
+        solution.cost
+    );
     let jacobian = crate::residuals::jacobian(problem, solution.log_photocurrent);
     let (knots, evs_rows) = (problem.t_s.len(), problem.t_s.len() - 1);
     for (k, (u, optimum)) in solution.log_photocurrent.iter().zip(&given.opt_log_i).enumerate() {
@@ -76,7 +85,8 @@ fn assert_is_optimum(index: usize, problem: &PixelProblem<'_>, given: &Given, so
 fn every_reference_optimum_is_reached_from_the_frames() {
     let mut workspace = Workspace::default();
     for_each_problem(|index, problem, given| {
-        let solution = solve(problem, &SolveOptions::default(), &mut workspace).expect("a well-posed problem");
+        let solution =
+            solve(problem, &SolveOptions::default(), &mut workspace).expect("a well-posed problem");
         assert_is_optimum(index, problem, given, &solution);
         assert!(solution.iterations <= 8, "problem {index} took {} steps", solution.iterations);
     });
@@ -88,12 +98,14 @@ fn every_reference_optimum_is_reached_from_other_starts() {
     for_each_problem(|index, problem, given| {
         let knots = given.u0.len();
         let flat = vec![given.u0.iter().sum::<f64>() / knots as f64; knots];
-        let wavy: Vec<f64> = (0..knots).map(|k| given.u0[k] + 0.5 * libm::sin(1.7 * k as f64 + index as f64)).collect();
+        let wavy: Vec<f64> =
+            (0..knots).map(|k| given.u0[k] + 0.5 * libm::sin(1.7 * k as f64 + index as f64)).collect();
         let bright: Vec<f64> = given.u0.iter().map(|u| u + 1.5).collect();
         let dark: Vec<f64> = given.u0.iter().map(|u| u - 0.6).collect();
         for start in [&given.u0, &given.opt_log_i, &flat, &wavy, &bright, &dark] {
             let start = Start::LogPhotocurrent(start);
-            let solution = solve_from(problem, start, &SolveOptions::default(), &mut workspace).expect("well posed");
+            let solution =
+                solve_from(problem, start, &SolveOptions::default(), &mut workspace).expect("well posed");
             assert_is_optimum(index, problem, given, &solution);
         }
     });
@@ -101,13 +113,14 @@ fn every_reference_optimum_is_reached_from_other_starts() {
 
 #[test]
 fn a_start_far_too_dark_can_stop_at_a_fold() {
-    // A known limit: from e^-1 of the level, knots of problem 8 get caught at their folds, a false minimum on the way down.
-    // The start from the frames never comes from so far below.
+    // A known limit: from e^-1 of the level, knots of problem 8 get caught at their folds, a false minimum on
+    // the way down. The start from the frames never comes from so far below.
     let mut workspace = Workspace::default();
     for_each_problem(|index, problem, given| {
         let dark: Vec<f64> = given.u0.iter().map(|u| u - 1.0).collect();
         let start = Start::LogPhotocurrent(&dark);
-        let solution = solve_from(problem, start, &SolveOptions::default(), &mut workspace).expect("well posed");
+        let solution =
+            solve_from(problem, start, &SolveOptions::default(), &mut workspace).expect("well posed");
         if index == 8 {
             assert!(solution.has_converged() && solution.cost > given.cost);
         } else {
@@ -118,8 +131,9 @@ fn a_start_far_too_dark_can_stop_at_a_fold() {
 
 #[test]
 fn a_darker_minimum_beyond_the_folds_is_not_taken() {
-    // The printed cost of problem 8 has a lower minimum (39.75) with knots 9 and 10 at -3.8 and -4.0 instead of -2.0 and -2.5:
-    // steps that the linear low-pass makes twice, once with a light so dark that it hardly answers.
+    // The printed cost of problem 8 has a lower minimum (39.75) with knots 9 and 10 at -3.8 and -4.0 instead
+    // of -2.0 and -2.5: steps that the linear low-pass makes twice, once with a light so dark that it hardly
+    // answers.
     let mut workspace = Workspace::default();
     for_each_problem(|index, problem, given| {
         if index == 8 {
@@ -127,7 +141,8 @@ fn a_darker_minimum_beyond_the_folds_is_not_taken() {
             (start[9], start[10]) = (-3.7967, -4.0178);
             assert!(cost(problem, &start) < 50.0, "nearly as cheap, though the rest is not adapted");
             let start = Start::LogPhotocurrent(&start);
-            let solution = solve_from(problem, start, &SolveOptions::default(), &mut workspace).expect("well posed");
+            let solution =
+                solve_from(problem, start, &SolveOptions::default(), &mut workspace).expect("well posed");
             assert_is_optimum(index, problem, given, &solution);
         }
     });
@@ -160,11 +175,15 @@ fn the_misfit_is_that_of_the_rows_written_down_apart() {
             residuals(problem, &problem.front_end, u, &mut rows);
             let (evs, cis) = rows.split_at(problem.t_s.len() - 1);
             let event_square: f64 = evs.iter().map(|row| problem.evs_weight * row * row).sum();
-            let frame_square: f64 = cis.iter().zip(problem.frames).map(|(row, frame)| frame.weight * row * row).sum();
+            let frame_square: f64 =
+                cis.iter().zip(problem.frames).map(|(row, frame)| frame.weight * row * row).sum();
             assert_eq!((misfit.events, misfit.frames), (evs.len(), cis.len()));
             // Rows that nearly vanish have lost their digits.
             let near = |found: f64, expected: f64| (found - expected).abs() <= tolerance * (expected + 1.0);
-            assert!(near(misfit.event_square, event_square) && near(misfit.frame_square, frame_square), "{index}: {misfit:?} {event_square} {frame_square}");
+            assert!(
+                near(misfit.event_square, event_square) && near(misfit.frame_square, frame_square),
+                "{index}: {misfit:?} {event_square} {frame_square}"
+            );
         };
         let solution = solve(problem, &SolveOptions::default(), &mut workspace).expect("well posed");
         check(solution.log_photocurrent, &solution.misfit, 1e-9);
@@ -179,12 +198,18 @@ fn the_misfit_is_that_of_the_rows_written_down_apart() {
 #[test]
 fn a_pixel_does_not_depend_on_its_lane_or_its_neighbours() {
     let mut group = LaneGroup::default();
-    let bits = |group: &LaneGroup, n: usize| group.solution(n).map(|solution| solution.log_photocurrent().map(f32::to_bits).collect::<Vec<u32>>());
+    let bits = |group: &LaneGroup, n: usize| {
+        group.solution(n).map(|solution| solution.log_photocurrent().map(f32::to_bits).collect::<Vec<u32>>())
+    };
     for_each_problem(|_, problem, _| {
         group.solve(&[*problem]);
         let alone = bits(&group, 0);
         // Next to shorter pixels, which settle sooner or later, and next to itself.
-        let cut = |knots: usize| PixelProblem { t_s: &problem.t_s[..knots], steps: &problem.steps[..knots], ..*problem };
+        let cut = |knots: usize| PixelProblem {
+            t_s: &problem.t_s[..knots],
+            steps: &problem.steps[..knots],
+            ..*problem
+        };
         group.solve(&[cut(2), cut(problem.t_s.len() / 2 + 2), *problem, cut(3), *problem]);
         assert!(bits(&group, 2) == alone && bits(&group, 4) == alone);
     });
@@ -192,12 +217,14 @@ fn a_pixel_does_not_depend_on_its_lane_or_its_neighbours() {
 
 #[test]
 fn solutions_have_the_same_bits_on_every_machine() {
-    // FNV-1a over the bits of every solution. Changes only with a deliberate change of the arithmetic (then bump the
-    // revision of the nodes that solve); never with the build profile, the processor or the vector width.
+    // FNV-1a over the bits of every solution. Changes only with a deliberate change of the arithmetic (then
+    // bump the revision of the nodes that solve); never with the build profile, the processor or the vector
+    // width.
     let mut workspace = Workspace::default();
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     for_each_problem(|_, problem, _| {
-        let solution = solve(problem, &SolveOptions::default(), &mut workspace).expect("a well-posed problem");
+        let solution =
+            solve(problem, &SolveOptions::default(), &mut workspace).expect("a well-posed problem");
         for u in solution.log_photocurrent {
             hash = (hash ^ u.to_bits()).wrapping_mul(0x0000_0100_0000_01b3);
         }
@@ -218,7 +245,9 @@ fn the_cost_of_a_given_optimum_is_the_given_cost() {
 fn compensated_steps_are_those_of_the_reference() {
     let mut compared = 0;
     for_each_problem(|index, _, given| {
-        let (Some(events), Some(threshold), Some(refractory)) = (&given.events_tin_toff_p, given.threshold, given.trp_ms) else {
+        let (Some(events), Some(threshold), Some(refractory)) =
+            (&given.events_tin_toff_p, given.threshold, given.trp_ms)
+        else {
             return;
         };
         let t_in: Vec<f64> = events.iter().map(|event| event[0] * 1e-3).collect();

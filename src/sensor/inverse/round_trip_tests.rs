@@ -11,14 +11,22 @@ const GAIN: f64 = 1.5e5;
 /// The front end that the round trip simulates.
 const SIMULATED: FrontEnd = FrontEnd { tau_0_s: 30e-6, alpha_s: 5e-5 };
 
-/// One smooth pixel, simulated without blind time and solved with `front_end`: the rms error of `ln i` at the events
-/// inside the frames.
+/// One smooth pixel, simulated without blind time and solved with `front_end`: the rms error of `ln i` at the
+/// events inside the frames.
 fn round_trip_error(front_end: FrontEnd, tau_rule: TauRule) -> f64 {
     let t_ns: Vec<i64> = (0..=1500).map(|n| n * 20_000).collect();
-    let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(-1.2 + 0.8 * libm::sin(t as f64 * 4e-7))).collect();
+    let current: Vec<f64> =
+        t_ns.iter().map(|&t| libm::exp(-1.2 + 0.8 * libm::sin(t as f64 * 4e-7))).collect();
     let light = LinearLight::new(&t_ns, &current);
-    let pixel =
-        Pixel { front_end: SIMULATED, threshold_on: 0.05, threshold_off: 0.05, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP };
+    let pixel = Pixel {
+        front_end: SIMULATED,
+        threshold_on: 0.05,
+        threshold_off: 0.05,
+        latency_ns: 0,
+        latency_spread_ns: 0.0,
+        refractory_ns: 0,
+        log_step: LOG_STEP,
+    };
     let events = simulate_events(&pixel, &light, 0, 30_000_000, &mut Noiseless);
     let frames: Vec<FrameSample> = [(1, 9), (11, 19), (21, 29)]
         .map(|(start, end)| {
@@ -34,22 +42,31 @@ fn round_trip_error(front_end: FrontEnd, tau_rule: TauRule) -> f64 {
     let solution = solve(&problem, &SolveOptions::default(), &mut workspace).expect("well posed");
     assert!(solution.has_converged());
     let seen = solution.log_photocurrent.iter().zip(&events).filter(|(_, event)| event.t_in_ns > 1_000_000);
-    let squares: Vec<f64> = seen.map(|(u, event)| u - libm::log(light.at(event.t_in_ns))).map(|error| error * error).collect();
+    let squares: Vec<f64> =
+        seen.map(|(u, event)| u - libm::log(light.at(event.t_in_ns))).map(|error| error * error).collect();
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
 #[test]
 fn a_smooth_pixel_comes_back_better_with_its_front_end() {
-    let (end, start) = (round_trip_error(SIMULATED, TauRule::End), round_trip_error(SIMULATED, TauRule::Start));
+    let (end, start) =
+        (round_trip_error(SIMULATED, TauRule::End), round_trip_error(SIMULATED, TauRule::Start));
     let ideal = round_trip_error(FrontEnd::IDEAL, TauRule::End);
-    // The photocurrent is held between events one threshold (0.05) apart, and an interval's light is summed up in its
-    // end: errors of about one threshold are the model's own. Ignoring the delay (0.25 ms) costs more.
+    // The photocurrent is held between events one threshold (0.05) apart, and an interval's light is summed
+    // up in its end: errors of about one threshold are the model's own. Ignoring the delay (0.25 ms) costs
+    // more.
     assert!(end < 0.05, "rms error {end}");
     assert!(start < 0.05, "rms error {start}");
     assert!(ideal > 1.4 * end, "{ideal} against {end}");
 }
 
-fn pixel_problem<'a>(t_s: &'a [f64], steps: &'a [f64], frames: &'a [FrameSample], front_end: FrontEnd, tau_rule: TauRule) -> PixelProblem<'a> {
+fn pixel_problem<'a>(
+    t_s: &'a [f64],
+    steps: &'a [f64],
+    frames: &'a [FrameSample],
+    front_end: FrontEnd,
+    tau_rule: TauRule,
+) -> PixelProblem<'a> {
     PixelProblem { t_s, steps, frames, evs_weight: 1111.0, front_end, tau_rule, black_level: 0.0, gain: GAIN }
 }
 
@@ -67,8 +84,15 @@ impl PixelNoise for Dice {
 fn converged_dim_pixels(pixels: usize, tau_rule: TauRule) -> usize {
     let mut dice = Dice(7);
     let front_end = FrontEnd { tau_0_s: 30e-6, alpha_s: 3e-4 };
-    let pixel =
-        Pixel { front_end, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 20_000, latency_spread_ns: 40_000.0, refractory_ns: 60_000, log_step: LOG_STEP };
+    let pixel = Pixel {
+        front_end,
+        threshold_on: 0.2,
+        threshold_off: 0.2,
+        latency_ns: 20_000,
+        latency_spread_ns: 40_000.0,
+        refractory_ns: 60_000,
+        log_step: LOG_STEP,
+    };
     let mut workspace = Workspace::default();
     let mut converged = 0;
     for _ in 0..pixels {
@@ -97,7 +121,12 @@ fn converged_dim_pixels(pixels: usize, tau_rule: TauRule) -> usize {
             let start_ns = 500_000 + 8_333_333 * l;
             let exposure = Exposure::new(start_ns, start_ns + 6_500_000);
             let dn = (GAIN * light.integral(exposure)).round();
-            FrameSample { start_s: start_ns as f64 / 1e9, end_s: exposure.end.0 as f64 / 1e9, dn, weight: 0.04 }
+            FrameSample {
+                start_s: start_ns as f64 / 1e9,
+                end_s: exposure.end.0 as f64 / 1e9,
+                dn,
+                weight: 0.04,
+            }
         });
         let problem = pixel_problem(&t_in_s, &steps, &frames, front_end, tau_rule);
         let solution = solve(&problem, &SolveOptions::default(), &mut workspace).expect("well posed");
@@ -115,8 +144,8 @@ fn nearly_all_dim_pixels_converge_with_the_time_constant_of_the_end() {
 
 #[test]
 fn many_dim_pixels_fail_with_the_time_constant_as_printed() {
-    // The printed rule asks for absurd targets at edges out of the dark. That is a property of the model: kept, and
-    // visible here, because it is why the end's time constant is the default.
+    // The printed rule asks for absurd targets at edges out of the dark. That is a property of the model:
+    // kept, and visible here, because it is why the end's time constant is the default.
     let converged = converged_dim_pixels(200, TauRule::Start);
     assert!(converged < 190, "{converged} of 200");
 }

@@ -12,7 +12,8 @@ pub(super) enum Chart {
     Fold,
 }
 
-/// First derivatives of one interval, and second ones of its EVS row. `s` is the knot's unknown, `V` the voltage before.
+/// First derivatives of one interval, and second ones of its EVS row. `s` is the knot's unknown, `V` the
+/// voltage before.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Stage {
     /// What `s` is.
@@ -42,8 +43,8 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// Both step and log photocurrent follow the voltage before: the step by the envelope theorem (its slope by the log
-    /// photocurrent is zero), the log photocurrent such that this slope stays zero.
+    /// Both step and log photocurrent follow the voltage before: the step by the envelope theorem (its slope
+    /// by the log photocurrent is zero), the log photocurrent such that this slope stays zero.
     pub(super) fn held_at_fold(&self) -> Stage {
         Stage {
             chart: Chart::Fold,

@@ -12,12 +12,23 @@ const RULES: [TauRule; 2] = [TauRule::Start, TauRule::End];
 
 const T_S: [f64; 6] = [0.0, 6e-4, 2e-3, 4.1e-3, 4.9e-3, 6.4e-3];
 const STEPS: [f64; 6] = [0.0, 0.2, -0.25, 0.2, 0.3, -0.2];
-const FRAMES: [FrameSample; 2] =
-    [FrameSample { start_s: -1e-3, end_s: 3e-3, dn: 240.0, weight: 0.04 }, FrameSample { start_s: 3.5e-3, end_s: 7e-3, dn: 250.0, weight: 0.04 }];
+const FRAMES: [FrameSample; 2] = [
+    FrameSample { start_s: -1e-3, end_s: 3e-3, dn: 240.0, weight: 0.04 },
+    FrameSample { start_s: 3.5e-3, end_s: 7e-3, dn: 250.0, weight: 0.04 },
+];
 
 /// A well-behaved indoor pixel: every fall is within reach.
 pub(super) fn problem() -> PixelProblem<'static> {
-    PixelProblem { t_s: &T_S, steps: &STEPS, frames: &FRAMES, evs_weight: 2500.0, front_end: INDOOR, tau_rule: TauRule::End, black_level: 16.0, gain: 1.5e5 }
+    PixelProblem {
+        t_s: &T_S,
+        steps: &STEPS,
+        frames: &FRAMES,
+        evs_weight: 2500.0,
+        front_end: INDOOR,
+        tau_rule: TauRule::End,
+        black_level: 16.0,
+        gain: 1.5e5,
+    }
 }
 
 /// The same with one fall far beyond what the low-pass can make in its interval.
@@ -37,14 +48,20 @@ fn solved(problem: &PixelProblem<'_>) -> Owned {
     Owned { u: solution.log_photocurrent.to_vec(), cost: solution.cost, outcome: solution.outcome }
 }
 
-/// A candidate with its linearisation: the measured steps from level -1, moved off a fold so that both sides exist.
+/// A candidate with its linearisation: the measured steps from level -1, moved off a fold so that both sides
+/// exist.
 fn linearised(problem: &PixelProblem<'_>) -> (Overlap, Candidate, Linearised) {
     let (mut overlap, mut at, mut linear) = (Overlap::default(), Candidate::default(), Linearised::default());
     overlap.fill(problem);
     assert!(at.set_measured_steps(problem, &overlap, -1.0));
     linear.fill(problem, &overlap, &at);
     if linear.has_fold() {
-        let lifted: Vec<f64> = at.log_photocurrent.iter().zip(linear.charts()).map(|(u, chart)| if chart == Chart::Step { *u } else { u + 0.05 }).collect();
+        let lifted: Vec<f64> = at
+            .log_photocurrent
+            .iter()
+            .zip(linear.charts())
+            .map(|(u, chart)| if chart == Chart::Step { *u } else { u + 0.05 })
+            .collect();
         assert!(at.set_log_photocurrent(problem, &overlap, lifted.into_iter()));
         linear.fill(problem, &overlap, &at);
     }
@@ -52,7 +69,14 @@ fn linearised(problem: &PixelProblem<'_>) -> (Overlap, Candidate, Linearised) {
 }
 
 /// `at` with unknown `k` moved by `change`.
-fn moved(problem: &PixelProblem<'_>, overlap: &Overlap, at: &Candidate, linear: &Linearised, k: usize, change: f64) -> Candidate {
+fn moved(
+    problem: &PixelProblem<'_>,
+    overlap: &Overlap,
+    at: &Candidate,
+    linear: &Linearised,
+    k: usize,
+    change: f64,
+) -> Candidate {
     let mut changes = vec![0.0; at.step.len()];
     changes[k] = change;
     let mut trial = Candidate::default();
@@ -144,13 +168,22 @@ fn the_small_system_gives_the_step_of_the_dense_one() {
 
 #[test]
 fn an_ideal_front_end_with_one_frame_is_the_event_based_double_integral() {
-    // Blurred B = DN / (G T); sharp L(start) = B * T / S with S the integral of exp(c a(t)), a(t) the events so far.
+    // Blurred B = DN / (G T); sharp L(start) = B * T / S with S the integral of exp(c a(t)), a(t) the events
+    // so far.
     let (start_s, end_s, dn, c) = (1e-3, 9e-3, 777.0, 0.21);
     let t_s = [start_s, 2e-3, 2.5e-3, 6e-3, 8.1e-3];
     let frames = [FrameSample { start_s, end_s, dn, weight: 0.3 }];
     let steps = [0.0, c, c, -c, c];
     for tau_rule in RULES {
-        let ideal = PixelProblem { t_s: &t_s, steps: &steps, frames: &frames, black_level: 0.0, front_end: FrontEnd::IDEAL, tau_rule, ..problem() };
+        let ideal = PixelProblem {
+            t_s: &t_s,
+            steps: &steps,
+            frames: &frames,
+            black_level: 0.0,
+            front_end: FrontEnd::IDEAL,
+            tau_rule,
+            ..problem()
+        };
         let a = [0.0, 1.0, 2.0, 1.0, 2.0];
         let hold_s = [1e-3, 0.5e-3, 3.5e-3, 2.1e-3, 0.9e-3];
         let sum: f64 = a.iter().zip(hold_s).map(|(a, hold)| libm::exp(c * a) * hold).sum();
@@ -181,7 +214,8 @@ fn a_vanishing_time_constant_approaches_the_ideal_front_end() {
 fn shifting_time_changes_nothing() {
     let here = solved(&problem());
     let t_s = T_S.map(|t| t + 2.0);
-    let frames = FRAMES.map(|frame| FrameSample { start_s: frame.start_s + 2.0, end_s: frame.end_s + 2.0, ..frame });
+    let frames =
+        FRAMES.map(|frame| FrameSample { start_s: frame.start_s + 2.0, end_s: frame.end_s + 2.0, ..frame });
     let there = solved(&PixelProblem { t_s: &t_s, frames: &frames, ..problem() });
     for (a, b) in here.u.iter().zip(&there.u) {
         assert!((a - b).abs() < 1e-9); // f64 seconds near 2 resolve 2e-16 s of 6e-4 s
@@ -277,16 +311,32 @@ fn a_workspace_remembers_nothing() {
 fn ill_posed_problems_are_refused_with_the_place() {
     let refused = |problem: PixelProblem<'_>| problem.check().expect_err("ill posed");
     assert_eq!(refused(PixelProblem { frames: &[], ..problem() }), ProblemError::NoFrames);
-    assert_eq!(refused(PixelProblem { t_s: &T_S[..2], ..problem() }), ProblemError::LengthMismatch { knots: 2, steps: 6 });
+    assert_eq!(
+        refused(PixelProblem { t_s: &T_S[..2], ..problem() }),
+        ProblemError::LengthMismatch { knots: 2, steps: 6 }
+    );
     let nan = [0.0, 0.2, f64::NAN, 0.1, 0.1, 0.1];
-    assert_eq!(refused(PixelProblem { steps: &nan, ..problem() }), ProblemError::NonFinite { quantity: "steps", index: 2 });
+    assert_eq!(
+        refused(PixelProblem { steps: &nan, ..problem() }),
+        ProblemError::NonFinite { quantity: "steps", index: 2 }
+    );
     let equal = [0.0, 1e-3, 1e-3, 2e-3, 3e-3, 4e-3];
-    assert_eq!(refused(PixelProblem { t_s: &equal, ..problem() }), ProblemError::KnotsNotIncreasing { index: 2 });
+    assert_eq!(
+        refused(PixelProblem { t_s: &equal, ..problem() }),
+        ProblemError::KnotsNotIncreasing { index: 2 }
+    );
     let backwards = [FRAMES[0], FrameSample { end_s: 0.0, ..FRAMES[1] }];
-    assert_eq!(refused(PixelProblem { frames: &backwards, ..problem() }), ProblemError::EmptyExposure { index: 1 });
+    assert_eq!(
+        refused(PixelProblem { frames: &backwards, ..problem() }),
+        ProblemError::EmptyExposure { index: 1 }
+    );
     let weightless = [FrameSample { weight: 0.0, ..FRAMES[0] }];
     let error = refused(PixelProblem { frames: &weightless, ..problem() });
-    assert_eq!(error.to_string(), "frames.weight[0] is 0, which is out of range; leave an untrusted frame out instead");
+    assert_eq!(
+        error.to_string(),
+        "frames.weight[0] is 0, which is out of range; leave an untrusted frame \
+                                   out instead"
+    );
 }
 
 proptest! {

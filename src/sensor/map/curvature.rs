@@ -1,6 +1,7 @@
 //! The curvature of all later measurements by the states: what posterior variances are made of.
 //!
-//! Where only some lanes do a step, `chosen` gives of two numbers, with the step and without, that of each lane.
+//! Where only some lanes do a step, `chosen` gives of two numbers, with the step and without, that of each
+//! lane.
 
 use super::state::{Transition, each_state};
 use crate::scalar::Scalar;
@@ -30,7 +31,8 @@ impl<T: Scalar, const N: usize> Curvature<T, N> {
         sum
     }
 
-    /// `Lambda := H'H / S + (I - K H)' Lambda (I - K H)`, with H the sight of what was measured, K its gain and S the variance of its innovation.
+    /// `Lambda := H'H / S + (I - K H)' Lambda (I - K H)`, with H the sight of what was measured, K its gain
+    /// and S the variance of its innovation.
     #[inline(always)]
     pub(super) fn untake<const M: usize>(&mut self, sight: &[T; N], gain: &[T; M], information: T) {
         let mut along = [T::from_f64(0.0); N];
@@ -60,7 +62,8 @@ impl<T: Scalar, const N: usize> Curvature<T, N> {
         each_state!(a in 0, N => self.0[to][a] = chosen(self.0[to][a] + sign * self.0[of][a], self.0[to][a]));
     }
 
-    /// `F' Lambda F`. Sums in another order made the matrix not quite symmetric: a lane without the step keeps its rows, and has no transpose.
+    /// `F' Lambda F`. Sums in another order made the matrix not quite symmetric: a lane without the step
+    /// keeps its rows, and has no transpose.
     #[inline(always)]
     pub(super) fn unpredict(&mut self, f: &Transition<T>, chosen: impl Fn(T, T) -> T) {
         each_state!(a in 0, N => f.transposed(&mut self.0[a]));

@@ -1,9 +1,10 @@
 //! How far events may be trusted, and which prior suits: estimated from the recording itself.
 //!
-//! A stated noise is often wrong, and too small a value is far worse than too large a one: the light then bends to meet every threshold, and is
-//! wrong where no event holds it. So some pixels are solved with several values while every third of their frames is held out, and
-//! the value is taken that predicts those frames best. With too few frames for that, the marginal likelihood of the measurements decides;
-//! it is the weaker judge, because it assumes that the model is right.
+//! A stated noise is often wrong, and too small a value is far worse than too large a one: the light then
+//! bends to meet every threshold, and is wrong where no event holds it. So some pixels are solved with
+//! several values while every third of their frames is held out, and the value is taken that predicts those
+//! frames best. With too few frames for that, the marginal likelihood of the measurements decides; it is the
+//! weaker judge, because it assumes that the model is right.
 
 use super::frame_noise::NORMAL_MEDIAN;
 use super::group::MapGroup;
@@ -22,8 +23,9 @@ pub const FEWEST_EVENTS: usize = 40;
 pub const FEWEST_FRAMES: usize = 4;
 /// One in so many frames is held out, never the first or the last.
 const HELD_OUT: usize = 3;
-/// Added to a frame value that an error is compared with, as a share of the range from darkness to saturation: in the dark, noise is not relative, and a few
-/// dark pixels whose light ran away must not pass for good.
+/// Added to a frame value that an error is compared with, as a share of the range from darkness to
+/// saturation: in the dark, noise is not relative, and a few dark pixels whose light ran away must not pass
+/// for good.
 const DARK_SHARE: f64 = 0.2;
 /// Where there are many pixels, one in so many looks at all choices first.
 const LOOKS_FIRST: usize = 3;
@@ -44,7 +46,8 @@ const LEAST_VARIANCE: f64 = 1e-8;
 pub struct Choosing {
     /// What is not usual must lose less by this part, from 0 (any less) to 1 (never).
     pub clear_gain: f64,
-    /// Of many pixels a third looks first; the others look only at what loses at most this part more than the best does there. Infinite: at everything.
+    /// Of many pixels a third looks first; the others look only at what loses at most this part more than the
+    /// best does there. Infinite: at everything.
     pub reach: f64,
 }
 
@@ -57,8 +60,9 @@ pub struct Choice {
     pub prior: Prior,
 }
 
-/// The priors that are tried where frames can be held out: the usual one, two for light that is hardly ever still (the second for smooth
-/// motion), one for edges that last longer, and Student's t of increments and of changes of slope.
+/// The priors that are tried where frames can be held out: the usual one, two for light that is hardly ever
+/// still (the second for smooth motion), one for edges that last longer, and Student's t of increments and of
+/// changes of slope.
 pub(crate) const PRIORS: [Prior; 6] = [
     Prior::USUAL,
     Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL }),
@@ -78,13 +82,21 @@ impl Choosing {
     }
 }
 
-/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event, and where frames decide, unless others are clearly better.
+/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an
+/// event, and where frames decide, unless others are clearly better.
 ///
 /// `event` is taken where it is given. Without enough frames to hold out, only the event noise is chosen.
-pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, choosing: &Choosing, options: &MapOptions, group: &mut MapGroup) -> Choice {
+pub fn choose(
+    problems: &[MapProblem<'_>],
+    event: Option<f64>,
+    choosing: &Choosing,
+    options: &MapOptions,
+    group: &mut MapGroup,
+) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
     let given = problems.first().map_or_else(Noise::default, |problem| problem.noise);
-    let usual = Choice { noise: Noise { event: event.unwrap_or(given.event), ..given }, prior: options.prior };
+    let usual =
+        Choice { noise: Noise { event: event.unwrap_or(given.event), ..given }, prior: options.prior };
     if events < FEWEST_EVENTS {
         return usual;
     }
@@ -100,9 +112,13 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, choosing: &Choosi
     let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut Best| {
         let (first, others) = tried.looks();
         let at_first = tried.losses(&choices, &first, group);
-        let reach = at_first.iter().fold(best.at_first, |least, loss| f64::min(least, *loss)) * (1.0 + choosing.reach);
-        let (choices, at_first): (Vec<Choice>, Vec<f64>) = choices.into_iter().zip(at_first).filter(|(_, loss)| *loss <= reach).unzip();
-        for ((more, at_first), choice) in tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices) {
+        let reach = at_first.iter().fold(best.at_first, |least, loss| f64::min(least, *loss))
+            * (1.0 + choosing.reach);
+        let (choices, at_first): (Vec<Choice>, Vec<f64>) =
+            choices.into_iter().zip(at_first).filter(|(_, loss)| *loss <= reach).unzip();
+        for ((more, at_first), choice) in
+            tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices)
+        {
             let loss = at_first + more;
             if loss < best.loss * by(&best.choice) {
                 *best = Best { choice, loss, at_first };
@@ -122,13 +138,18 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, choosing: &Choosi
     // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
-    let choices = spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
+    let choices =
+        spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
     consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
     if problems.iter().any(|problem| problem.events.iter().any(|event| event.is_lone)) {
         let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
         consider(vec![Choice { noise, ..best.choice }], &|_| clearly_better, &mut best);
     }
-    let priors = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.choice }).collect();
+    let priors = PRIORS
+        .into_iter()
+        .filter(|prior| *prior != usual.prior)
+        .map(|prior| Choice { prior, ..best.choice })
+        .collect();
     consider(priors, &|_| clearly_better, &mut best);
     best.choice
 }
@@ -140,7 +161,12 @@ pub(crate) fn is_held_out(l: usize, count: usize) -> bool {
 
 /// The frames that are not held out.
 pub fn kept(frames: &[MapFrame]) -> Vec<MapFrame> {
-    frames.iter().enumerate().filter(|(l, _)| !is_held_out(*l, frames.len())).map(|(_, frame)| *frame).collect()
+    frames
+        .iter()
+        .enumerate()
+        .filter(|(l, _)| !is_held_out(*l, frames.len()))
+        .map(|(_, frame)| *frame)
+        .collect()
 }
 
 /// What choices are tried on.
@@ -163,7 +189,8 @@ struct Best {
 }
 
 impl Tried<'_> {
-    /// The problems that look first, and the others. Nobody looks first at evidence, whose losses have no zero.
+    /// The problems that look first, and the others. Nobody looks first at evidence, whose losses have no
+    /// zero.
     fn looks(&self) -> (Vec<usize>, Vec<usize>) {
         let looks_first = self.kept.is_some() && self.problems.len() >= FEWEST_FIRST * LOOKS_FIRST;
         (0..self.problems.len()).partition(|p| looks_first && p % LOOKS_FIRST == 1)
@@ -171,36 +198,54 @@ impl Tried<'_> {
 
     /// What each choice loses in some problems: by the frames that were held out, else by the evidence.
     ///
-    /// Always from the usual start: from the light that another noise or prior has found, a few steps do not show what this one would find.
+    /// Always from the usual start: from the light that another noise or prior has found, a few steps do not
+    /// show what this one would find.
     fn losses(&self, choices: &[Choice], looking: &[usize], group: &mut MapGroup) -> Vec<f64> {
         let task = |n: usize| {
             let (p, choice) = (looking[n / choices.len()], &choices[n % choices.len()]);
             let problem = &self.problems[p];
             let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
             let noise = choice.noise;
-            MapTask { problem: MapProblem { noise, frames, ..*problem }, options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options } }
+            MapTask {
+                problem: MapProblem { noise, frames, ..*problem },
+                options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options },
+            }
         };
         let tasks: Vec<MapTask<'_>> = (0..looking.len() * choices.len()).map(task).collect();
         let mut losses = vec![0.0; tasks.len()];
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
         group.solve_with(&tasks, evidence, |n, solution| {
             let problem = &self.problems[looking[n / choices.len()]];
-            losses[n] = if self.kept.is_some() { prediction_error(problem, self.dark_dn, &solution) } else { -solution.log_evidence };
+            losses[n] = if self.kept.is_some() {
+                prediction_error(problem, self.dark_dn, &solution)
+            } else {
+                -solution.log_evidence
+            };
         });
         // Problem by problem, whatever order they were solved in.
         (0..choices.len()).map(|c| losses.iter().skip(c).step_by(choices.len()).sum()).collect()
     }
 }
 
-/// How badly each problem's frames that are held out are predicted by its other measurements: the sum of relative errors, at most
-/// [`LARGEST_ERROR`] each.
-pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<f64> {
+/// How badly each problem's frames that are held out are predicted by its other measurements: the sum of
+/// relative errors, at most [`LARGEST_ERROR`] each.
+pub fn prediction_errors(
+    problems: &[MapProblem<'_>],
+    options: &MapOptions,
+    group: &mut MapGroup,
+) -> Vec<f64> {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
     let options = MapOptions { with_sigma: false, ..*options };
-    let tasks: Vec<MapTask<'_>> = problems.iter().zip(&kept).map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options }).collect();
+    let tasks: Vec<MapTask<'_>> = problems
+        .iter()
+        .zip(&kept)
+        .map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options })
+        .collect();
     let mut errors = vec![0.0; tasks.len()];
     let dark_dn = dark_dn(problems);
-    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| errors[n] = prediction_error(&problems[n], dark_dn, &solution));
+    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
+        errors[n] = prediction_error(&problems[n], dark_dn, &solution)
+    });
     errors
 }
 
@@ -219,15 +264,35 @@ pub struct Miss {
 pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<Miss> {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
     let options = MapOptions { with_sigma: true, ..*options };
-    let tasks: Vec<MapTask<'_>> = problems.iter().zip(&kept).map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options }).collect();
+    let tasks: Vec<MapTask<'_>> = problems
+        .iter()
+        .zip(&kept)
+        .map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options })
+        .collect();
     let mut misses: Vec<(usize, Miss)> = Vec::new();
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
         let MapProblem { frames, sensor, .. } = problems[n];
-        let spread: Vec<f64> = solution.log_photocurrent.iter().zip(solution.variance).map(|(u, variance)| u + log_sigma(*variance)).collect();
-        for (_, frame) in frames.iter().enumerate().filter(|(l, frame)| is_held_out(*l, frames.len()) && !frame.saturated) {
-            let over = |log: &[f64]| sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns);
+        let spread: Vec<f64> = solution
+            .log_photocurrent
+            .iter()
+            .zip(solution.variance)
+            .map(|(u, variance)| u + log_sigma(*variance))
+            .collect();
+        for (_, frame) in
+            frames.iter().enumerate().filter(|(l, frame)| is_held_out(*l, frames.len()) && !frame.saturated)
+        {
+            let over = |log: &[f64]| {
+                sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns)
+            };
             let (predicted, sigma) = (sensor.black_level_dn + over(solution.log_photocurrent), over(&spread));
-            misses.push((n, Miss { size_dn: (predicted - frame.dn).abs(), ours: sigma * sigma, frames: frame.sigma_dn * frame.sigma_dn }));
+            misses.push((
+                n,
+                Miss {
+                    size_dn: (predicted - frame.dn).abs(),
+                    ours: sigma * sigma,
+                    frames: frame.sigma_dn * frame.sigma_dn,
+                },
+            ));
         }
     });
     // Problem by problem, whatever order they were solved in.
@@ -240,10 +305,12 @@ pub fn log_sigma(variance: f64) -> f64 {
     0.5 * libm::log(f64::max(variance, LEAST_VARIANCE))
 }
 
-/// By what factor standard deviations of light are too small: what misses show of it, at least 1 and at most [`LARGEST_FACTOR`].
+/// By what factor standard deviations of light are too small: what misses show of it, at least 1 and at most
+/// [`LARGEST_FACTOR`].
 ///
-/// The prior and the noise are simpler than the world, and the light follows its own estimate, so the posterior is too narrow where the model is poor. With
-/// this factor the median of the misses, over their standard deviations, is that of a normal distribution. 1 where there are too few.
+/// The prior and the noise are simpler than the world, and the light follows its own estimate, so the
+/// posterior is too narrow where the model is poor. With this factor the median of the misses, over their
+/// standard deviations, is that of a normal distribution. 1 where there are too few.
 pub fn too_narrow_by(misses: &mut [Miss]) -> f64 {
     if misses.len() < FEWEST_MISSES {
         return 1.0;
@@ -273,7 +340,13 @@ fn mean_threshold(problems: &[MapProblem<'_>]) -> f64 {
 /// [`DARK_SHARE`] of the range of the frames, DN; where saturation is not known, up to their brightest value.
 fn dark_dn(problems: &[MapProblem<'_>]) -> f64 {
     let Some(MapProblem { sensor, .. }) = problems.first() else { return 0.0 };
-    let brightest = || problems.iter().flat_map(|problem| problem.frames).map(|frame| frame.dn).fold(sensor.black_level_dn + 1.0, f64::max);
+    let brightest = || {
+        problems
+            .iter()
+            .flat_map(|problem| problem.frames)
+            .map(|frame| frame.dn)
+            .fold(sensor.black_level_dn + 1.0, f64::max)
+    };
     let top = if sensor.saturation_dn.is_finite() { sensor.saturation_dn } else { brightest() };
     DARK_SHARE * (top - sensor.black_level_dn)
 }
@@ -281,7 +354,12 @@ fn dark_dn(problems: &[MapProblem<'_>]) -> f64 {
 /// The sum of relative errors of frames that were held out.
 fn prediction_error(problem: &MapProblem<'_>, dark_dn: f64, solution: &MapSolution<'_>) -> f64 {
     let mut error = 0.0;
-    for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_held_out(*l, problem.frames.len()) && !frame.saturated) {
+    for (_, frame) in problem
+        .frames
+        .iter()
+        .enumerate()
+        .filter(|(l, frame)| is_held_out(*l, problem.frames.len()) && !frame.saturated)
+    {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
         let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
         let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);

@@ -17,8 +17,11 @@ fn choices_that_a_third_of_many_pixels_leaves_away_would_not_be_chosen() {
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
     // Fewer than 48 pixels look at everything.
-    let [[right, right_in_turn], [wrong, wrong_in_turn]] =
-        [right, wrong].map(|problem| [45, 48].map(|pixels| estimate::choose(&vec![problem; pixels], None, &Choosing::USUAL, &options, &mut group)));
+    let [[right, right_in_turn], [wrong, wrong_in_turn]] = [right, wrong].map(|problem| {
+        [45, 48].map(|pixels| {
+            estimate::choose(&vec![problem; pixels], None, &Choosing::USUAL, &options, &mut group)
+        })
+    });
     assert_eq!((right, wrong), (right_in_turn, wrong_in_turn));
     assert!(wrong.noise.event > right.noise.event, "{} and {}", right.noise.event, wrong.noise.event);
 }
@@ -52,7 +55,9 @@ fn events_are_trusted_less_where_they_mislead_about_frames() {
     let mut group = MapGroup::default();
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &Choosing::USUAL, &few_steps(), group).noise.event;
+    let found = |problem, group: &mut MapGroup| {
+        estimate::choose(&[problem; 2], None, &Choosing::USUAL, &few_steps(), group).noise.event
+    };
     let (right, wrong) = (found(right, &mut group), found(wrong, &mut group));
     assert!(wrong > right, "{right} and {wrong}");
 }
@@ -76,10 +81,21 @@ fn standard_deviations_are_widened_where_frames_are_missed_by_more() {
     let recorded = recorded(Reset::Resample);
     let right = recorded.problem(Reset::Resample);
     // Thresholds stated 50 % too large, of which the noise knows nothing.
-    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, threshold_off: 0.315, ..right.sensor }, ..right };
-    let factor = |problem, count| estimate::too_narrow_by(&mut estimate::misses(&vec![problem; count], &few_steps(), &mut MapGroup::default()));
+    let wrong =
+        MapProblem { sensor: MapSensor { threshold_on: 0.3, threshold_off: 0.315, ..right.sensor }, ..right };
+    let factor = |problem, count| {
+        estimate::too_narrow_by(&mut estimate::misses(
+            &vec![problem; count],
+            &few_steps(),
+            &mut MapGroup::default(),
+        ))
+    };
     let (reported_right, reported_wrong) = (factor(right, 60), factor(wrong, 60));
-    assert!(reported_right < 2.0 && reported_wrong > 1.5 * reported_right, "{reported_right} and {reported_wrong}");
+    assert!(
+        reported_right < 2.0 && reported_wrong > 1.5 * reported_right,
+        "{reported_right} and \
+                                                            {reported_wrong}"
+    );
     // One frame of each is held out: too few to decide.
     assert_eq!(factor(wrong, 10), 1.0);
 }
@@ -95,7 +111,13 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     let frames: Vec<MapFrame> = (0..12)
         .map(|l| {
             let (start_ns, end_ns) = (l * 8_000_000, l * 8_000_000 + 4_000_000);
-            MapFrame { start_ns, end_ns, dn: 850.0 * light.integral(Exposure::new(start_ns, end_ns)), sigma_dn: 2.0, saturated: false }
+            MapFrame {
+                start_ns,
+                end_ns,
+                dn: 850.0 * light.integral(Exposure::new(start_ns, end_ns)),
+                sigma_dn: 2.0,
+                saturated: false,
+            }
         })
         .collect();
     let pixel = Pixel {
@@ -108,10 +130,23 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         log_step: LOG_STEP,
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
-    let fired =
-        simulate(&Pixels { pixel, reset: Reset::Resample, effects: &[], tolerance: crate::forward::TOLERANCE }, &site, &light, 0, 100_000_000, &mut Noiseless);
-    let events: Vec<MapEvent> =
-        fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
+    let fired = simulate(
+        &Pixels { pixel, reset: Reset::Resample, effects: &[], tolerance: crate::forward::TOLERANCE },
+        &site,
+        &light,
+        0,
+        100_000_000,
+        &mut Noiseless,
+    );
+    let events: Vec<MapEvent> = fired
+        .iter()
+        .map(|f| MapEvent {
+            t_in_ns: f.event.t_in_ns,
+            t_off_ns: f.event.t_off_ns,
+            polarity: f.event.polarity,
+            is_lone: false,
+        })
+        .collect();
     let sensor = MapSensor { threshold_on: 0.3, threshold_off: 0.3, ..sensor(Reset::Resample) };
     let problem = MapProblem::new(sensor, &events, &frames, (0, 100_000_000));
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
@@ -128,12 +163,22 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
 #[test]
 fn lone_events_are_doubted_where_they_mislead_about_frames() {
     // Light at rest, and noise: one event inside each frame that is held out.
-    let frames: Vec<MapFrame> =
-        (0..12).map(|l| MapFrame { start_ns: l * 8_000_000, end_ns: l * 8_000_000 + 6_000_000, dn: 510.0, sigma_dn: 3.0, saturated: false }).collect();
-    let noise_events: Vec<MapEvent> =
-        [1, 4, 7].into_iter().map(|l| MapEvent { is_lone: true, ..event(l * 8_000_000 + 2_000_000, if l == 4 { -1 } else { 1 }) }).collect();
+    let frames: Vec<MapFrame> = (0..12)
+        .map(|l| MapFrame {
+            start_ns: l * 8_000_000,
+            end_ns: l * 8_000_000 + 6_000_000,
+            dn: 510.0,
+            sigma_dn: 3.0,
+            saturated: false,
+        })
+        .collect();
+    let noise_events: Vec<MapEvent> = [1, 4, 7]
+        .into_iter()
+        .map(|l| MapEvent { is_lone: true, ..event(l * 8_000_000 + 2_000_000, if l == 4 { -1 } else { 1 }) })
+        .collect();
     let problem = MapProblem::new(sensor(Reset::Resample), &noise_events, &frames, (0, 95_000_000));
-    let choice = estimate::choose(&[problem; 14], None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default());
+    let choice =
+        estimate::choose(&[problem; 14], None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default());
     assert_eq!(choice.noise.lone, LoneEvents::Doubted);
 }
 
@@ -142,10 +187,14 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
     // Stated thresholds too small in one pixel, too large in the other.
     let recorded = recorded(Reset::Resample);
     let right = recorded.problem(Reset::Resample);
-    let stated = |factor: f64| MapProblem { sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor }, ..right };
+    let stated = |factor: f64| MapProblem {
+        sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor },
+        ..right
+    };
     let mut group = MapGroup::default();
     let problems = [stated(0.85), stated(1.15)];
-    let chosen = estimate::choose(&problems, None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default()).noise;
+    let chosen =
+        estimate::choose(&problems, None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default()).noise;
     let mut error = |noise: Noise| {
         let of = |problem: &MapProblem<'_>| {
             let solution = solve(&MapProblem { noise, ..*problem }, &few_steps(), &mut group);
@@ -153,8 +202,15 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
         };
         problems.iter().map(of).sum::<f64>()
     };
-    let exact = estimate::EVENT_NOISES.iter().map(|&event| error(Noise { event, threshold: 0.0, ..chosen })).fold(f64::INFINITY, f64::min);
-    assert!(chosen.threshold > 0.0 && error(chosen) < 0.9 * exact, "{chosen:?}: {} against {exact}", error(chosen));
+    let exact = estimate::EVENT_NOISES
+        .iter()
+        .map(|&event| error(Noise { event, threshold: 0.0, ..chosen }))
+        .fold(f64::INFINITY, f64::min);
+    assert!(
+        chosen.threshold > 0.0 && error(chosen) < 0.9 * exact,
+        "{chosen:?}: {} against {exact}",
+        error(chosen)
+    );
 }
 
 #[test]
@@ -162,13 +218,21 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
     for reset in [Reset::Resample, Reset::Advance] {
         let whole = recorded(reset);
         // One edge goes unseen: light falls by 1.4 while the pixel is silent, and rises again after it.
-        let kept = whole.events.iter().copied().filter(|event| !(10_000_000..17_500_000).contains(&event.t_in_ns)).collect();
+        let kept = whole
+            .events
+            .iter()
+            .copied()
+            .filter(|event| !(10_000_000..17_500_000).contains(&event.t_in_ns))
+            .collect();
         let holed = Recorded { light: whole.light.clone(), frames: whole.frames.clone(), events: kept };
         let after = holed.events.partition_point(|event| event.t_in_ns < 17_500_000) as u32;
         assert!(holed.events.len() + 3 < whole.events.len());
         let options = MapOptions { max_iterations: 8, ..MapOptions::default() };
         let mut group = MapGroup::default();
-        let tasks = [&whole, &holed, &whole].map(|recorded| MapTask { problem: MapProblem { no_event_sigma: 0.03, ..recorded.problem(reset) }, options });
+        let tasks = [&whole, &holed, &whole].map(|recorded| MapTask {
+            problem: MapProblem { no_event_sigma: 0.03, ..recorded.problem(reset) },
+            options,
+        });
         let mut plain = [losses::Plain::default(); 3];
         group.solve(&tasks, |n, solution| plain[n] = losses::Plain::of(&solution));
         let lost = losses::lost_before(&tasks, &plain, &mut group);
@@ -179,7 +243,12 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
             let solution = solve(&MapProblem { lost_before, ..task.problem }, &task.options, &mut group);
             whole.error_from(24_000_000, solution.t_ns, solution.log_photocurrent)
         };
-        let (before, trusted, doubted) = (error(&tasks[0], &[]), error(&tasks[1], &[]), error(&tasks[1], &lost[1]));
-        assert!(trusted > 3.0 * before && doubted < 1.5 * before, "{reset:?}: {before} whole, {trusted} trusted, {doubted} doubted");
+        let (before, trusted, doubted) =
+            (error(&tasks[0], &[]), error(&tasks[1], &[]), error(&tasks[1], &lost[1]));
+        assert!(
+            trusted > 3.0 * before && doubted < 1.5 * before,
+            "{reset:?}: {before} whole, {trusted} \
+                                                            trusted, {doubted} doubted"
+        );
     }
 }

@@ -1,13 +1,17 @@
 //! How noisy frames are: from pixels in which nothing happens.
 //!
-//! Where a pixel fires no event over three consecutive exposures, its light is nearly a straight line, and the middle value less the mean of its
-//! neighbours is noise: of variance `v + (v + v) / 4` when v is a value's. The median of such differences is compared with that of a normal
-//! distribution of the stated noise; what is missing is added to all values alike. The median does not mind the few pixels that do change.
+//! Where a pixel fires no event over three consecutive exposures, its light is nearly a straight line, and
+//! the middle value less the mean of its neighbours is noise: of variance `v + (v + v) / 4` when v is a
+//! value's. The median of such differences is compared with that of a normal distribution of the stated
+//! noise; what is missing is added to all values alike. The median does not mind the few pixels that do
+//! change.
 //!
-//! Light that bends without reaching a threshold looks like noise. Where many pixels are at rest the median does not mind; where hardly one is, the few
-//! silent ones are those that bend a little less than a threshold, and nothing is said of noise.
+//! Light that bends without reaching a threshold looks like noise. Where many pixels are at rest the median
+//! does not mind; where hardly one is, the few silent ones are those that bend a little less than a
+//! threshold, and nothing is said of noise.
 //!
-//! Limits: one number for all values, however bright; where everything moves, noise is taken from the description.
+//! Limits: one number for all values, however bright; where everything moves, noise is taken from the
+//! description.
 
 use super::problem::{MapEvent, MapFrame};
 
@@ -28,8 +32,12 @@ pub struct Difference {
 /// With a smaller part of all possible differences than this, hardly a pixel is at rest.
 const AT_REST: f64 = 0.1;
 
-/// The second differences of a pixel where it is silent: no event from the start of the first exposure to the end of the third.
-pub fn differences<'a>(events: &'a [MapEvent], frames: &'a [MapFrame]) -> impl Iterator<Item = Difference> + 'a {
+/// The second differences of a pixel where it is silent: no event from the start of the first exposure to the
+/// end of the third.
+pub fn differences<'a>(
+    events: &'a [MapEvent],
+    frames: &'a [MapFrame],
+) -> impl Iterator<Item = Difference> + 'a {
     frames.windows(3).filter_map(move |three| {
         let [before, here, after] = three else { return None };
         let first = events.partition_point(|event| event.t_in_ns < before.start_ns);
@@ -43,9 +51,10 @@ pub fn differences<'a>(events: &'a [MapEvent], frames: &'a [MapFrame]) -> impl I
     })
 }
 
-/// The standard deviation, DN, that has to be added in squares to every frame value for the differences to be as large as they are; 0 where the
-/// stated noise explains them, where there are too few, or where they are too small a part of the `possible` ones, which is their number if every pixel
-/// were silent. Reorders `differences`.
+/// The standard deviation, DN, that has to be added in squares to every frame value for the differences to be
+/// as large as they are; 0 where the stated noise explains them, where there are too few, or where they are
+/// too small a part of the `possible` ones, which is their number if every pixel were silent. Reorders
+/// `differences`.
 pub fn missing_dn(differences: &mut [Difference], possible: usize) -> f64 {
     if differences.len() < FEWEST_DIFFERENCES || (differences.len() as f64) < AT_REST * possible as f64 {
         return 0.0;
@@ -53,7 +62,8 @@ pub fn missing_dn(differences: &mut [Difference], possible: usize) -> f64 {
     let middle = differences.len() / 2;
     let mut median = |extra_variance: f64| {
         let relative = |d: &Difference| d.size_dn / (d.variance + 1.5 * extra_variance).sqrt();
-        let (_, at, _) = differences.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b)));
+        let (_, at, _) =
+            differences.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b)));
         relative(at)
     };
     if median(0.0) <= NORMAL_MEDIAN {
@@ -86,7 +96,13 @@ mod tests {
             let mut random = Random::new(3, &[pixel]);
             (0..12).map(|l| (l, light(pixel, l) + 5.0 * random.normal())).collect::<Vec<_>>()
         };
-        let frame = |(l, dn): (i64, f64)| MapFrame { start_ns: l * 8_000_000, end_ns: l * 8_000_000 + 6_000_000, dn, sigma_dn: 3.0, saturated: false };
+        let frame = |(l, dn): (i64, f64)| MapFrame {
+            start_ns: l * 8_000_000,
+            end_ns: l * 8_000_000 + 6_000_000,
+            dn,
+            sigma_dn: 3.0,
+            saturated: false,
+        };
         (0..pixels).map(|pixel| values(pixel).into_iter().map(frame).collect()).collect()
     }
 
@@ -106,7 +122,8 @@ mod tests {
     fn a_few_pixels_that_change_do_not_pass_for_noise() {
         let jumps = |pixel: u64, l: i64| if pixel.is_multiple_of(10) && l % 2 == 0 { 300.0 } else { 100.0 };
         let found = missing(&film(200, jumps), &[]);
-        // A tenth far outside moves the median to the quantile 0.556 of the rest: 0.765 / 0.674 times 5 DN, less 3 in squares.
+        // A tenth far outside moves the median to the quantile 0.556 of the rest: 0.765 / 0.674 times 5 DN,
+        // less 3 in squares.
         assert!((found - 4.8).abs() < 0.4, "{found}");
     }
 
@@ -119,7 +136,12 @@ mod tests {
 
     #[test]
     fn pixels_that_fire_are_left_out() {
-        let event = |l: i64| MapEvent { t_in_ns: l * 8_000_000 + 3_000_000, t_off_ns: l * 8_000_000 + 3_001_000, polarity: 1, is_lone: false };
+        let event = |l: i64| MapEvent {
+            t_in_ns: l * 8_000_000 + 3_000_000,
+            t_off_ns: l * 8_000_000 + 3_001_000,
+            polarity: 1,
+            is_lone: false,
+        };
         let busy: Vec<MapEvent> = (0..12).step_by(3).map(event).collect();
         let film = film(200, |_, _| 100.0);
         assert_eq!(film.iter().flat_map(|frames| differences(&busy, frames)).count(), 0);
@@ -128,7 +150,8 @@ mod tests {
 
     #[test]
     fn light_that_bends_without_events_is_no_noise_where_nothing_is_at_rest() {
-        // Light swings by 4 % of itself, the noise is stated. Of a hundred times as many differences these are the silent ones.
+        // Light swings by 4 % of itself, the noise is stated. Of a hundred times as many differences these
+        // are the silent ones.
         let found = |possible: usize| {
             let mut film = film(200, |_, l| if l % 2 == 0 { 98.0 } else { 102.0 });
             film.iter_mut().flatten().for_each(|frame| frame.sigma_dn = 5.0);

@@ -1,14 +1,17 @@
 //! Where the unknowns of a pixel stand, and what happens there.
 //!
-//! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
-//! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far, or a 64th of the frame period, in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
+//! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at
+//! the edges of exposures; and between them so that none lie further apart than asked for near events, and up
+//! to [`COARSEST`] times as far, or a 64th of the frame period, in long quiet gaps. What happens at a knot is
+//! a short list of [`Op`]s in causal order.
 
 use super::problem::{LoneEvents, MapProblem};
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
 pub const COARSEST: i64 = 32;
-/// Or so many to a frame period, where that is further apart: a film of one frame in twenty seconds needs no knot every 8 ms.
+/// Or so many to a frame period, where that is further apart: a film of one frame in twenty seconds needs no
+/// knot every 8 ms.
 const A_PERIOD: i64 = 64;
 /// They do so from this many times their distance from the nearest event on.
 const WIDENING: i64 = 2;
@@ -60,7 +63,11 @@ struct Spacing {
 
 impl Spacing {
     fn of(problem: &MapProblem<'_>, spacing_ns: i64) -> Spacing {
-        let periods = problem.frames.windows(2).map(|pair| pair[1].start_ns.saturating_sub(pair[0].start_ns)).filter(|period| *period > 0);
+        let periods = problem
+            .frames
+            .windows(2)
+            .map(|pair| pair[1].start_ns.saturating_sub(pair[0].start_ns))
+            .filter(|period| *period > 0);
         // Of one frame, its exposure.
         let exposure = problem.frames.first().map_or(0, |frame| frame.end_ns.saturating_sub(frame.start_ns));
         let quiet = periods.min().unwrap_or(exposure) / A_PERIOD;
@@ -81,11 +88,13 @@ pub(super) struct Knots {
 }
 
 impl Knots {
-    /// Lays the knots of a pixel between its start and its end (both become knots), at most `spacing_ns` apart.
+    /// Lays the knots of a pixel between its start and its end (both become knots), at most `spacing_ns`
+    /// apart.
     ///
     /// Events, exposures and hints are inside that span; what lies outside is left away.
     pub(super) fn lay(&mut self, problem: &MapProblem<'_>, spacing_ns: i64) {
-        let (start_ns, end_ns, spacing) = (problem.start_ns, problem.end_ns, Spacing::of(problem, spacing_ns));
+        let (start_ns, end_ns, spacing) =
+            (problem.start_ns, problem.end_ns, Spacing::of(problem, spacing_ns));
         self.mark(problem);
         self.t_ns.clear();
         self.first_op.clear();
@@ -117,7 +126,10 @@ impl Knots {
     }
 
     fn next_event(&self, from: usize) -> i64 {
-        self.marks[from..].iter().find(|(_, _, op)| matches!(op, Op::Fire { .. })).map_or(i64::MAX / 2, |(t, _, _)| *t)
+        self.marks[from..]
+            .iter()
+            .find(|(_, _, op)| matches!(op, Op::Fire { .. }))
+            .map_or(i64::MAX / 2, |(t, _, _)| *t)
     }
 
     /// Adds knots up to and including `t_ns`, unless it is one already.
@@ -144,16 +156,25 @@ impl Knots {
         let MapProblem { sensor, events, frames, hints, start_ns, end_ns, .. } = *problem;
         self.marks.clear();
         let inside = |t: i64| t >= start_ns && t <= end_ns;
-        for (l, frame) in frames.iter().enumerate().filter(|(_, frame)| inside(frame.start_ns) && inside(frame.end_ns)) {
+        for (l, frame) in
+            frames.iter().enumerate().filter(|(_, frame)| inside(frame.start_ns) && inside(frame.end_ns))
+        {
             self.marks.push((frame.end_ns, 0, Op::Read(l as u32)));
             self.marks.push((frame.start_ns, 1, Op::Expose(l as u32)));
         }
-        self.marks.extend(hints.iter().enumerate().filter(|(_, hint)| inside(hint.t_ns)).map(|(l, hint)| (hint.t_ns, 5, Op::Hint(l as u32))));
+        self.marks.extend(
+            hints
+                .iter()
+                .enumerate()
+                .filter(|(_, hint)| inside(hint.t_ns))
+                .map(|(l, hint)| (hint.t_ns, 5, Op::Hint(l as u32))),
+        );
         let mut blind_until = i64::MIN;
         let mut before = i64::MIN;
         for (k, event) in events.iter().enumerate().filter(|(_, event)| inside(event.t_in_ns)) {
             let latch_ns = event.t_off_ns + sensor.refractory_ns;
-            // Two events of a pixel at one instant: under "resample" the second carries no information, under "advance" it counts twice.
+            // Two events of a pixel at one instant: under "resample" the second carries no information, under
+            // "advance" it counts twice.
             let watching = match sensor.reset {
                 Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
                 // One that fires as the blind time ends may have crossed long before.
@@ -167,12 +188,25 @@ impl Knots {
             if after_loss && blind_until <= event.t_in_ns {
                 self.marks.push((i64::max(blind_until, start_ns), 6, Op::Lose));
             }
-            self.marks.push((event.t_in_ns, 3, Op::Fire { event: k as u32, polarity: event.polarity, armed: watching && !doubted && !after_loss, doubted }));
-            // A reference that moves by one threshold is the voltage of the event, unless the event was held back. Taken from the voltage,
-            // errors of thresholds do not add up.
+            self.marks.push((
+                event.t_in_ns,
+                3,
+                Op::Fire {
+                    event: k as u32,
+                    polarity: event.polarity,
+                    armed: watching && !doubted && !after_loss,
+                    doubted,
+                },
+            ));
+            // A reference that moves by one threshold is the voltage of the event, unless the event was held
+            // back. Taken from the voltage, errors of thresholds do not add up.
             match sensor.reset {
-                Reset::Resample if inside(latch_ns) => self.marks.push((latch_ns, if latch_ns > event.t_in_ns { 2 } else { 4 }, Op::Latch)),
-                Reset::Advance | Reset::AdvanceLossy if watching && !doubted => self.marks.push((event.t_in_ns, 4, Op::Latch)),
+                Reset::Resample if inside(latch_ns) => {
+                    self.marks.push((latch_ns, if latch_ns > event.t_in_ns { 2 } else { 4 }, Op::Latch))
+                }
+                Reset::Advance | Reset::AdvanceLossy if watching && !doubted => {
+                    self.marks.push((event.t_in_ns, 4, Op::Latch))
+                }
                 _ => {}
             }
             blind_until = i64::max(blind_until, latch_ns);
@@ -221,20 +255,47 @@ mod tests {
     #[test]
     fn knots_follow_events_and_frames_and_not_the_span() {
         let knots = |period_ns: i64| {
-            let frame = |l: i64| MapFrame { start_ns: l * period_ns, end_ns: l * period_ns + period_ns / 2, dn: 250.0, sigma_dn: 2.0, saturated: false };
-            let (frames, events) = ([0, 1, 2, 3, 4, 5].map(frame), [event(period_ns, 1), event(3 * period_ns, -1)]);
-            let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 6 * period_ns, ..problem() };
+            let frame = |l: i64| MapFrame {
+                start_ns: l * period_ns,
+                end_ns: l * period_ns + period_ns / 2,
+                dn: 250.0,
+                sigma_dn: 2.0,
+                saturated: false,
+            };
+            let (frames, events) =
+                ([0, 1, 2, 3, 4, 5].map(frame), [event(period_ns, 1), event(3 * period_ns, -1)]);
+            let problem = MapProblem {
+                events: &events,
+                frames: &frames,
+                hints: &[],
+                start_ns: 0,
+                end_ns: 6 * period_ns,
+                ..problem()
+            };
             let mut knots = Knots::default();
             knots.lay(&problem, 250_000);
-            assert!(knots.t_ns.windows(2).all(|pair| pair[1] - pair[0] <= i64::max(8_000_000, period_ns / 64)));
+            assert!(
+                knots.t_ns.windows(2).all(|pair| pair[1] - pair[0] <= i64::max(8_000_000, period_ns / 64))
+            );
             knots.len()
         };
-        // Up to half a second from frame to frame quiet gaps have a knot every 8 ms; from there on the number stays.
+        // Up to half a second from frame to frame quiet gaps have a knot every 8 ms; from there on the number
+        // stays.
         let (short, long, longer) = (knots(40_000_000), knots(20_000_000_000), knots(20_000_000_000_000));
         assert!(short < 150 && long < 800 && longer < 1_100, "{short}, {long}, {longer}");
         // One frame alone, whose exposure ends an hour after the last event.
-        let (frames, events) = ([MapFrame { start_ns: 0, end_ns: 3_600_000_000_000, dn: 250.0, sigma_dn: 2.0, saturated: false }], [event(1_000_000, 1)]);
-        let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 3_600_000_000_000, ..problem() };
+        let (frames, events) = (
+            [MapFrame { start_ns: 0, end_ns: 3_600_000_000_000, dn: 250.0, sigma_dn: 2.0, saturated: false }],
+            [event(1_000_000, 1)],
+        );
+        let problem = MapProblem {
+            events: &events,
+            frames: &frames,
+            hints: &[],
+            start_ns: 0,
+            end_ns: 3_600_000_000_000,
+            ..problem()
+        };
         let mut knots = Knots::default();
         knots.lay(&problem, 250_000);
         assert!(knots.len() < 200, "{}", knots.len());

@@ -1,9 +1,11 @@
 //! Where events were lost: gaps that the rest of a pixel's measurements contradict.
 //!
-//! A readout that is too busy, or a file with a hole, loses events. To the solver the pixel was then silent: light that stays within a threshold of an old
-//! reference, and a first event after it that is one threshold away from that. Frames say otherwise, and the wrong event bends light and thresholds far
-//! around. So where a measurement is far off, the pixel's longest gaps are tried: solved again as stretches in which events were lost. Nothing in them
-//! is trusted but frames, and the first event after them only takes the reference anew. What makes the measurements clearly more likely is kept.
+//! A readout that is too busy, or a file with a hole, loses events. To the solver the pixel was then silent:
+//! light that stays within a threshold of an old reference, and a first event after it that is one threshold
+//! away from that. Frames say otherwise, and the wrong event bends light and thresholds far around. So where
+//! a measurement is far off, the pixel's longest gaps are tried: solved again as stretches in which events
+//! were lost. Nothing in them is trusted but frames, and the first event after them only takes the reference
+//! anew. What makes the measurements clearly more likely is kept.
 //!
 //! Limits: a stretch must hold the middle of an exposure and end with an event.
 
@@ -11,14 +13,15 @@ use super::group::MapGroup;
 use super::options::{Evidence, MapOptions, MapSolution, MapTask};
 use super::problem::MapProblem;
 
-/// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked at.
+/// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked
+/// at.
 const SUSPICIOUS: f64 = 6.0;
 /// So many gaps of a pixel are tried, the longest.
 const MOST_TRIED: usize = 3;
 /// A gap is tried when it is so many times as long as the pixel's events are apart on average, ...
 const LONG: i64 = 3;
-/// ... and events were lost there when the measurements become more likely by this much, natural-log units: an event that is left away saves 2 at most where it
-/// fits.
+/// ... and events were lost there when the measurements become more likely by this much, natural-log units:
+/// an event that is left away saves 2 at most where it fits.
 const CLEAR_GAIN: f64 = 10.0;
 
 /// How a pixel came out when nothing was taken for lost.
@@ -37,14 +40,18 @@ impl Plain {
     }
 }
 
-/// For each task, the events before which events were lost, rising: what belongs in [`MapProblem::lost_before`]. `plain` says how each came out.
+/// For each task, the events before which events were lost, rising: what belongs in
+/// [`MapProblem::lost_before`]. `plain` says how each came out.
 ///
-/// The gap that gains most is taken first, the others only for what they gain in addition: one that is contradicted bends light in all. Costs up to
-/// three solutions for each pixel that is suspicious, more only where something is found, and nothing for the others.
+/// The gap that gains most is taken first, the others only for what they gain in addition: one that is
+/// contradicted bends light in all. Costs up to three solutions for each pixel that is suspicious, more only
+/// where something is found, and nothing for the others.
 pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup) -> Vec<Vec<u32>> {
     let mut found = vec![Vec::new(); tasks.len()];
     let mut now = plain.to_vec();
-    let gaps = |(task, plain): (&MapTask<'_>, &Plain)| if plain.largest_square > SUSPICIOUS { long_gaps(&task.problem) } else { Vec::new() };
+    let gaps = |(task, plain): (&MapTask<'_>, &Plain)| {
+        if plain.largest_square > SUSPICIOUS { long_gaps(&task.problem) } else { Vec::new() }
+    };
     let mut left: Vec<Vec<u32>> = tasks.iter().zip(plain).map(gaps).collect();
     for _round in 0..MOST_TRIED {
         let suspects: Vec<(usize, Vec<u32>)> = left
@@ -61,14 +68,18 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
             .iter()
             .map(|(n, lost_before)| {
                 let MapTask { problem, options } = tasks[*n];
-                MapTask { problem: MapProblem { lost_before, ..problem }, options: MapOptions { with_sigma: false, ..options } }
+                MapTask {
+                    problem: MapProblem { lost_before, ..problem },
+                    options: MapOptions { with_sigma: false, ..options },
+                }
             })
             .collect();
         let mut came_out = vec![Plain::default(); trials.len()];
         group.solve_with(&trials, Evidence::Wanted, |trial, solution| came_out[trial] = Plain::of(&solution));
         let mut best: Vec<Option<usize>> = vec![None; tasks.len()];
         for (trial, (n, _)) in suspects.iter().enumerate() {
-            let to_beat = best[*n].map_or(now[*n].log_evidence + CLEAR_GAIN, |best| came_out[best].log_evidence);
+            let to_beat =
+                best[*n].map_or(now[*n].log_evidence + CLEAR_GAIN, |best| came_out[best].log_evidence);
             if came_out[trial].log_evidence > to_beat {
                 best[*n] = Some(trial);
             }
@@ -96,7 +107,11 @@ fn long_gaps(problem: &MapProblem<'_>) -> Vec<u32> {
     let mut gaps: Vec<(i64, u32)> = Vec::new();
     for (k, pair) in events.windows(2).enumerate() {
         let (from, to) = (pair[0].t_off_ns + problem.sensor.refractory_ns, pair[1].t_in_ns);
-        if to - from > LONG * apart_ns && frames.iter().any(|frame| (from..to).contains(&(frame.start_ns + (frame.end_ns - frame.start_ns) / 2))) {
+        if to - from > LONG * apart_ns
+            && frames
+                .iter()
+                .any(|frame| (from..to).contains(&(frame.start_ns + (frame.end_ns - frame.start_ns) / 2)))
+        {
             gaps.push((from - to, k as u32 + 1));
         }
     }

@@ -27,8 +27,8 @@ fn log(t_ns: i64) -> f64 {
     3.0 + 3.2 * i64::min(phase, 2 * PERIOD_NS - phase) as f64 / PERIOD_NS as f64
 }
 
-/// What an ideal front end gives, to the microsecond: each event is `shaken` assumed standard deviations, times a normal number, off its threshold. The
-/// reference is where light is as the blind time ends.
+/// What an ideal front end gives, to the microsecond: each event is `shaken` assumed standard deviations,
+/// times a normal number, off its threshold. The reference is where light is as the blind time ends.
 fn events(shaken: f64, random: &mut Random) -> Vec<MapEvent> {
     let mut events = Vec::new();
     let (mut reference, mut off) = (log(0), shaken * EVENT * random.normal());
@@ -37,7 +37,12 @@ fn events(shaken: f64, random: &mut Random) -> Vec<MapEvent> {
         let change = log(t_ns) - reference;
         if change > SENSOR.threshold_on * (1.0 + off) || -change > SENSOR.threshold_off * (1.0 + off) {
             let t_off_ns = t_ns + 10_000;
-            events.push(MapEvent { t_in_ns: t_ns, t_off_ns, polarity: if change > 0.0 { 1 } else { -1 }, is_lone: false });
+            events.push(MapEvent {
+                t_in_ns: t_ns,
+                t_off_ns,
+                polarity: if change > 0.0 { 1 } else { -1 },
+                is_lone: false,
+            });
             t_ns = t_off_ns + SENSOR.refractory_ns;
             (reference, off) = (log(t_ns), shaken * EVENT * random.normal());
         }
@@ -70,7 +75,11 @@ fn misfit(event: f64, frame: f64) -> Misfit {
     known.sort_unstable();
     known.dedup();
     let hints: Vec<Hint> = known.into_iter().map(hint).collect();
-    let problem = MapProblem { hints: &hints, noise: Noise { event: EVENT, ..Noise::default() }, ..MapProblem::new(SENSOR, &events, &frames, (0, END_NS)) };
+    let problem = MapProblem {
+        hints: &hints,
+        noise: Noise { event: EVENT, ..Noise::default() },
+        ..MapProblem::new(SENSOR, &events, &frames, (0, END_NS))
+    };
     solve(&problem, &MapOptions::default(), &mut MapGroup::default()).misfit
 }
 
@@ -79,7 +88,8 @@ fn noise_that_is_so_many_times_the_assumed_one_gives_that_root_mean_square() {
     for (event, frame) in [(1.0, 1.0), (3.0, 0.5), (0.4, 4.0)] {
         let misfit = misfit(event, frame);
         assert!(misfit.events > 1_000 && misfit.frames == 100, "{misfit:?}");
-        // A standard deviation from N values is good to 1 / sqrt(2 N): 2 % of 1,300, 7 % of 100. Three times that.
+        // A standard deviation from N values is good to 1 / sqrt(2 N): 2 % of 1,300, 7 % of 100. Three times
+        // that.
         assert!((misfit.event_rms() / event - 1.0).abs() < 0.06, "{event}: {misfit:?}");
         assert!((misfit.frame_rms() / frame - 1.0).abs() < 0.21, "{frame}: {misfit:?}");
     }

@@ -1,17 +1,20 @@
 //! The MAP estimate of one pixel: all its events and frames at once, through the exact sensor.
 //!
-//! Unknown is u(t) = ln i(t), linear between knots, so light is positive without a constraint. The voltage follows by the exact response to ramps;
-//! the reference is latched when the readout is over ("resample") or when the event fires ("advance"); every event says that
-//! voltage and reference were one threshold apart when it fired; every frame says how much light its own row collected. A prior says that
-//! light moves with a speed that lasts a while, with a variance of its own at every place in time ([`Prior`]).
+//! Unknown is u(t) = ln i(t), linear between knots, so light is positive without a constraint. The voltage
+//! follows by the exact response to ramps; the reference is latched when the readout is over ("resample") or
+//! when the event fires ("advance"); every event says that voltage and reference were one threshold apart
+//! when it fired; every frame says how much light its own row collected. A prior says that light moves with a
+//! speed that lasts a while, with a variance of its own at every place in time ([`Prior`]).
 //!
-//! The maximum of the posterior is found by Gauss-Newton steps. Each is one pass forward and one backward over a chain of small states: the cost is
-//! linear in the number of knots. The posterior standard deviation comes from the same passes.
+//! The maximum of the posterior is found by Gauss-Newton steps. Each is one pass forward and one backward
+//! over a chain of small states: the cost is linear in the number of knots. The posterior standard deviation
+//! comes from the same passes.
 //!
-//! Nothing of this is trusted blindly: how far events are trusted and which prior suits is chosen by frames that are held out ([`estimate`]).
+//! Nothing of this is trusted blindly: how far events are trusted and which prior suits is chosen by frames
+//! that are held out ([`estimate`]).
 //!
-//! Limits: one pixel alone, nothing from its neighbours; the local variance is estimated from the estimate, so standard deviations are too small
-//! where nothing was measured; the time constant is held over a segment.
+//! Limits: one pixel alone, nothing from its neighbours; the local variance is estimated from the estimate,
+//! so standard deviations are too small where nothing was measured; the time constant is held over a segment.
 //!
 //! # Example
 //!

@@ -48,10 +48,15 @@ pub struct SecondStart {
 
 impl SecondStart {
     /// Suits most recordings.
-    pub const USUAL: SecondStart = SecondStart { event: 0.3, steps: 8, least_misfit: 0.1, most_misfit: 30.0, gain: 0.2 };
+    pub const USUAL: SecondStart =
+        SecondStart { event: 0.3, steps: 8, least_misfit: 0.1, most_misfit: 30.0, gain: 0.2 };
 
     /// The problem and the options on the way to it, and from there.
-    pub(super) fn stages<'a>(&self, problem: &MapProblem<'a>, options: &MapOptions) -> [(MapProblem<'a>, MapOptions); 2] {
+    pub(super) fn stages<'a>(
+        &self,
+        problem: &MapProblem<'a>,
+        options: &MapOptions,
+    ) -> [(MapProblem<'a>, MapOptions); 2] {
         let noise = Noise { event: f64::max(problem.noise.event, self.event), ..problem.noise };
         let options = MapOptions { max_iterations: self.steps, ..*options };
         [(MapProblem { noise, ..*problem }, options), (*problem, options)]
@@ -59,22 +64,37 @@ impl SecondStart {
 
     /// Is it worth a try for a pixel whose answer misses by `misfit`, the sum of squares, and by `apart`
     /// without the no-event constraint?
-    pub(super) fn is_worth_a_try(&self, problem: &MapProblem<'_>, status: MapStatus, misfit: f64, apart: &Misfit) -> bool {
+    pub(super) fn is_worth_a_try(
+        &self,
+        problem: &MapProblem<'_>,
+        status: MapStatus,
+        misfit: f64,
+        apart: &Misfit,
+    ) -> bool {
         let measured = (problem.events.len() + problem.frames.len()) as f64;
-        let is_amiss = apart.event_square > self.least_misfit * apart.events as f64 && misfit < self.most_misfit * measured;
+        let is_amiss = apart.event_square > self.least_misfit * apart.events as f64
+            && misfit < self.most_misfit * measured;
         // With a front end that is as fast in the dark there is one answer.
         problem.sensor.front_end.alpha_s > 0.0 && (status == MapStatus::Failed || is_amiss)
     }
 
     /// Is the second answer, as (status, misfit), better than the first?
     pub(super) fn is_better(&self, first: (MapStatus, f64), second: (MapStatus, f64)) -> bool {
-        second.0 != MapStatus::Failed && (first.0 == MapStatus::Failed || second.1 < (1.0 - self.gain) * first.1)
+        second.0 != MapStatus::Failed
+            && (first.0 == MapStatus::Failed || second.1 < (1.0 - self.gain) * first.1)
     }
 }
 
 impl Default for MapOptions {
     fn default() -> MapOptions {
-        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 100, tolerance: 2e-3, with_sigma: false, second: Some(SecondStart::USUAL) }
+        MapOptions {
+            prior: Prior::default(),
+            spacing_ns: 250_000,
+            max_iterations: 100,
+            tolerance: 2e-3,
+            with_sigma: false,
+            second: Some(SecondStart::USUAL),
+        }
     }
 }
 

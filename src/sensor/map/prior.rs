@@ -1,14 +1,18 @@
-//! What is expected of log light before any measurement: it moves with a speed that lasts a while and differs from place to place in time.
+//! What is expected of log light before any measurement: it moves with a speed that lasts a while and differs
+//! from place to place in time.
 //!
-//! The increment over segment j is `w_j = sqrt(q_j) z_j` with z of unit variance, correlated between neighbours like
-//! `exp(-distance / memory)`. Its variance is the local one: `q_j = s_j^2 (floor^2 + mean square slope nearby)`, taken anew from
-//! the estimate in every iteration. Quiet stretches stay quiet, edges may be steep: an empirical-Bayes relative of a heavy-tailed prior that
-//! pools over time. `s_j` is how far a slope of one that lasts for the memory m takes light over the segment's length h, root mean
-//! square: `s^2 = 2 m^2 (h / m - 1 + exp(-h / m))`, which is h^2 for a short segment and 2 m h for a long one. So knots may stand anywhere.
+//! The increment over segment j is `w_j = sqrt(q_j) z_j` with z of unit variance, correlated between
+//! neighbours like `exp(-distance / memory)`. Its variance is the local one:
+//! `q_j = s_j^2 (floor^2 + mean square slope nearby)`, taken anew from the estimate in every iteration. Quiet
+//! stretches stay quiet, edges may be steep: an empirical-Bayes relative of a heavy-tailed prior that pools
+//! over time. `s_j` is how far a slope of one that lasts for the memory m takes light over the segment's
+//! length h, root mean square: `s^2 = 2 m^2 (h / m - 1 + exp(-h / m))`, which is h^2 for a short segment and
+//! 2 m h for a long one. So knots may stand anywhere.
 //!
-//! In addition there are the two families with Student's t, each place for itself: [`Family::Walk`], whose increments are independent, and
-//! [`Family::IntegratedWalk`], whose slopes change by independent increments (an integrated Wiener process). Their weights are those of iteratively
-//! re-weighted least squares: the variance of an increment e with scale s^2 and nu degrees of freedom is `(nu s^2 + e^2) / (nu + 1)`.
+//! In addition there are the two families with Student's t, each place for itself: [`Family::Walk`], whose
+//! increments are independent, and [`Family::IntegratedWalk`], whose slopes change by independent increments
+//! (an integrated Wiener process). Their weights are those of iteratively re-weighted least squares: the
+//! variance of an increment e with scale s^2 and nu degrees of freedom is `(nu s^2 + e^2) / (nu + 1)`.
 
 use crate::elementary::{exp, exp_m1};
 use multiversion::multiversion;
@@ -64,7 +68,8 @@ impl Default for Prior {
 /// Variance of the first slope of an integrated walk, per second squared: any speed will do.
 pub(super) const FIRST_SLOPE_VARIANCE: f64 = 1e6;
 
-/// The prior of each segment of one pixel: entry j belongs to the segment that ends at knot j; entry 0 to none.
+/// The prior of each segment of one pixel: entry j belongs to the segment that ends at knot j; entry 0 to
+/// none.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Segments {
     /// Length, seconds.
@@ -87,8 +92,15 @@ impl Segments {
     /// Lengths, correlations and neighbourhoods of the segments between knots.
     pub(super) fn lay(&mut self, t_ns: &[i64], prior: &Prior) {
         let knots = t_ns.len();
-        for column in [&mut self.length_s, &mut self.per_s, &mut self.correlation, &mut self.reach_s, &mut self.fresh, &mut self.per_nearby, &mut self.middle_s]
-        {
+        for column in [
+            &mut self.length_s,
+            &mut self.per_s,
+            &mut self.correlation,
+            &mut self.reach_s,
+            &mut self.fresh,
+            &mut self.per_nearby,
+            &mut self.middle_s,
+        ] {
             // All entries but the first are set below or before they are asked for; the first stays 0.
             column.resize(knots, 0.0);
         }
@@ -159,7 +171,9 @@ fn spread(length_s: &[f64], memory_s: f64, reach_s: &mut [f64]) {
 fn correlate(middle_s: &[f64], per_memory: f64, correlation: &mut [f64], fresh: &mut [f64]) {
     let n = middle_s.len();
     let (before, here) = (&middle_s[..n - 1], &middle_s[1..]);
-    for (((correlation, fresh), before), here) in correlation[1..n].iter_mut().zip(&mut fresh[1..n]).zip(before).zip(here) {
+    for (((correlation, fresh), before), here) in
+        correlation[1..n].iter_mut().zip(&mut fresh[1..n]).zip(before).zip(here)
+    {
         let distance = (here - before) * per_memory;
         *correlation = exp(-distance);
         *fresh = -exp_m1(-2.0 * distance);
@@ -184,7 +198,10 @@ mod tests {
             let (pieces, h) = (500, length_ns as f64 * 1e-9);
             let piece = h / f64::from(pieces);
             let covariance = |a: i32, b: i32| 25.0 * libm::exp(-f64::from((a - b).abs()) * piece / 2e-3);
-            let variance: f64 = (0..pieces).map(|a| (0..pieces).map(|b| covariance(a, b)).sum::<f64>()).sum::<f64>() * piece * piece;
+            let variance: f64 =
+                (0..pieces).map(|a| (0..pieces).map(|b| covariance(a, b)).sum::<f64>()).sum::<f64>()
+                    * piece
+                    * piece;
             assert!((scale * scale / variance - 1.0).abs() < 1e-4, "{length_ns} ns");
         }
     }

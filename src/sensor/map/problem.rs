@@ -121,7 +121,9 @@ pub struct Offsets {
 impl Offsets {
     pub(super) fn cost(&self, noise: &Noise) -> f64 {
         let part = |value: f64, sigma: f64| if sigma > 0.0 { (value / sigma) * (value / sigma) } else { 0.0 };
-        part(self.reference, noise.reference) + part(self.on, noise.threshold) + part(self.off, noise.threshold)
+        part(self.reference, noise.reference)
+            + part(self.on, noise.threshold)
+            + part(self.off, noise.threshold)
     }
 }
 
@@ -161,10 +163,27 @@ pub struct MapProblem<'a> {
 impl<'a> MapProblem<'a> {
     /// Of events and frames alone, from `start_ns` to `end_ns`: the usual noise, exact stamps, nothing known
     /// from elsewhere, and no no-event constraint.
-    pub fn new(sensor: MapSensor, events: &'a [MapEvent], frames: &'a [MapFrame], (start_ns, end_ns): (i64, i64)) -> MapProblem<'a> {
+    pub fn new(
+        sensor: MapSensor,
+        events: &'a [MapEvent],
+        frames: &'a [MapFrame],
+        (start_ns, end_ns): (i64, i64),
+    ) -> MapProblem<'a> {
         let noise = Noise::default();
         let (hints, lost_before, beyond) = (&[], &[], &[]);
-        MapProblem { events, frames, hints, start_ns, end_ns, sensor, noise, stamp_sigma_s: 0.0, no_event_sigma: 0.0, lost_before, beyond }
+        MapProblem {
+            events,
+            frames,
+            hints,
+            start_ns,
+            end_ns,
+            sensor,
+            noise,
+            stamp_sigma_s: 0.0,
+            no_event_sigma: 0.0,
+            lost_before,
+            beyond,
+        }
     }
 
     /// [`MapProblem::beyond`] of an event.
@@ -179,7 +198,10 @@ const RUN_AWAY: f64 = 2.5;
 /// Is the light anywhere implausible, given what the frames collected?
 pub(super) fn has_run_away(problem: &MapProblem<'_>, u: &[f64]) -> bool {
     let collected = |frame: &MapFrame| frame.dn - problem.sensor.black_level_dn + 3.0 * frame.sigma_dn;
-    let brightest = problem.frames.iter().fold(0.0, |most, frame| f64::max(most, collected(frame) / (frame.end_ns - frame.start_ns) as f64));
+    let brightest = problem
+        .frames
+        .iter()
+        .fold(0.0, |most, frame| f64::max(most, collected(frame) / (frame.end_ns - frame.start_ns) as f64));
     let limit = libm::log(brightest * 1e9 / problem.sensor.gain) + RUN_AWAY;
     !problem.frames.iter().any(|frame| frame.saturated) && u.iter().any(|&u| u > limit)
 }

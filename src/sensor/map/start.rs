@@ -1,8 +1,9 @@
 //! Where the iteration starts: the double integral, joined up.
 //!
-//! Each event moves log light by its threshold, along a ramp that ends at the event; each frame says at which level. Between
-//! the middles of two exposures the level goes over linearly, so that thresholds that are a little wrong do not add up. This is also
-//! the double-integral estimate of a pixel whose problem does not converge.
+//! Each event moves log light by its threshold, along a ramp that ends at the event; each frame says at which
+//! level. Between the middles of two exposures the level goes over linearly, so that thresholds that are a
+//! little wrong do not add up. This is also the double-integral estimate of a pixel whose problem does not
+//! converge.
 
 use super::knots::{Knots, Op};
 use super::problem::MapProblem;
@@ -54,8 +55,12 @@ impl Start {
                         begun_s = self.seconds[j];
                     }
                     Op::Read(l) => {
-                        let bright = f64::max(problem.frames[l as usize].dn - problem.sensor.black_level_dn, DARK_DN);
-                        self.levels.push((0.5 * (begun_s + self.seconds[j]), libm::log(bright / (problem.sensor.gain * light))));
+                        let bright =
+                            f64::max(problem.frames[l as usize].dn - problem.sensor.black_level_dn, DARK_DN);
+                        self.levels.push((
+                            0.5 * (begun_s + self.seconds[j]),
+                            libm::log(bright / (problem.sensor.gain * light)),
+                        ));
                     }
                     Op::Latch | Op::Lose | Op::Hint(_) | Op::Fire { .. } => {}
                 }
@@ -88,7 +93,9 @@ fn steps(problem: &MapProblem<'_>, knots: &Knots, seconds: &[f64], u: &mut [f64]
         let mut step = 0.0;
         for op in &knots.ops[knots.ops_of(j)] {
             if let Op::Fire { event, polarity, doubted: false, .. } = *op {
-                step += if polarity > 0 { problem.sensor.threshold_on } else { -problem.sensor.threshold_off } + problem.beyond_of(event);
+                step +=
+                    if polarity > 0 { problem.sensor.threshold_on } else { -problem.sensor.threshold_off }
+                        + problem.beyond_of(event);
             }
         }
         if step != 0.0 {

@@ -1,7 +1,8 @@
-//! The states of the linearised pixel, and what moves them: forward with their covariance, backward with the gradient of the measurements.
+//! The states of the linearised pixel, and what moves them: forward with their covariance, backward with the
+//! gradient of the measurements.
 //!
-//! Seven states, or the first five where thresholds are exact. Of the covariance only the half above the diagonal is kept. Everything is
-//! inlined into the two passes, where all indices are known.
+//! Seven states, or the first five where thresholds are exact. Of the covariance only the half above the
+//! diagonal is kept. Everything is inlined into the two passes, where all indices are known.
 
 use super::segment::Slopes;
 use crate::scalar::Scalar;
@@ -23,8 +24,8 @@ pub(super) const OFF: usize = 6;
 /// How many there are.
 pub(super) const STATES: usize = 7;
 
-/// The body once for each index of a state that is below the limit, with the index known. A loop over states of lanes would be turned into vectors of
-/// states, which is slow.
+/// The body once for each index of a state that is below the limit, with the index known. A loop over states
+/// of lanes would be turned into vectors of states, which is slow.
 macro_rules! each_state {
     ($a:ident in $from:expr, $below:expr => $body:expr) => {
         each_state!(@ $a $from, $below, $body, 0 1 2 3 4 5 6)
@@ -76,7 +77,12 @@ impl<T: Scalar> Transition<T> {
     /// `F x` for the states that move.
     #[inline(always)]
     pub(super) fn apply(&self, [u, z, v, s]: [T; MOVING]) -> [T; MOVING] {
-        [u + self.u_by_z * z, self.correlation * z, self.voltage * v + (self.v_by_u * u + self.v_by_z * z), s + (self.s_by_u * u + self.s_by_z * z)]
+        [
+            u + self.u_by_z * z,
+            self.correlation * z,
+            self.voltage * v + (self.v_by_u * u + self.v_by_z * z),
+            s + (self.s_by_u * u + self.s_by_z * z),
+        ]
     }
 
     /// `F' x`.
@@ -137,7 +143,8 @@ impl<T: Scalar, const N: usize> State<T, N> {
         });
     }
 
-    /// Takes in a measurement with these covariances to the states, this variance in all and this difference from what was predicted.
+    /// Takes in a measurement with these covariances to the states, this variance in all and this difference
+    /// from what was predicted.
     #[inline(always)]
     pub(super) fn take(&mut self, cross: [T; N], spread: T, innovation: T) -> Weight<T, N> {
         let information = T::from_f64(1.0) / spread;

@@ -1,7 +1,8 @@
-//! What users wait for: storing frames and reading them back, in bytes of f32 per second, and writing a recording.
+//! What users wait for: storing frames and reading them back, in bytes of f32 per second, and writing a
+//! recording.
 //!
-//! `ordinary_*` is the same work through the library's own filters, as a yardstick for packing chunks ourselves.
-//! Frames are whole numbers with photon noise, 200 x 480 x 546: 210 MB.
+//! `ordinary_*` is the same work through the library's own filters, as a yardstick for packing chunks
+//! ourselves. Frames are whole numbers with photon noise, 200 x 480 x 546: 210 MB.
 #![allow(clippy::unwrap_used)]
 
 use divan::{
@@ -10,7 +11,9 @@ use divan::{
 };
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::random::Random;
-use photocurrent_core::{EventBand, EventStream, EventsMeta, Exposure, Extent, FrameSequence, Rows, Value, testing};
+use photocurrent_core::{
+    EventBand, EventStream, EventsMeta, Exposure, Extent, FrameSequence, Rows, Value, testing,
+};
 use photocurrent_store::recording::{RecordingContent, write_recording};
 use photocurrent_store::{ValueWriter, open_value};
 use std::path::Path;
@@ -20,7 +23,8 @@ const EXTENT: Extent = Extent { width: 546, height: 480 };
 const FRAMES: usize = 200;
 
 static NOISY: LazyLock<FrameSequence> = LazyLock::new(|| {
-    let exposures = (0..FRAMES as i64).map(|l| Exposure::new(l * 1_000_000, l * 1_000_000 + 900_000)).collect();
+    let exposures =
+        (0..FRAMES as i64).map(|l| Exposure::new(l * 1_000_000, l * 1_000_000 + 900_000)).collect();
     let mut random = Random::new(1, &[]);
     testing::captured(EXTENT, exposures, 0, |l, x, y| {
         let light = 50.0 + (f64::from(x + y) + l as f64) % 300.0;
@@ -62,7 +66,12 @@ fn read_frames_by_row_band(bencher: Bencher) {
     write(&path);
     bencher.counter(bytes()).bench(|| {
         let frames = open(&path);
-        EXTENT.rows().bands(32).into_iter().map(|rows| frames.read_rows(rows).unwrap().dn.len()).sum::<usize>()
+        EXTENT
+            .rows()
+            .bands(32)
+            .into_iter()
+            .map(|rows| frames.read_rows(rows).unwrap().dn.len())
+            .sum::<usize>()
     });
 }
 
@@ -84,7 +93,14 @@ fn ordinary_write(bencher: Bencher) {
     bencher.counter(bytes()).bench(|| {
         let file = hdf5::File::create(folder.path().join("ordinary.h5")).unwrap();
         let shape = (FRAMES, EXTENT.height as usize, EXTENT.width as usize);
-        let dn = file.new_dataset::<f32>().shuffle().deflate(1).chunk((8, 8, shape.2)).shape(shape).create("dn").unwrap();
+        let dn = file
+            .new_dataset::<f32>()
+            .shuffle()
+            .deflate(1)
+            .chunk((8, 8, shape.2))
+            .shape(shape)
+            .create("dn")
+            .unwrap();
         dn.write_raw(&block.dn).unwrap();
         file.close().unwrap();
     });
@@ -95,7 +111,9 @@ fn ordinary_read(bencher: Bencher) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("frames.h5");
     write(&path);
-    bencher.counter(bytes()).bench(|| hdf5::File::open(&path).unwrap().dataset("frames/dn").unwrap().read_raw::<f32>().unwrap().len());
+    bencher.counter(bytes()).bench(|| {
+        hdf5::File::open(&path).unwrap().dataset("frames/dn").unwrap().read_raw::<f32>().unwrap().len()
+    });
 }
 
 #[divan::bench(sample_count = 5, sample_size = 1)]
@@ -114,11 +132,24 @@ static EVENTS: LazyLock<EventStream> = LazyLock::new(|| {
             for _ in 0..8_000_000 / EXTENT.pixels() {
                 t += 50_000 + (random.uniform() * 1e6) as i64;
                 let polarity = if random.uniform() < 0.5 { Polarity::On } else { Polarity::Off };
-                events.push(Event { x, y, polarity, t: t + 1_000 + (random.uniform() * 40_000.0) as i64, t_in: Some(t) });
+                events.push(Event {
+                    x,
+                    y,
+                    polarity,
+                    t: t + 1_000 + (random.uniform() * 40_000.0) as i64,
+                    t_in: Some(t),
+                });
             }
         }
     }
-    let meta = EventsMeta { extent: EXTENT, span: None, has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+    let meta = EventsMeta {
+        extent: EXTENT,
+        span: None,
+        has_t_in: true,
+        has_step: false,
+        t_resolution_ns: None,
+        count_hint: None,
+    };
     EventStream::in_memory(Arc::new(meta), EventBand::from_events(EXTENT.rows(), events).unwrap())
 });
 
@@ -128,7 +159,9 @@ fn write_events_by_time(bencher: Bencher) {
     let folder = tempfile::tempdir().unwrap();
     let count = EVENTS.read(EXTENT.rows()).unwrap().len();
     let content = RecordingContent { events: Some(&EVENTS), ..RecordingContent::empty(EXTENT) };
-    bencher.counter(ItemsCount::new(count)).bench(|| write_recording(&folder.path().join("recording.h5"), &content).unwrap());
+    bencher
+        .counter(ItemsCount::new(count))
+        .bench(|| write_recording(&folder.path().join("recording.h5"), &content).unwrap());
 }
 
 /// Bytes of f32 per second into a recording of whole numbers.
@@ -137,7 +170,9 @@ fn write_recorded_frames(bencher: Bencher) {
     let folder = tempfile::tempdir().unwrap();
     LazyLock::force(&NOISY);
     let content = RecordingContent { frames: Some(&NOISY), ..RecordingContent::empty(EXTENT) };
-    bencher.counter(bytes()).bench(|| write_recording(&folder.path().join("recording.h5"), &content).unwrap());
+    bencher
+        .counter(bytes())
+        .bench(|| write_recording(&folder.path().join("recording.h5"), &content).unwrap());
 }
 
 fn main() {

@@ -1,12 +1,14 @@
-//! Row bands of results that are not complete yet: what a stopped run goes on from, and what a run of some rows leaves for others to join.
+//! Row bands of results that are not complete yet: what a stopped run goes on from, and what a run of some
+//! rows leaves for others to join.
 //!
 //! ```text
 //! <identity>-<first row>-<end row>.toml        rows, notes, and length and BLAKE3 of every file below
 //! <identity>-<first row>-<end row>-<port>.h5   those rows as a value by itself
 //! ```
 //!
-//! The identity says what the result is a function of, so bands of one identity belong together whoever made them. The TOML file is written last: a band without one
-//! is not there. Any number of processes may add to one folder; the last one to write a band wins, and its bytes say the same.
+//! The identity says what the result is a function of, so bands of one identity belong together whoever made
+//! them. The TOML file is written last: a band without one is not there. Any number of processes may add to
+//! one folder; the last one to write a band wins, and its bytes say the same.
 
 use super::files::{hash_file, names_in, remove, rename, sync};
 use crate::error::StoreError;
@@ -79,18 +81,23 @@ impl BandStore {
         &self.folder
     }
 
-    /// Every band whose files are there in full length, by first row. One that cannot be read counts as missing: it is computed again.
+    /// Every band whose files are there in full length, by first row. One that cannot be read counts as
+    /// missing: it is computed again.
     ///
     /// # Errors
     /// When the folder cannot be listed.
     pub fn list(&self) -> Result<Vec<KeptBand>, StoreError> {
         let names = names_in(&self.folder)?;
         let read = |name: &String| -> Option<KeptBand> {
-            let band: KeptBand = toml::from_str(&std::fs::read_to_string(self.folder.join(name)).ok()?).ok()?;
-            let whole = band.outputs.iter().all(|(port, file)| std::fs::metadata(self.file(&band, port)).is_ok_and(|found| found.len() == file.bytes));
+            let band: KeptBand =
+                toml::from_str(&std::fs::read_to_string(self.folder.join(name)).ok()?).ok()?;
+            let whole = band.outputs.iter().all(|(port, file)| {
+                std::fs::metadata(self.file(&band, port)).is_ok_and(|found| found.len() == file.bytes)
+            });
             (whole && band.start < band.end && *name == format!("{}.toml", band.stem())).then_some(band)
         };
-        let mut bands: Vec<KeptBand> = names.iter().filter(|name| name.ends_with(".toml")).filter_map(read).collect();
+        let mut bands: Vec<KeptBand> =
+            names.iter().filter(|name| name.ends_with(".toml")).filter_map(read).collect();
         bands.sort_by_key(|band| (band.identity, band.start, band.end));
         Ok(bands)
     }
@@ -106,7 +113,8 @@ impl BandStore {
         outputs: &[(&'static str, Value)],
         (texts, counts): (Vec<String>, BTreeMap<String, u64>),
     ) -> Result<KeptBand, StoreError> {
-        let mut band = KeptBand { identity, start: rows.start, end: rows.end, texts, counts, outputs: BTreeMap::new() };
+        let mut band =
+            KeptBand { identity, start: rows.start, end: rows.end, texts, counts, outputs: BTreeMap::new() };
         for (port, value) in outputs {
             let temporary = Temporary(self.temporary());
             let alone = value.alone();
@@ -119,18 +127,22 @@ impl BandStore {
             band.outputs.insert((*port).into(), KeptFile { bytes, blake3 });
         }
         let path = self.folder.join(format!("{}.toml", band.stem()));
-        let text = toml::to_string(&band).map_err(|error| StoreError::Misuse { path: path.clone(), what: error.to_string() })?;
+        let text = toml::to_string(&band)
+            .map_err(|error| StoreError::Misuse { path: path.clone(), what: error.to_string() })?;
         let temporary = Temporary(self.temporary());
-        let written = std::fs::File::create(&temporary.0).and_then(|mut file| file.write_all(text.as_bytes()).and_then(|_| file.sync_all()));
+        let written = std::fs::File::create(&temporary.0)
+            .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|_| file.sync_all()));
         written.map_err(|error| StoreError::io(&temporary.0, "write a file", error))?;
         rename(&temporary.0, &path)?;
         Ok(band)
     }
 
-    /// Opens an output of a band, as those rows of what `whole` says; compares the file's bytes with their checksum.
+    /// Opens an output of a band, as those rows of what `whole` says; compares the file's bytes with their
+    /// checksum.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] when the file is not as it was written or is no part of `whole`: compute the band again.
+    /// [`StoreError::Damaged`] when the file is not as it was written or is no part of `whole`: compute the
+    /// band again.
     pub fn load(&self, band: &KeptBand, port: &str, whole: &Meta) -> Result<Value, StoreError> {
         let path = self.file(band, port);
         let damaged = |why: &str| StoreError::Damaged { path: path.clone(), why: why.into() };
@@ -138,7 +150,8 @@ impl BandStore {
         if hash_file(&path)? != file.blake3 {
             return Err(damaged("its bytes are not those that were written"));
         }
-        let value = open_stored(&path)?.placed(whole, band.start).filter(|value| value.rows() == Some(band.rows()));
+        let value =
+            open_stored(&path)?.placed(whole, band.start).filter(|value| value.rows() == Some(band.rows()));
         value.ok_or_else(|| damaged("it is no part of what the plan says"))
     }
 
@@ -150,7 +163,8 @@ impl BandStore {
         let of = format!("{identity}-");
         let names = names_in(&self.folder)?;
         // The promise goes before what it promises.
-        let (promises, files): (Vec<&String>, Vec<&String>) = names.iter().filter(|name| name.starts_with(&of)).partition(|name| name.ends_with(".toml"));
+        let (promises, files): (Vec<&String>, Vec<&String>) =
+            names.iter().filter(|name| name.starts_with(&of)).partition(|name| name.ends_with(".toml"));
         promises.into_iter().chain(files).try_for_each(|name| remove(&self.folder.join(name)))
     }
 
@@ -195,7 +209,9 @@ mod tests {
         let kept = store.put(identity, rows, &[("plane", value)], said).unwrap();
         assert_eq!(store.list().unwrap(), std::slice::from_ref(&kept));
         let whole = Meta::Map(Arc::new(meta));
-        let Value::Map(map) = store.load(&kept, "plane", &whole).unwrap() else { panic!("a map stays a map") };
+        let Value::Map(map) = store.load(&kept, "plane", &whole).unwrap() else {
+            panic!("a map stays a map")
+        };
         assert_eq!((map.rows(), map.read(rows).unwrap()), (rows, band));
         // A file that lost its end is no band any more; one with another byte is found when it is read.
         let file = folder.path().join(format!("{}-plane.h5", kept.stem()));

@@ -1,7 +1,8 @@
 //! Values in the cache: writing them to their name, checking their bytes, opening them.
 //!
-//! Two writers may make one content at once, and their files may differ in bytes though not in content. So the pair (checksum, data)
-//! is placed under a lock that is held only for that moment, and a reader that finds a pair that does not fit looks again under the same lock.
+//! Two writers may make one content at once, and their files may differ in bytes though not in content. So
+//! the pair (checksum, data) is placed under a lock that is held only for that moment, and a reader that
+//! finds a pair that does not fit looks again under the same lock.
 
 use super::files::{self, Identity};
 use super::folder::{Cache, lock_file};
@@ -31,11 +32,12 @@ impl Cache {
         Ok(CacheWriter { cache: self, writer, temporary, data_type: meta.data_type() })
     }
 
-    /// Opens a stored value; its data are read when they are asked for. Compares the file's bytes with their checksum, once per
-    /// instance: about a second per gigabyte.
+    /// Opens a stored value; its data are read when they are asked for. Compares the file's bytes with their
+    /// checksum, once per instance: about a second per gigabyte.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] when the file is missing or not as it was written: run the node again. Others when it cannot be read at all.
+    /// [`StoreError::Damaged`] when the file is missing or not as it was written: run the node again. Others
+    /// when it cannot be read at all.
     pub fn load(&self, digest: &Digest) -> Result<Value, StoreError> {
         if self.intact(digest).is_err() {
             // Perhaps somebody is between placing the checksum and the data.
@@ -73,7 +75,10 @@ impl Cache {
         }
         let path = self.data_path(digest);
         if files::hash_file(&path)? != sum.blake3 {
-            return Err(StoreError::Damaged { path, why: "its bytes are not those that were written".into() });
+            return Err(StoreError::Damaged {
+                path,
+                why: "its bytes are not those that were written".into(),
+            });
         }
         self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(*digest, identity);
         Ok(())
@@ -91,9 +96,12 @@ pub(super) fn sum_path(root: &Path, digest: &Digest) -> PathBuf {
 fn checked_length(root: &Path, digest: &Digest) -> Result<(Sum, Identity), StoreError> {
     let path = data_path(root, digest);
     let damaged = |why: String| StoreError::Damaged { path: path.clone(), why };
-    let identity = Identity::of(&path).map_err(|error| damaged(format!("its data cannot be read ({error})")))?;
-    let sum = std::fs::read_to_string(sum_path(root, digest)).map_err(|error| damaged(format!("its checksum cannot be read ({error})")))?;
-    let sum: Sum = toml::from_str(&sum).map_err(|error| damaged(format!("its checksum is no checksum ({})", error.message())))?;
+    let identity =
+        Identity::of(&path).map_err(|error| damaged(format!("its data cannot be read ({error})")))?;
+    let sum = std::fs::read_to_string(sum_path(root, digest))
+        .map_err(|error| damaged(format!("its checksum cannot be read ({error})")))?;
+    let sum: Sum = toml::from_str(&sum)
+        .map_err(|error| damaged(format!("its checksum is no checksum ({})", error.message())))?;
     if sum.bytes != identity.bytes {
         return Err(damaged(format!("it has {} bytes instead of {}", identity.bytes, sum.bytes)));
     }
@@ -126,7 +134,8 @@ impl CacheWriter<'_> {
         self.writer.append(part)
     }
 
-    /// Completes the value and moves it to its name. An intact file of the same content is kept; a damaged one is replaced.
+    /// Completes the value and moves it to its name. An intact file of the same content is kept; a damaged
+    /// one is replaced.
     ///
     /// # Errors
     /// When rows are missing or the file cannot be written.
@@ -139,7 +148,8 @@ impl CacheWriter<'_> {
         }
         files::sync(&temporary.0)?;
         let sum = Sum { bytes, blake3: files::hash_file(&temporary.0)? };
-        let sum = toml::to_string(&sum).map_err(|error| StoreError::Misuse { path: temporary.0.clone(), what: error.to_string() })?;
+        let sum = toml::to_string(&sum)
+            .map_err(|error| StoreError::Misuse { path: temporary.0.clone(), what: error.to_string() })?;
         let _placing = cache.placing()?;
         // Somebody may have placed the same content since; when that is intact, ours is not needed.
         if cache.intact(&digest).is_err() {

@@ -1,8 +1,9 @@
 //! Files that are either whole or not there: temporary name, sync, rename, sync of the folder.
 //!
-//! Temporary names belong to an owner, which holds a lock on `tmp/<owner>.lock` as long as it lives. The system releases the lock
-//! when the process dies, however it dies; so the next [`Owner::new`] sees which temporary files nobody will finish. A process number would
-//! not do: containers that share a folder do not share process numbers.
+//! Temporary names belong to an owner, which holds a lock on `tmp/<owner>.lock` as long as it lives. The
+//! system releases the lock when the process dies, however it dies; so the next [`Owner::new`] sees which
+//! temporary files nobody will finish. A process number would not do: containers that share a folder do not
+//! share process numbers.
 
 use crate::error::StoreError;
 use photocurrent_core::Digest;
@@ -31,7 +32,8 @@ impl Owner {
             let io = |error| StoreError::io(&path, "create a lock", error);
             let lock = OpenOptions::new().write(true).create_new(true).open(&path).map_err(io)?;
             lock.lock().map_err(io)?;
-            // Between creating and locking, another process may have taken the file for a dead owner's and removed it.
+            // Between creating and locking, another process may have taken the file for a dead owner's and
+            // removed it.
             if path.exists() {
                 break Owner { folder: folder.into(), stem, next: AtomicU64::new(0), _lock: lock };
             }
@@ -47,9 +49,11 @@ impl Owner {
 
     fn remove_what_the_dead_left(&self) -> Result<(), StoreError> {
         let names = names_in(&self.folder)?;
-        let stems: BTreeSet<&str> = names.iter().filter_map(|name| stem_of(name)).filter(|stem| *stem != self.stem).collect();
+        let stems: BTreeSet<&str> =
+            names.iter().filter_map(|name| stem_of(name)).filter(|stem| *stem != self.stem).collect();
         for stem in stems {
-            // Held until its files are gone: a newborn that has not locked its file yet waits here, and then finds the file gone.
+            // Held until its files are gone: a newborn that has not locked its file yet waits here, and then
+            // finds the file gone.
             let lock = match OpenOptions::new().write(true).open(self.folder.join(format!("{stem}.lock"))) {
                 Ok(lock) => match lock.try_lock() {
                     Ok(()) => Some(lock),
@@ -71,8 +75,11 @@ impl Owner {
     /// Writes a small file: afterwards it is there with these bytes, or as it was before.
     pub(super) fn write(&self, target: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         let temporary = self.temporary("part");
-        let written = File::create(&temporary).and_then(|mut file| file.write_all(bytes).and_then(|_| file.sync_all()));
-        let result = written.map_err(|error| StoreError::io(&temporary, "write a file", error)).and_then(|_| rename(&temporary, target));
+        let written =
+            File::create(&temporary).and_then(|mut file| file.write_all(bytes).and_then(|_| file.sync_all()));
+        let result = written
+            .map_err(|error| StoreError::io(&temporary, "write a file", error))
+            .and_then(|_| rename(&temporary, target));
         if result.is_err() {
             // Nothing more to say when this fails too: the first error is the one to report.
             let _ = std::fs::remove_file(&temporary);
@@ -97,18 +104,24 @@ fn stem_of(name: &str) -> Option<&str> {
 pub(super) fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
     std::fs::rename(from, to).map_err(|error| StoreError::io(to, "move a file to its place", error))?;
     let folder = to.parent().unwrap_or(Path::new("."));
-    File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| StoreError::io(folder, "sync the folder", error))
+    File::open(folder)
+        .and_then(|folder| folder.sync_all())
+        .map_err(|error| StoreError::io(folder, "sync the folder", error))
 }
 
 /// Forces a file's bytes to the disk.
 pub(super) fn sync(path: &Path) -> Result<(), StoreError> {
-    File::open(path).and_then(|file| file.sync_all()).map_err(|error| StoreError::io(path, "sync the file", error))
+    File::open(path)
+        .and_then(|file| file.sync_all())
+        .map_err(|error| StoreError::io(path, "sync the file", error))
 }
 
 /// Removes a file; one that is gone already is fine.
 pub(super) fn remove(path: &Path) -> Result<(), StoreError> {
     match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(StoreError::io(path, "remove the file", error)),
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(StoreError::io(path, "remove the file", error))
+        }
         _ => Ok(()),
     }
 }

@@ -47,7 +47,12 @@ impl Cache {
         make_folders(root)?;
         let shared = lock_file(&root.join("lock"))?;
         shared.lock_shared().map_err(|error| StoreError::io(&root.join("lock"), "lock the cache", error))?;
-        Ok(Cache { root: root.into(), owner: Owner::new(&root.join("tmp"))?, verified: Mutex::default(), _shared: shared })
+        Ok(Cache {
+            root: root.into(),
+            owner: Owner::new(&root.join("tmp"))?,
+            verified: Mutex::default(),
+            _shared: shared,
+        })
     }
 
     /// Row bands of results that are not complete.
@@ -63,7 +68,8 @@ impl Cache {
         &self.root
     }
 
-    /// Looks a key up, and checks that every stored output is there in full length. Contents are checked by [`Cache::load`].
+    /// Looks a key up, and checks that every stored output is there in full length. Contents are checked by
+    /// [`Cache::load`].
     pub fn record(&self, key: &Digest) -> Lookup {
         let path = self.record_path(key);
         let record = match read_record(&path) {
@@ -72,7 +78,9 @@ impl Cache {
             Err(why) => return Lookup::Damaged { why },
         };
         if record.key != *key || record.compute_key() != *key {
-            return Lookup::Damaged { why: format!("{}: the ingredients are not those of the key", path.display()) };
+            return Lookup::Damaged {
+                why: format!("{}: the ingredients are not those of the key", path.display()),
+            };
         }
         for (port, output) in &record.outputs {
             if let Some(output) = output
@@ -91,7 +99,10 @@ impl Cache {
     /// When the folder cannot be listed.
     pub fn records(&self) -> Result<Vec<Record>, StoreError> {
         let names = files::names_in(&self.root.join("keys"))?;
-        Ok(names.iter().filter_map(|name| read_record(&self.root.join("keys").join(name)).ok().flatten()).collect())
+        Ok(names
+            .iter()
+            .filter_map(|name| read_record(&self.root.join("keys").join(name)).ok().flatten())
+            .collect())
     }
 
     /// Keeps a record. Store its outputs first: a record promises that they are there.
@@ -104,7 +115,12 @@ impl Cache {
         if record.compute_key() != record.key {
             return Err(misuse("the key of a record is not that of its ingredients".into()));
         }
-        let text = toml::to_string(record).map_err(|error| misuse(format!("the record cannot be written as TOML: {error}")))?;
+        let text = toml::to_string(record).map_err(|error| {
+            misuse(format!(
+                "the record cannot be written as \
+                                                            TOML: {error}"
+            ))
+        })?;
         self.owner.write(&path, text.as_bytes())
     }
 
@@ -116,13 +132,19 @@ impl Cache {
 pub(super) fn make_folders(root: &Path) -> Result<(), StoreError> {
     for name in ["keys", "data", "bands", "tmp", "history", "files"] {
         let folder = root.join(name);
-        std::fs::create_dir_all(&folder).map_err(|error| StoreError::io(&folder, "make the folder", error))?;
+        std::fs::create_dir_all(&folder)
+            .map_err(|error| StoreError::io(&folder, "make the folder", error))?;
     }
     Ok(())
 }
 
 pub(super) fn lock_file(path: &Path) -> Result<File, StoreError> {
-    OpenOptions::new().create(true).truncate(false).write(true).open(path).map_err(|error| StoreError::io(path, "open the lock", error))
+    OpenOptions::new()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(path)
+        .map_err(|error| StoreError::io(path, "open the lock", error))
 }
 
 /// A record's file; `None` when there is none, the reason in words when it cannot be read.
@@ -130,14 +152,19 @@ pub(super) fn read_record(path: &Path) -> Result<Option<Record>, String> {
     match std::fs::read_to_string(path) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(format!("{}: {error}", path.display())),
-        Ok(text) => toml::from_str(&text).map(Some).map_err(|error| format!("{}: not a record: {}", path.display(), error.message())),
+        Ok(text) => toml::from_str(&text)
+            .map(Some)
+            .map_err(|error| format!("{}: not a record: {}", path.display(), error.message())),
     }
 }
 
-/// Renews the record's modification time, by which gc sees what was used last. Best effort: a cache on a read-only disk still reads.
+/// Renews the record's modification time, by which gc sees what was used last. Best effort: a cache on a
+/// read-only disk still reads.
 fn mark_used(path: &Path) {
     let now = SystemTime::now();
-    let recent = std::fs::metadata(path).and_then(|metadata| metadata.modified()).is_ok_and(|at| now.duration_since(at).is_ok_and(|age| age < USE_MARK));
+    let recent = std::fs::metadata(path)
+        .and_then(|metadata| metadata.modified())
+        .is_ok_and(|at| now.duration_since(at).is_ok_and(|age| age < USE_MARK));
     if !recent {
         let _ = OpenOptions::new().write(true).open(path).and_then(|file| file.set_modified(now));
     }

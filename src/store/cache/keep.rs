@@ -43,7 +43,8 @@ pub struct DiskUse {
     pub content_bytes: u64,
     /// Of these, bytes that no record names.
     pub unreferenced_bytes: u64,
-    /// Bytes being written right now, or left by a killed run: row bands that the next one goes on from among them.
+    /// Bytes being written right now, or left by a killed run: row bands that the next one goes on from among
+    /// them.
     pub temporary_bytes: u64,
 }
 
@@ -99,7 +100,12 @@ impl Cache {
                 used_unix_s: unix_s(used(&self.record_path(&record.key))),
                 key: record.key,
                 kind: record.ingredients.kind,
-                bytes: record.outputs.values().flatten().map(|output| length(&data_path(&self.root, &output.digest))).sum(),
+                bytes: record
+                    .outputs
+                    .values()
+                    .flatten()
+                    .map(|output| length(&data_path(&self.root, &output.digest)))
+                    .sum(),
                 outputs: record.outputs,
                 seconds: record.seconds,
                 created_unix_s: record.created_unix_s,
@@ -115,7 +121,10 @@ impl Cache {
     /// When a folder cannot be listed.
     pub fn du(&self) -> Result<DiskUse, StoreError> {
         let records = self.records()?;
-        let referenced: BTreeSet<Digest> = records.iter().flat_map(|record| record.outputs.values().flatten().map(|output| output.digest)).collect();
+        let referenced: BTreeSet<Digest> = records
+            .iter()
+            .flat_map(|record| record.outputs.values().flatten().map(|output| output.digest))
+            .collect();
         let mut found = DiskUse { records: records.len() as u64, ..DiskUse::default() };
         for (digest, path) in contents(&self.root)? {
             let bytes = length(&path);
@@ -124,7 +133,8 @@ impl Cache {
             found.unreferenced_bytes += if referenced.contains(&digest) { 0 } else { bytes };
         }
         for folder in ["tmp", "bands"].map(|name| self.root.join(name)) {
-            found.temporary_bytes += files::names_in(&folder)?.iter().map(|name| length(&folder.join(name))).sum::<u64>();
+            found.temporary_bytes +=
+                files::names_in(&folder)?.iter().map(|name| length(&folder.join(name))).sum::<u64>();
         }
         Ok(found)
     }
@@ -152,10 +162,15 @@ impl Cache {
             }
         }
         for (digest, path) in contents(&self.root)? {
-            let found = self.intact(&digest).and_then(|_| open_stored(&path)).map_err(|error| error.to_string());
+            let found =
+                self.intact(&digest).and_then(|_| open_stored(&path)).map_err(|error| error.to_string());
             match found.and_then(|value| value.digest().map_err(|error| error.message)) {
                 Ok(found) if found == digest => report.good_contents += 1,
-                Ok(found) => report.damaged.push(format!("{}: the content is that of {}", path.display(), found.short())),
+                Ok(found) => report.damaged.push(format!(
+                    "{}: the content is that of {}",
+                    path.display(),
+                    found.short()
+                )),
                 Err(why) => report.damaged.push(why),
             }
             if !referenced.contains(&digest) {
@@ -166,9 +181,11 @@ impl Cache {
         Ok(report)
     }
 
-    /// Removes records that are old, damaged or too many, then the data that no record names, and digests of outside files that are gone.
+    /// Removes records that are old, damaged or too many, then the data that no record names, and digests of
+    /// outside files that are gone.
     ///
-    /// Not a method: it needs the cache for itself. Killed half way, it leaves data without records, which the next gc removes.
+    /// Not a method: it needs the cache for itself. Killed half way, it leaves data without records, which
+    /// the next gc removes.
     ///
     /// # Errors
     /// [`StoreError::Busy`] while any run has the cache open; others when a file cannot be removed.
@@ -221,17 +238,26 @@ fn choose(root: &Path, options: &GcOptions) -> Result<(Vec<Vec<Digest>>, Vec<Pat
     for name in files::names_in(&keys)? {
         let path = keys.join(name);
         match read_record(&path) {
-            Ok(Some(record)) if record.compute_key() == record.key && path == keys.join(format!("{}.toml", record.key)) => {
+            Ok(Some(record))
+                if record.compute_key() == record.key
+                    && path == keys.join(format!("{}.toml", record.key)) =>
+            {
                 let contents = record.outputs.values().flatten().map(|output| output.digest).collect();
-                stay.push(Candidate { used: used(&path), pinned: options.keep.contains(&record.key), contents, path });
+                stay.push(Candidate {
+                    used: used(&path),
+                    pinned: options.keep.contains(&record.key),
+                    contents,
+                    path,
+                });
             }
             _ => go.push(path),
         }
     }
     if let Some(limit) = options.older_than {
         let now = SystemTime::now();
-        let (old, young): (Vec<Candidate>, Vec<Candidate>) =
-            stay.into_iter().partition(|candidate| !candidate.pinned && now.duration_since(candidate.used).is_ok_and(|age| age > limit));
+        let (old, young): (Vec<Candidate>, Vec<Candidate>) = stay.into_iter().partition(|candidate| {
+            !candidate.pinned && now.duration_since(candidate.used).is_ok_and(|age| age > limit)
+        });
         go.extend(old.into_iter().map(|candidate| candidate.path));
         stay = young;
     }
@@ -239,7 +265,9 @@ fn choose(root: &Path, options: &GcOptions) -> Result<(Vec<Vec<Digest>>, Vec<Pat
         // Least recently used last, so that it is popped first; the name settles ties.
         stay.sort_by(|a, b| (b.used, &b.path).cmp(&(a.used, &a.path)));
         let mut users: BTreeMap<Digest, u64> = BTreeMap::new();
-        stay.iter().flat_map(|candidate| &candidate.contents).for_each(|digest| *users.entry(*digest).or_default() += 1);
+        stay.iter()
+            .flat_map(|candidate| &candidate.contents)
+            .for_each(|digest| *users.entry(*digest).or_default() += 1);
         let mut bytes: u64 = users.keys().map(|digest| length(&data_path(root, digest))).sum();
         let mut kept = Vec::new();
         while let Some(candidate) = stay.pop() {
@@ -265,14 +293,22 @@ fn choose(root: &Path, options: &GcOptions) -> Result<(Vec<Vec<Digest>>, Vec<Pat
 fn contents(root: &Path) -> Result<Vec<(Digest, PathBuf)>, StoreError> {
     let data = root.join("data");
     let digest = |name: &String| name.strip_suffix(".h5").and_then(|digest| digest.parse().ok());
-    Ok(files::names_in(&data)?.iter().filter_map(|name| digest(name).map(|digest| (digest, data.join(name)))).collect())
+    Ok(files::names_in(&data)?
+        .iter()
+        .filter_map(|name| digest(name).map(|digest| (digest, data.join(name))))
+        .collect())
 }
 
 /// Files below `data` that are neither a content nor the checksum of one.
 fn strangers(root: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let data = root.join("data");
-    let known: BTreeSet<PathBuf> = contents(root)?.into_iter().flat_map(|(digest, path)| [path, sum_path(root, &digest)]).collect();
-    Ok(files::names_in(&data)?.iter().map(|name| data.join(name)).filter(|path| !known.contains(path)).collect())
+    let known: BTreeSet<PathBuf> =
+        contents(root)?.into_iter().flat_map(|(digest, path)| [path, sum_path(root, &digest)]).collect();
+    Ok(files::names_in(&data)?
+        .iter()
+        .map(|name| data.join(name))
+        .filter(|path| !known.contains(path))
+        .collect())
 }
 
 fn length(path: &Path) -> u64 {

@@ -1,4 +1,5 @@
-//! The cache: key -> record -> content, safe for several processes on one folder and for a kill at any moment.
+//! The cache: key -> record -> content, safe for several processes on one folder and for a kill at any
+//! moment.
 //!
 //! ```text
 //! keys/<key>.toml       a Record: ingredients in clear text, port -> digest
@@ -11,8 +12,9 @@
 //! lock  commit.lock     shared by every run, exclusive for `gc`; exclusive for the moment of placing data
 //! ```
 //!
-//! The order of steps makes every moment consistent: data is placed before the record that names it, and gc removes records before data.
-//! A damaged entry counts as missing: the node runs again and its output replaces the entry.
+//! The order of steps makes every moment consistent: data is placed before the record that names it, and gc
+//! removes records before data. A damaged entry counts as missing: the node runs again and its output
+//! replaces the entry.
 
 mod bands;
 mod content;

@@ -1,7 +1,7 @@
 //! What a node made and of what: the ingredients that are its key, in clear text.
 //!
-//! The key is computed in one place, [`Ingredients::key`]. What is not an ingredient (node id, paths, threads, bands) may stand in
-//! the record for people to read, and never enters the key.
+//! The key is computed in one place, [`Ingredients::key`]. What is not an ingredient (node id, paths,
+//! threads, bands) may stand in the record for people to read, and never enters the key.
 
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{DataType, Digest};
@@ -13,7 +13,8 @@ use std::collections::BTreeMap;
 pub struct Params {
     /// [`photocurrent_core::node::canonical_params`] of them: what the key is made of.
     pub canonical: String,
-    /// The same for people, defaults filled in. Give the form without paths: what does not enter the key explains no change.
+    /// The same for people, defaults filled in. Give the form without paths: what does not enter the key
+    /// explains no change.
     pub readable: serde_json::Map<String, serde_json::Value>,
 }
 
@@ -78,7 +79,10 @@ impl Ingredients {
         key.text(&self.kind).integer(self.revision.into()).text(&self.params.canonical);
         key.integer(self.inputs.len() as i64);
         for input in &self.inputs {
-            key.text(&input.port).integer(input.index.into()).integer(input.layout.into()).digest(&input.digest);
+            key.text(&input.port)
+                .integer(input.index.into())
+                .integer(input.layout.into())
+                .digest(&input.digest);
             // Nothing is added for whole values: their keys are those of before.
             for (word, span) in [("window", input.window), ("share", input.share)] {
                 if let Some((start, end)) = span {
@@ -98,7 +102,8 @@ impl Ingredients {
         key.finish()
     }
 
-    /// What changed from here to `new`, one plain line each: `params.cis_weight 1.0 -> 2.0`. Empty when the keys are equal.
+    /// What changed from here to `new`, one plain line each: `params.cis_weight 1.0 -> 2.0`. Empty when the
+    /// keys are equal.
     pub fn differences(&self, new: &Ingredients) -> Vec<String> {
         let mut lines = Vec::new();
         if self.key() == new.key() {
@@ -143,12 +148,20 @@ impl Ingredients {
                 }
             }
         });
-        let by_param = |of: &Ingredients| -> BTreeMap<String, FileInput> { of.files.iter().map(|file| (file.param.clone(), file.clone())).collect() };
+        let by_param = |of: &Ingredients| -> BTreeMap<String, FileInput> {
+            of.files.iter().map(|file| (file.param.clone(), file.clone())).collect()
+        };
         compare(&by_param(self), &by_param(new), |param, change| match change {
             Change::Added(file) => lines.push(format!("file {} added (params.{param})", file.path)),
             Change::Removed(file) => lines.push(format!("file {} removed (params.{param})", file.path)),
-            Change::Other(old, new) if old.digest != new.digest && old.path == new.path => lines.push(format!("file {} changed content", new.path)),
-            Change::Other(old, new) if old.digest != new.digest => lines.push(format!("file {} -> {}, with another content", old.path, new.path)),
+            Change::Other(old, new) if old.digest != new.digest && old.path == new.path => {
+                lines.push(format!("file {} changed content", new.path))
+            }
+            Change::Other(old, new) if old.digest != new.digest => lines.push(format!(
+                "file {} -> {}, with \
+                                                            another content",
+                old.path, new.path
+            )),
             Change::Other(..) => {}
         });
         if self.seed != new.seed {
@@ -168,7 +181,11 @@ enum Change<'a, V> {
     Other(&'a V, &'a V),
 }
 
-fn compare<K: Ord, V: PartialEq>(old: &BTreeMap<K, V>, new: &BTreeMap<K, V>, mut report: impl FnMut(&K, Change<V>)) {
+fn compare<K: Ord, V: PartialEq>(
+    old: &BTreeMap<K, V>,
+    new: &BTreeMap<K, V>,
+    mut report: impl FnMut(&K, Change<V>),
+) {
     let names: std::collections::BTreeSet<&K> = old.keys().chain(new.keys()).collect();
     for name in names {
         match (old.get(name), new.get(name)) {
@@ -185,7 +202,9 @@ fn leaves(table: &serde_json::Map<String, serde_json::Value>) -> BTreeMap<String
     let mut found = BTreeMap::new();
     for (name, value) in table {
         match value {
-            serde_json::Value::Object(inner) => found.extend(leaves(inner).into_iter().map(|(rest, value)| (format!("{name}.{rest}"), value))),
+            serde_json::Value::Object(inner) => {
+                found.extend(leaves(inner).into_iter().map(|(rest, value)| (format!("{name}.{rest}"), value)))
+            }
             serde_json::Value::Null => {}
             other => drop(found.insert(name.clone(), other.clone())),
         }
@@ -260,16 +279,28 @@ mod outputs_text {
         None(String),
     }
 
-    pub(super) fn serialize<S: Serializer>(outputs: &BTreeMap<String, Option<StoredOutput>>, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(outputs.iter().map(|(port, output)| (port, output.map_or(Output::None("none".into()), Output::Stored))))
+    pub(super) fn serialize<S: Serializer>(
+        outputs: &BTreeMap<String, Option<StoredOutput>>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(
+            outputs
+                .iter()
+                .map(|(port, output)| (port, output.map_or(Output::None("none".into()), Output::Stored))),
+        )
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, Option<StoredOutput>>, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<BTreeMap<String, Option<StoredOutput>>, D::Error> {
         let outputs = BTreeMap::<String, Output>::deserialize(deserializer)?;
         let output = |output| match output {
             Output::Stored(stored) => Ok(Some(stored)),
             Output::None(text) if text == "none" => Ok(None),
-            Output::None(text) => Err(serde::de::Error::custom(format!("an output is a stored value or \"none\", found \"{text}\""))),
+            Output::None(text) => Err(serde::de::Error::custom(format!(
+                "an output is a stored value or \
+                                                            \"none\", found \"{text}\""
+            ))),
         };
         outputs.into_iter().map(|(port, found)| Ok((port, output(found)?))).collect()
     }
@@ -303,7 +334,10 @@ mod params_text {
 
     pub(super) fn serialize<S: Serializer>(params: &Params, serializer: S) -> Result<S::Ok, S::Error> {
         let readable = without_nulls(&Value::Object(params.readable.clone()));
-        let params = Text { params_canonical: params.canonical.clone(), params: readable.as_object().cloned().unwrap_or_default() };
+        let params = Text {
+            params_canonical: params.canonical.clone(),
+            params: readable.as_object().cloned().unwrap_or_default(),
+        };
         params.serialize(serializer)
     }
 
@@ -314,10 +348,22 @@ mod params_text {
 
     fn without_nulls(value: &Value) -> Value {
         match value {
-            Value::Object(map) => Value::Object(map.iter().filter(|(_, v)| !v.is_null()).map(|(k, v)| (k.clone(), without_nulls(v))).collect()),
-            Value::Array(items) => Value::Array(items.iter().map(|item| if item.is_null() { "null".into() } else { without_nulls(item) }).collect()),
+            Value::Object(map) => Value::Object(
+                map.iter()
+                    .filter(|(_, v)| !v.is_null())
+                    .map(|(k, v)| (k.clone(), without_nulls(v)))
+                    .collect(),
+            ),
+            Value::Array(items) => Value::Array(
+                items
+                    .iter()
+                    .map(|item| if item.is_null() { "null".into() } else { without_nulls(item) })
+                    .collect(),
+            ),
             // TOML integers end at 2^63 - 1.
-            Value::Number(number) if number.is_u64() && number.as_i64().is_none() => number.to_string().into(),
+            Value::Number(number) if number.is_u64() && number.as_i64().is_none() => {
+                number.to_string().into()
+            }
             other => other.clone(),
         }
     }

@@ -1,8 +1,9 @@
 //! Files that end before the end that their superblock states: opened as far as they go.
 //!
-//! The library refuses such a file. Asked to skip its check, it reads zeros behind the end and takes them for numbers. So the file is mapped, the mapping
-//! gets a superblock that states the true end, and the library reads the mapping (its `core` driver): what lies behind the end is then refused piece
-//! by piece, a chunk, a node of an index, an object header at a time. Nothing is copied; the file itself is not changed.
+//! The library refuses such a file. Asked to skip its check, it reads zeros behind the end and takes them for
+//! numbers. So the file is mapped, the mapping gets a superblock that states the true end, and the library
+//! reads the mapping (its `core` driver): what lies behind the end is then refused piece by piece, a chunk, a
+//! node of an index, an object header at a time. Nothing is copied; the file itself is not changed.
 
 use crate::error::StoreError;
 use std::fs::File;
@@ -26,7 +27,8 @@ pub(crate) struct Superblock {
 const LONGEST: usize = 256;
 
 impl Superblock {
-    /// Of a file whose signature stands at a place; `None` when there is no whole superblock of a known version.
+    /// Of a file whose signature stands at a place; `None` when there is no whole superblock of a known
+    /// version.
     pub(super) fn read(file: &mut File, at: u64) -> Option<Superblock> {
         let mut bytes = Vec::new();
         file.seek(SeekFrom::Start(at)).ok()?;
@@ -56,7 +58,9 @@ impl Superblock {
     /// States another end, in the bytes of a file.
     fn state(&self, end: u64, file: &mut [u8]) -> Option<()> {
         let bytes = file.get_mut(usize::try_from(self.at).ok()?..)?;
-        bytes.get_mut(self.end_at..self.end_at + self.width)?.copy_from_slice(&end.to_le_bytes()[..self.width]);
+        bytes
+            .get_mut(self.end_at..self.end_at + self.width)?
+            .copy_from_slice(&end.to_le_bytes()[..self.width]);
         if self.version >= 2 {
             // A file whose writer was ended says that it is still being written: nobody does any more.
             *bytes.get_mut(11)? = 0;
@@ -64,7 +68,8 @@ impl Superblock {
             let sum = lookup3(bytes.get(..sum_at)?);
             bytes.get_mut(sum_at..sum_at + 4)?.copy_from_slice(&sum.to_le_bytes());
         } else {
-            // Behind the end stand two more addresses and the root's entry: without it the library would read zeros.
+            // Behind the end stand two more addresses and the root's entry: without it the library would read
+            // zeros.
             bytes.get(self.end_at + 4 * self.width + 23)?;
         }
         Some(())
@@ -73,12 +78,15 @@ impl Superblock {
 
 /// Bob Jenkins' lookup3 (`hashlittle` with 0), the checksum of HDF5's metadata.
 fn lookup3(bytes: &[u8]) -> u32 {
-    let word = |block: &[u8], at: usize| (0..4).fold(0u32, |word, k| word | u32::from(block.get(4 * at + k).copied().unwrap_or(0)) << (8 * k));
+    let word = |block: &[u8], at: usize| {
+        (0..4).fold(0u32, |word, k| word | u32::from(block.get(4 * at + k).copied().unwrap_or(0)) << (8 * k))
+    };
     let start = 0xdead_beefu32.wrapping_add(bytes.len() as u32);
     let (mut a, mut b, mut c) = (start, start, start);
     let mut rest = bytes;
     while rest.len() > 12 {
-        (a, b, c) = (a.wrapping_add(word(rest, 0)), b.wrapping_add(word(rest, 1)), c.wrapping_add(word(rest, 2)));
+        (a, b, c) =
+            (a.wrapping_add(word(rest, 0)), b.wrapping_add(word(rest, 1)), c.wrapping_add(word(rest, 2)));
         a = a.wrapping_sub(c) ^ c.rotate_left(4);
         c = c.wrapping_add(b);
         b = b.wrapping_sub(a) ^ a.rotate_left(6);
@@ -152,11 +160,18 @@ mod mapped {
         }
     }
 
-    // The library asks for memory of an image whenever it would copy it: all copies are the one mapping, which the closing file gives back.
+    // The library asks for memory of an image whenever it would copy it: all copies are the one mapping,
+    // which the closing file gives back.
     extern "C" fn give(_: usize, _: H5FD_file_image_op_t, _: *mut c_void) -> *mut c_void {
         OPENING.load(Ordering::Relaxed)
     }
-    extern "C" fn copy(to: *mut c_void, _: *const c_void, _: usize, _: H5FD_file_image_op_t, _: *mut c_void) -> *mut c_void {
+    extern "C" fn copy(
+        to: *mut c_void,
+        _: *const c_void,
+        _: usize,
+        _: H5FD_file_image_op_t,
+        _: *mut c_void,
+    ) -> *mut c_void {
         to
     }
     extern "C" fn grow(_: *mut c_void, _: usize, _: H5FD_file_image_op_t, _: *mut c_void) -> *mut c_void {
@@ -174,9 +189,11 @@ mod mapped {
         let file = File::open(path).map_err(|error| StoreError::io(path, "open the file", error))?;
         let length = usize::try_from(bytes).map_err(|_| refused("it is too large for this system"))?;
         locked(|| {
-            // SAFETY: a private mapping of an open file; writing to it changes this process's copy of a page only.
+            // SAFETY: a private mapping of an open file; writing to it changes this process's copy of a page
+            // only.
             let mapping = unsafe {
-                let (access, kind) = (libc::PROT_READ | libc::PROT_WRITE, libc::MAP_PRIVATE | libc::MAP_NORESERVE);
+                let (access, kind) =
+                    (libc::PROT_READ | libc::PROT_WRITE, libc::MAP_PRIVATE | libc::MAP_NORESERVE);
                 libc::mmap(std::ptr::null_mut(), length, access, kind, file.as_raw_fd(), 0)
             };
             if mapping == libc::MAP_FAILED {
@@ -189,10 +206,12 @@ mod mapped {
                 unmap(mapping);
                 return Err(refused("not even its superblock is whole"));
             }
-            // The library takes files of one name for the same file, and a name that stands in a folder for a mistake.
+            // The library takes files of one name for the same file, and a name that stands in a folder for a
+            // mistake.
             let name = CString::new(format!("/dev/null/{mapping:p}")).unwrap_or_default();
             OPENING.store(mapping, Ordering::Relaxed);
-            // SAFETY: property list and callbacks are valid for these calls, under the library's lock; the image lives until the file closes.
+            // SAFETY: property list and callbacks are valid for these calls, under the library's lock; the
+            // image lives until the file closes.
             let opened = unsafe {
                 let properties = h5p::H5Pcreate(*hdf5::globals::H5P_FILE_ACCESS);
                 let mut callbacks = H5FD_file_image_callbacks_t {
@@ -206,7 +225,11 @@ mod mapped {
                     && h5p::H5Pset_file_image_callbacks(properties, &mut callbacks) >= 0
                     && h5p::H5Pset_file_image(properties, mapping, length) >= 0;
                 let id = if set { h5f::H5Fopen(name.as_ptr(), h5f::H5F_ACC_RDONLY, properties) } else { -1 };
-                let opened = if id < 0 { Err(hdf5::Error::query().unwrap_or_else(|error| error)) } else { hdf5::from_id::<hdf5::File>(id) };
+                let opened = if id < 0 {
+                    Err(hdf5::Error::query().unwrap_or_else(|error| error))
+                } else {
+                    hdf5::from_id::<hdf5::File>(id)
+                };
                 h5p::H5Pclose(properties);
                 opened
             };

@@ -1,9 +1,11 @@
-//! Work that may end the process, tried in a process of its own: a crash, an endless loop or a flood of memory there is a refusal here.
+//! Work that may end the process, tried in a process of its own: a crash, an endless loop or a flood of
+//! memory there is a refusal here.
 //!
-//! The library parses files in C and can be ended by a damaged one. A forked copy of this process does the same calls first; docs/decisions/0007 says
-//! why a fork. The copy is made under the library's lock, so that the library's state in it is whole. It resets every signal, leaves the standard streams
-//! alone, takes no lock of ours, starts no thread, and ends with `_exit`: nothing is flushed or dropped twice.
-//! Systems without `fork` try nothing.
+//! The library parses files in C and can be ended by a damaged one. A forked copy of this process does the
+//! same calls first; docs/decisions/0007 says why a fork. The copy is made under the library's lock, so that
+//! the library's state in it is whole. It resets every signal, leaves the standard streams alone, takes no
+//! lock of ours, starts no thread, and ends with `_exit`: nothing is flushed or dropped twice. Systems
+//! without `fork` try nothing.
 
 use std::time::Duration;
 
@@ -48,12 +50,17 @@ pub(crate) enum Report<'a> {
 #[cfg(unix)]
 const LONGEST_REPORT: usize = 1000;
 
-/// Does the work in a copy of this process, and gives how that ended; the outer error when no copy can be made.
+/// Does the work in a copy of this process, and gives how that ended; the outer error when no copy can be
+/// made.
 #[cfg(unix)]
-pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report))) -> std::io::Result<Result<(), Death>> {
+pub(crate) fn attempt(
+    limits: Limits,
+    work: impl FnOnce(&mut dyn FnMut(Report)),
+) -> std::io::Result<Result<(), Death>> {
     let (mut ends, mut copy) = ([0; 2], 0);
-    // SAFETY: plain calls with valid pointers. The copy has this thread only; it holds the library's lock, which is reentrant, and no other lock of ours.
-    // The C library makes its own allocator usable in it. `child` does not return.
+    // SAFETY: plain calls with valid pointers. The copy has this thread only; it holds the library's lock,
+    // which is reentrant, and no other lock of ours. The C library makes its own allocator usable in it.
+    // `child` does not return.
     super::locked(|| unsafe {
         if pipe(&mut ends) < 0 {
             return Err(std::io::Error::last_os_error());
@@ -73,9 +80,12 @@ pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report)))
             libc::close(ends[0]);
             return Err(failed);
         }
-        // Until the copy has closed the files that it inherited, it holds their locks: nobody here may close and open one meanwhile.
+        // Until the copy has closed the files that it inherited, it holds their locks: nobody here may close
+        // and open one meanwhile.
         let mut ready = 0u8;
-        while libc::read(ends[0], (&raw mut ready).cast(), 1) < 0 && std::io::Error::last_os_error().kind() == std::io::ErrorKind::Interrupted {}
+        while libc::read(ends[0], (&raw mut ready).cast(), 1) < 0
+            && std::io::Error::last_os_error().kind() == std::io::ErrorKind::Interrupted
+        {}
         Ok(())
     })?;
     let (last, end) = follow(ends[0], limits.quiet);
@@ -86,7 +96,9 @@ pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report)))
         if end == End::Silent {
             libc::kill(copy, libc::SIGKILL);
         }
-        while libc::waitpid(copy, &mut status, 0) < 0 && std::io::Error::last_os_error().kind() == std::io::ErrorKind::Interrupted {}
+        while libc::waitpid(copy, &mut status, 0) < 0
+            && std::io::Error::last_os_error().kind() == std::io::ErrorKind::Interrupted
+        {}
     }
     let how = match end {
         End::Done => return Ok(Ok(())),
@@ -98,7 +110,10 @@ pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report)))
 
 /// Without `fork` there is no copy, and nothing is tried.
 #[cfg(not(unix))]
-pub(crate) fn attempt(_: Limits, _: impl FnOnce(&mut dyn FnMut(Report))) -> std::io::Result<Result<(), Death>> {
+pub(crate) fn attempt(
+    _: Limits,
+    _: impl FnOnce(&mut dyn FnMut(Report)),
+) -> std::io::Result<Result<(), Death>> {
     Ok(Ok(()))
 }
 
@@ -123,12 +138,18 @@ unsafe fn pipe(ends: &mut [i32; 2]) -> i32 {
 
 /// The copy: from here to `_exit`.
 #[cfg(unix)]
-unsafe fn child(reports: i32, limits: Limits, mask: &libc::sigset_t, work: impl FnOnce(&mut dyn FnMut(Report))) -> ! {
+unsafe fn child(
+    reports: i32,
+    limits: Limits,
+    mask: &libc::sigset_t,
+    work: impl FnOnce(&mut dyn FnMut(Report)),
+) -> ! {
     // SAFETY: system calls with valid pointers, in a process with one thread.
     unsafe {
         for signal in 1..32 {
             // Who presses Ctrl-C means the process that waits for this one.
-            let ignored = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGQUIT, libc::SIGPIPE].contains(&signal);
+            let ignored =
+                [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGQUIT, libc::SIGPIPE].contains(&signal);
             libc::signal(signal, if ignored { libc::SIG_IGN } else { libc::SIG_DFL });
         }
         #[cfg(any(target_os = "linux", target_os = "android"))]
@@ -139,7 +160,8 @@ unsafe fn child(reports: i32, limits: Limits, mask: &libc::sigset_t, work: impl 
         }
         close_all_but(reports);
         send(reports, b"\n");
-        let limit = |bytes: u64| libc::rlimit { rlim_cur: bytes as libc::rlim_t, rlim_max: bytes as libc::rlim_t };
+        let limit =
+            |bytes: u64| libc::rlimit { rlim_cur: bytes as libc::rlim_t, rlim_max: bytes as libc::rlim_t };
         libc::setrlimit(libc::RLIMIT_CORE, &limit(0));
         if let Some(held) = address_space() {
             libc::setrlimit(libc::RLIMIT_AS, &limit(held.saturating_add(limits.memory)));
@@ -154,12 +176,17 @@ unsafe fn child(reports: i32, limits: Limits, mask: &libc::sigset_t, work: impl 
             // SAFETY: as above.
             Report::TooMany => unsafe { libc::_exit(TOO_MANY) },
         };
-        let mut line: Vec<u8> = name.bytes().take(LONGEST_REPORT).map(|byte| if byte == b'\n' || byte == 0 { b' ' } else { byte }).collect();
+        let mut line: Vec<u8> = name
+            .bytes()
+            .take(LONGEST_REPORT)
+            .map(|byte| if byte == b'\n' || byte == 0 { b' ' } else { byte })
+            .collect();
         line.push(b'\n');
         send(reports, &line);
         // From here on the next thing has its time.
         let zero = libc::timeval { tv_sec: 0, tv_usec: 0 };
-        let cpu = libc::timeval { tv_sec: limits.cpu.as_secs() as _, tv_usec: limits.cpu.subsec_micros() as _ };
+        let cpu =
+            libc::timeval { tv_sec: limits.cpu.as_secs() as _, tv_usec: limits.cpu.subsec_micros() as _ };
         // SAFETY: a valid pointer; the old value is not asked for.
         unsafe { set_timer(&libc::itimerval { it_interval: zero, it_value: cpu }) };
     };
@@ -196,7 +223,11 @@ unsafe fn close_all_but(kept: i32) {
 unsafe fn set_timer(value: &libc::itimerval) {
     unsafe extern "C" {
         /// Of POSIX; the binding crate declares it for some systems only.
-        fn setitimer(which: libc::c_int, new: *const libc::itimerval, old: *mut libc::itimerval) -> libc::c_int;
+        fn setitimer(
+            which: libc::c_int,
+            new: *const libc::itimerval,
+            old: *mut libc::itimerval,
+        ) -> libc::c_int;
     }
     /// Counts the processor time of the process.
     const ITIMER_PROF: libc::c_int = 2;
@@ -266,7 +297,12 @@ fn death(status: i32, limits: Limits) -> String {
     }
     let signal = libc::WTERMSIG(status);
     let what = match signal {
-        libc::SIGPROF => return format!("it does not come back within {:.1} s of processor time", limits.cpu.as_secs_f64()),
+        libc::SIGPROF => {
+            return format!(
+                "it does not come back within {:.1} s of processor time",
+                limits.cpu.as_secs_f64()
+            );
+        }
         libc::SIGSEGV | libc::SIGBUS => "a wrong memory access",
         libc::SIGFPE => "a division by zero",
         libc::SIGABRT => "it gave up",
@@ -282,7 +318,8 @@ fn death(status: i32, limits: Limits) -> String {
 mod tests {
     use super::*;
 
-    const LIMITS: Limits = Limits { cpu: Duration::from_millis(300), quiet: Duration::from_secs(20), memory: 64 << 20 };
+    const LIMITS: Limits =
+        Limits { cpu: Duration::from_millis(300), quiet: Duration::from_secs(20), memory: 64 << 20 };
 
     fn died(work: impl FnOnce(&mut dyn FnMut(Report))) -> Death {
         attempt(LIMITS, work).unwrap().unwrap_err()
@@ -306,7 +343,14 @@ mod tests {
             // SAFETY: the copy ends itself as a division by zero in C would.
             unsafe { libc::raise(libc::SIGFPE) };
         });
-        assert_eq!((death.at.as_str(), death.how.as_str()), ("/events/x ", "it ends the process (signal 8, a division by zero)"));
+        assert_eq!(
+            (death.at.as_str(), death.how.as_str()),
+            (
+                "/events/x ",
+                "it ends the process (signal 8, \
+                                                            a division by zero)"
+            )
+        );
         let death = died(|_| panic!("a mistake of ours"));
         assert_eq!((death.at.as_str(), death.how.as_str()), ("", "it ends the process (exit code 1)"));
     }

@@ -7,7 +7,8 @@ pub(crate) fn locked<T>(calls: impl FnOnce() -> T) -> T {
     static SHUT: LazyLock<()> = LazyLock::new(|| {
         hdf5::sync::sync(|| {
             let mut no_plugins = 0;
-            // SAFETY: both are plain calls into an initialised library, under its lock; the pointer is valid for the call.
+            // SAFETY: both are plain calls into an initialised library, under its lock; the pointer is valid
+            // for the call.
             unsafe {
                 hdf5_sys::h5l::H5Lunregister(hdf5_sys::h5l::H5L_type_t::H5L_TYPE_EXTERNAL);
                 hdf5_sys::h5pl::H5PLset_loading_state(&mut no_plugins);

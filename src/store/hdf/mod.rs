@@ -1,11 +1,13 @@
-//! The door to HDF5: opening files with care, and texts and attributes in whichever way other programs write them.
+//! The door to HDF5: opening files with care, and texts and attributes in whichever way other programs write
+//! them.
 //!
-//! The library has one global lock, so heavy work is kept outside it: chunks are packed and unpacked by us in parallel
-//! ([`pack`], [`pipeline`]) and pass through the library as raw bytes ([`chunks`], [`write`]). No lock is held while they work, or a stolen task could
-//! wait for its own thread.
+//! The library has one global lock, so heavy work is kept outside it: chunks are packed and unpacked by us in
+//! parallel ([`pack`], [`pipeline`]) and pass through the library as raw bytes ([`chunks`], [`write`]). No
+//! lock is held while they work, or a stolen task could wait for its own thread.
 //!
-//! Care means: external links are unregistered and plugins are off before the first file is opened; a file from outside is tried in a process of its
-//! own ([`trial`]); a dataset whose bytes lie in other files is refused; and what a dataset claims to hold is compared with what the file can hold.
+//! Care means: external links are unregistered and plugins are off before the first file is opened; a file
+//! from outside is tried in a process of its own ([`trial`]); a dataset whose bytes lie in other files is
+//! refused; and what a dataset claims to hold is compared with what the file can hold.
 
 pub(crate) mod chunks;
 pub(crate) mod codec;
@@ -34,8 +36,8 @@ use std::path::{Path, PathBuf};
 pub(crate) trait Item: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync {}
 impl<T: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync> Item for T {}
 
-/// A dataset with a filter that we do not know and that claims more than this factor was never written, or lies: deflate cannot shrink by more than
-/// about 1032. Filters that we know have bounds of their own.
+/// A dataset with a filter that we do not know and that claims more than this factor was never written, or
+/// lies: deflate cannot shrink by more than about 1032. Filters that we know have bounds of their own.
 const LARGEST_RATIO: u64 = 1100;
 
 /// No chunk may be larger: the library would take that much memory for one number.
@@ -56,7 +58,8 @@ pub(crate) struct Opened {
 }
 
 impl Opened {
-    /// Opens a file from outside for reading: tried in a process of its own first, and as far as it goes when it is cut.
+    /// Opens a file from outside for reading: tried in a process of its own first, and as far as it goes when
+    /// it is cut.
     pub(crate) fn read(path: &Path) -> Result<Opened, StoreError> {
         refuse_what_is_not_hdf5(path)?;
         trial::pass(path)?;
@@ -107,12 +110,28 @@ impl Opened {
     }
 
     /// Turns a library error into ours.
-    pub(crate) fn wrap<T>(&self, at: &str, doing: &'static str, result: hdf5::Result<T>) -> Result<T, StoreError> {
-        result.map_err(|error| StoreError::Library { path: self.path.clone(), at: at.into(), doing, detail: short(&error) })
+    pub(crate) fn wrap<T>(
+        &self,
+        at: &str,
+        doing: &'static str,
+        result: hdf5::Result<T>,
+    ) -> Result<T, StoreError> {
+        result.map_err(|error| StoreError::Library {
+            path: self.path.clone(),
+            at: at.into(),
+            doing,
+            detail: short(&error),
+        })
     }
 
     /// An error about something inside.
-    pub(crate) fn content(&self, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
+    pub(crate) fn content(
+        &self,
+        at: &str,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> StoreError {
         StoreError::content(&self.path, at, found, expected, hint)
     }
 
@@ -127,7 +146,8 @@ impl Opened {
     /// Is there a link of this name, `group/group/name`, and to each of its groups?
     pub(crate) fn exists(&self, name: &str) -> bool {
         let ends = name.match_indices('/').map(|(at, _)| at).chain([name.len()]);
-        name.split('/').count() <= DEEPEST && locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
+        name.split('/').count() <= DEEPEST
+            && locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
     }
 
     /// A dataset, `group/name` or `name`, after the checks of this module; `None` when there is none.
@@ -146,7 +166,13 @@ impl Opened {
         let layout = self.wrap(at, "read how the dataset is stored", locked(|| plist.get_layout()))?;
         let external = self.wrap(at, "read how the dataset is stored", locked(|| plist.get_external()))?;
         if layout == Layout::Virtual || !external.is_empty() {
-            return Err(self.content(at, "a dataset whose bytes lie in other files", "a dataset that is stored in this file", "copy the data into one file"));
+            return Err(self.content(
+                at,
+                "a dataset whose bytes lie in other files",
+                "a dataset that is \
+                                                            stored in this file",
+                "copy the data into one file",
+            ));
         }
         let item = self.wrap(at, "read the number type", locked(|| dataset.dtype()))?.size() as u64;
         let shape = locked(|| dataset.shape());
@@ -155,26 +181,38 @@ impl Opened {
         let file_bytes = self.bytes;
         let possible = match layout {
             Layout::Chunked => {
-                let ratio = locked(|| Pipeline::of(plist.id())).map_or(LARGEST_RATIO, |pipeline| pipeline.largest_ratio());
-                // Some chunks may not have been written, so a dataset without filters may claim more than is stored, too.
+                let ratio = locked(|| Pipeline::of(plist.id()))
+                    .map_or(LARGEST_RATIO, |pipeline| pipeline.largest_ratio());
+                // Some chunks may not have been written, so a dataset without filters may claim more than is
+                // stored, too.
                 let ratio = ratio.max(LARGEST_RATIO);
                 stored.min(file_bytes).saturating_mul(ratio)
             }
             _ => stored.min(file_bytes),
         };
         // Of a file that is cut, the library cannot add up an index, and numbers may lie behind the end.
-        let possible = if self.stated_bytes.is_some() { file_bytes.saturating_mul(LARGEST_RATIO) } else { possible };
+        let possible =
+            if self.stated_bytes.is_some() { file_bytes.saturating_mul(LARGEST_RATIO) } else { possible };
         if claimed.is_none_or(|claimed| claimed > possible) {
             return Err(self.content(
                 at,
-                format!("a shape {shape:?} of {item}-byte numbers, but only {stored} bytes are stored (the file has {file_bytes})"),
+                format!(
+                    "a shape {shape:?} of {item}-byte numbers, but only {stored} bytes are stored (the \
+                         file has {file_bytes})"
+                ),
                 "as many numbers as the shape says",
                 "the file is cut short, or its writer stopped early: copy or record it again",
             ));
         }
-        let chunk_bytes = locked(|| dataset.chunk()).map_or(0, |chunk| chunk.iter().fold(item, |bytes, &n| bytes.saturating_mul(n as u64)));
+        let chunk_bytes = locked(|| dataset.chunk())
+            .map_or(0, |chunk| chunk.iter().fold(item, |bytes, &n| bytes.saturating_mul(n as u64)));
         if chunk_bytes > LARGEST_CHUNK {
-            return Err(self.content(at, format!("chunks of {chunk_bytes} bytes"), "chunks of at most 1 GiB", "write the file again with smaller chunks"));
+            return Err(self.content(
+                at,
+                format!("chunks of {chunk_bytes} bytes"),
+                "chunks of at most 1 GiB",
+                "write the file again with smaller chunks",
+            ));
         }
         Ok(())
     }
@@ -228,6 +266,10 @@ fn refuse_what_is_not_hdf5(path: &Path) -> Result<Start, StoreError> {
     Err(not(if metadata.len() == 0 {
         "the file is empty, so it is no HDF5 file".into()
     } else {
-        format!("the file ({} bytes, beginning with \"{}\") is no HDF5 file", metadata.len(), first.escape_ascii())
+        format!(
+            "the file ({} bytes, beginning with \"{}\") is no HDF5 file",
+            metadata.len(),
+            first.escape_ascii()
+        )
     }))
 }

@@ -100,7 +100,8 @@ impl Field {
         self.offset.checked_add(self.number.bytes()).is_some_and(|end| end <= stride)
     }
 
-    /// Adds the numbers of all rows as integers: a number that is no integer or too large becomes the nearest one, NaN becomes 0.
+    /// Adds the numbers of all rows as integers: a number that is no integer or too large becomes the nearest
+    /// one, NaN becomes 0.
     pub(crate) fn integers(&self, bytes: &[u8], stride: usize, out: &mut Vec<i64>) {
         if !self.fits(stride) {
             return;
@@ -184,7 +185,8 @@ pub(crate) fn form_of(kind: hid_t) -> Form {
         if let Some(field) = field_of(kind, 0) {
             return Form::Number(field);
         }
-        // SAFETY: plain queries of a live type identifier; names are copied and freed by the library, members closed.
+        // SAFETY: plain queries of a live type identifier; names are copied and freed by the library, members
+        // closed.
         unsafe {
             if h5t::H5Tget_class(kind) != h5t::H5T_class_t::H5T_COMPOUND {
                 return Form::Other;

@@ -1,14 +1,17 @@
-//! Packing with the two filters that every HDF5 reader has, shuffle and deflate, done by us so that it can run in parallel.
+//! Packing with the two filters that every HDF5 reader has, shuffle and deflate, done by us so that it can
+//! run in parallel.
 //!
-//! Shuffle puts the first bytes of all numbers together, then the second bytes, and so on: neighbouring numbers share their high
-//! bytes, which deflate then finds. The result is bit for bit what `H5Dread` expects of a chunk with these two filters.
+//! Shuffle puts the first bytes of all numbers together, then the second bytes, and so on: neighbouring
+//! numbers share their high bytes, which deflate then finds. The result is bit for bit what `H5Dread` expects
+//! of a chunk with these two filters.
 
 use flate2::{Compress, Compression, FlushCompress, Status};
 
 /// Bit of the filter mask that says "deflate (the second filter) was left out for this chunk".
 const WITHOUT_DEFLATE: u32 = 0b10;
 
-/// Shuffles and deflates one chunk; also gives the filter mask, since a chunk that does not shrink is kept shuffled only.
+/// Shuffles and deflates one chunk; also gives the filter mask, since a chunk that does not shrink is kept
+/// shuffled only.
 pub(crate) fn pack<T: bytemuck::Pod>(values: &[T]) -> (Vec<u8>, u32) {
     let shuffled = shuffle(bytemuck::cast_slice(values), size_of::<T>());
     let mut packed = Vec::with_capacity(shuffled.len());
@@ -42,7 +45,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn unpack<T: bytemuck::Pod>(bytes: Vec<u8>, mask: u32, values: &mut [T]) -> Result<(), String> {
-        pipeline(&[Step::Shuffle(size_of::<T>()), Step::Deflate]).undo(bytes, mask, bytemuck::cast_slice_mut(values))
+        pipeline(&[Step::Shuffle(size_of::<T>()), Step::Deflate]).undo(
+            bytes,
+            mask,
+            bytemuck::cast_slice_mut(values),
+        )
     }
 
     proptest! {

@@ -1,6 +1,8 @@
-//! Which filters a dataset has, and undoing them for one chunk: in parallel, without the library, into room of a known size.
+//! Which filters a dataset has, and undoing them for one chunk: in parallel, without the library, into room
+//! of a known size.
 //!
-//! Known are shuffle, deflate, fletcher32, LZF, Blosc, Zstandard, LZ4, bitshuffle and Prophesee's ECF. No plugin is needed or loaded for any of them.
+//! Known are shuffle, deflate, fletcher32, LZF, Blosc, Zstandard, LZ4, bitshuffle and Prophesee's ECF. No
+//! plugin is needed or loaded for any of them.
 
 use super::codec::bits::{BitCodec, bitshuffle, unshuffle};
 use super::codec::{Filled, blosc::blosc, deflate, ecf::ecf, fletcher32, lz4, lzf, zstd_frames};
@@ -52,8 +54,8 @@ impl Step {
         })
     }
 
-    /// So many times can it shrink a chunk at most. Deflate: 1032. LZ4: 255. Zstandard: a block of 128 KiB in 4 bytes.
-    /// LZF: 264 bytes in 3. ECF: six events of 16 bytes in 2, when runs make stamps and rows free.
+    /// So many times can it shrink a chunk at most. Deflate: 1032. LZ4: 255. Zstandard: a block of 128 KiB in
+    /// 4 bytes. LZF: 264 bytes in 3. ECF: six events of 16 bytes in 2, when runs make stamps and rows free.
     fn largest_ratio(self) -> u64 {
         match self {
             Step::Shuffle(_) | Step::Fletcher32 | Step::Bitshuffle(_, _, BitCodec::None) => 1,
@@ -83,14 +85,16 @@ fn name_of(id: i32) -> String {
     format!("{name} (filter number {id})")
 }
 
-/// All filters of a dataset, in the order in which they were applied. A bit of a chunk's mask counts in this order too.
+/// All filters of a dataset, in the order in which they were applied. A bit of a chunk's mask counts in this
+/// order too.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Pipeline {
     steps: Vec<Step>,
 }
 
 impl Pipeline {
-    /// Of a dataset's creation properties; the name of the first filter that is not known. To be called under the library's lock.
+    /// Of a dataset's creation properties; the name of the first filter that is not known. To be called under
+    /// the library's lock.
     pub(crate) fn of(properties: hid_t) -> Result<Pipeline, String> {
         // SAFETY: plain queries of a live identifier; the buffers have the stated lengths.
         let count = unsafe { H5Pget_nfilters(properties) };
@@ -103,7 +107,16 @@ impl Pipeline {
             // SAFETY: as above; no name is asked for.
             let id = unsafe {
                 let (no_name, no_config) = (std::ptr::null_mut(), std::ptr::null_mut());
-                H5Pget_filter2(properties, at, &mut flags, &mut length, settings.as_mut_ptr(), 0, no_name, no_config)
+                H5Pget_filter2(
+                    properties,
+                    at,
+                    &mut flags,
+                    &mut length,
+                    settings.as_mut_ptr(),
+                    0,
+                    no_name,
+                    no_config,
+                )
             };
             if id < 0 {
                 return Err("a filter that cannot be read".into());
@@ -121,9 +134,16 @@ impl Pipeline {
         self.steps.iter().map(|step| step.largest_ratio()).max().unwrap_or(1)
     }
 
-    /// Undoes the filters of a chunk, but for those that its mask leaves out, and fills `out`; the reason in words when the bytes are not what they should be.
+    /// Undoes the filters of a chunk, but for those that its mask leaves out, and fills `out`; the reason in
+    /// words when the bytes are not what they should be.
     pub(crate) fn undo(&self, bytes: Vec<u8>, mask: u32, out: &mut [u8]) -> Filled {
-        let applied: Vec<Step> = self.steps.iter().enumerate().filter(|(at, _)| is_applied(*at, mask)).map(|(_, step)| *step).collect();
+        let applied: Vec<Step> = self
+            .steps
+            .iter()
+            .enumerate()
+            .filter(|(at, _)| is_applied(*at, mask))
+            .map(|(_, step)| *step)
+            .collect();
         let mut bytes = bytes;
         for (at, step) in applied.iter().enumerate().rev() {
             if *step == Step::Fletcher32 {

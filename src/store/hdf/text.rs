@@ -1,6 +1,7 @@
 //! Texts and small numbers: attributes and scalar strings, in the forms that h5py, MATLAB and we write.
 //!
-//! A text may be of variable or fixed length, ASCII or UTF-8, a scalar or one element; an integer may have any width.
+//! A text may be of variable or fixed length, ASCII or UTF-8, a scalar or one element; an integer may have
+//! any width.
 
 use super::{Opened, locked};
 use crate::error::StoreError;
@@ -21,17 +22,39 @@ impl Opened {
     }
 
     /// A text attribute; `None` when absent.
-    pub(crate) fn text_attribute(&self, location: &Location, at: &str, name: &str) -> Result<Option<String>, StoreError> {
+    pub(crate) fn text_attribute(
+        &self,
+        location: &Location,
+        at: &str,
+        name: &str,
+    ) -> Result<Option<String>, StoreError> {
         let Some(attribute) = self.attribute(location, at, name)? else { return Ok(None) };
         self.text(&format!("{at}: attribute `{name}`"), &attribute).map(Some)
     }
 
     /// An integer attribute; `None` when absent.
-    pub(crate) fn integer_attribute(&self, location: &Location, at: &str, name: &str) -> Result<Option<i64>, StoreError> {
+    pub(crate) fn integer_attribute(
+        &self,
+        location: &Location,
+        at: &str,
+        name: &str,
+    ) -> Result<Option<i64>, StoreError> {
         let Some(attribute) = self.attribute(location, at, name)? else { return Ok(None) };
         let at = format!("{at}: attribute `{name}`");
-        let wrong = |found: String| self.content(&at, found, "one integer", "write the attribute as an integer scalar");
-        let kind = self.wrap(&at, "read its type", locked(|| attribute.dtype().and_then(|dtype| dtype.to_descriptor())))?;
+        let wrong = |found: String| {
+            self.content(
+                &at,
+                found,
+                "one integer",
+                "write the attribute as an \
+                                                            integer scalar",
+            )
+        };
+        let kind = self.wrap(
+            &at,
+            "read its type",
+            locked(|| attribute.dtype().and_then(|dtype| dtype.to_descriptor())),
+        )?;
         if !matches!(kind, TypeDescriptor::Integer(_) | TypeDescriptor::Unsigned(_)) {
             return Err(wrong(kind.to_string()));
         }
@@ -51,17 +74,27 @@ impl Opened {
             return Err(wrong(format!("the shape {:?}", locked(|| container.shape()))));
         }
         match kind {
-            TypeDescriptor::VarLenUnicode | TypeDescriptor::VarLenAscii => self.variable_text(at, container, kind == TypeDescriptor::VarLenAscii),
+            TypeDescriptor::VarLenUnicode | TypeDescriptor::VarLenAscii => {
+                self.variable_text(at, container, kind == TypeDescriptor::VarLenAscii)
+            }
             TypeDescriptor::FixedAscii(size) | TypeDescriptor::FixedUnicode(size) if size <= LONGEST_TEXT => {
                 let mut bytes = vec![0u8; size];
                 let status = locked(|| {
-                    // SAFETY: the buffer holds exactly one element of the stored type, which the size check above established.
+                    // SAFETY: the buffer holds exactly one element of the stored type, which the size check
+                    // above established.
                     unsafe {
                         if is_attribute(container) {
                             hdf5_sys::h5a::H5Aread(container.id(), dtype.id(), bytes.as_mut_ptr().cast())
                         } else {
                             let all = hdf5_sys::h5s::H5S_ALL;
-                            hdf5_sys::h5d::H5Dread(container.id(), dtype.id(), all, all, hdf5_sys::h5p::H5P_DEFAULT, bytes.as_mut_ptr().cast())
+                            hdf5_sys::h5d::H5Dread(
+                                container.id(),
+                                dtype.id(),
+                                all,
+                                all,
+                                hdf5_sys::h5p::H5P_DEFAULT,
+                                bytes.as_mut_ptr().cast(),
+                            )
                         }
                     }
                 });
@@ -83,9 +116,18 @@ impl Opened {
     }
 
     fn variable_text(&self, at: &str, container: &Container, ascii: bool) -> Result<String, StoreError> {
-        let wrong = || self.content(at, "bytes that are no UTF-8", "one UTF-8 text", "write it as a scalar string");
+        let wrong = || {
+            self.content(
+                at,
+                "bytes that are no UTF-8",
+                "one UTF-8 text",
+                "write it as a scalar \
+                                                            string",
+            )
+        };
         let bytes = if ascii {
-            let texts = self.wrap(at, "read the text", locked(|| container.read_raw::<hdf5::types::VarLenAscii>()))?;
+            let texts =
+                self.wrap(at, "read the text", locked(|| container.read_raw::<hdf5::types::VarLenAscii>()))?;
             texts.first().map(|text| text.as_bytes().to_vec())
         } else {
             let texts = self.wrap(at, "read the text", locked(|| container.read_raw::<VarLenUnicode>()))?;
@@ -96,21 +138,49 @@ impl Opened {
     }
 
     /// Writes a text attribute.
-    pub(crate) fn set_text_attribute(&self, location: &Location, name: &str, text: &str) -> Result<(), StoreError> {
+    pub(crate) fn set_text_attribute(
+        &self,
+        location: &Location,
+        name: &str,
+        text: &str,
+    ) -> Result<(), StoreError> {
         let at = format!("attribute `{name}`");
         let value = self.variable(&at, text)?;
-        self.wrap(&at, "write it", locked(|| location.new_attr::<VarLenUnicode>().create(name).and_then(|attribute| attribute.write_scalar(&value))))
+        self.wrap(
+            &at,
+            "write it",
+            locked(|| {
+                location
+                    .new_attr::<VarLenUnicode>()
+                    .create(name)
+                    .and_then(|attribute| attribute.write_scalar(&value))
+            }),
+        )
     }
 
     /// Writes an integer attribute.
-    pub(crate) fn set_integer_attribute(&self, location: &Location, name: &str, value: i64) -> Result<(), StoreError> {
-        let result = locked(|| location.new_attr::<i64>().create(name).and_then(|attribute| attribute.write_scalar(&value)));
+    pub(crate) fn set_integer_attribute(
+        &self,
+        location: &Location,
+        name: &str,
+        value: i64,
+    ) -> Result<(), StoreError> {
+        let result = locked(|| {
+            location.new_attr::<i64>().create(name).and_then(|attribute| attribute.write_scalar(&value))
+        });
         self.wrap(&format!("attribute `{name}`"), "write it", result)
     }
 
     /// Writes a number as an attribute.
-    pub(crate) fn set_number_attribute(&self, location: &Location, name: &str, value: f64) -> Result<(), StoreError> {
-        let result = locked(|| location.new_attr::<f64>().create(name).and_then(|attribute| attribute.write_scalar(&value)));
+    pub(crate) fn set_number_attribute(
+        &self,
+        location: &Location,
+        name: &str,
+        value: f64,
+    ) -> Result<(), StoreError> {
+        let result = locked(|| {
+            location.new_attr::<f64>().create(name).and_then(|attribute| attribute.write_scalar(&value))
+        });
         self.wrap(&format!("attribute `{name}`"), "write it", result)
     }
 
@@ -126,7 +196,9 @@ impl Opened {
     }
 
     fn variable(&self, at: &str, text: &str) -> Result<VarLenUnicode, StoreError> {
-        VarLenUnicode::from_str(text).map_err(|_| self.content(at, "a text with a NUL character", "a text without", "remove the NUL character"))
+        VarLenUnicode::from_str(text).map_err(|_| {
+            self.content(at, "a text with a NUL character", "a text without", "remove the NUL character")
+        })
     }
 }
 

@@ -1,8 +1,10 @@
-//! Files from outside are tried in a copy of this process before this process touches them: every object, type, filter, attribute and text, the
-//! whole index of chunks, and some chunks of each dataset, by the same calls that are made here afterwards.
+//! Files from outside are tried in a copy of this process before this process touches them: every object,
+//! type, filter, attribute and text, the whole index of chunks, and some chunks of each dataset, by the same
+//! calls that are made here afterwards.
 //!
-//! What the library merely refuses there it refuses here too, with its message. A file on which it ends the process, loops or floods memory is refused
-//! with the object that it was about to touch. The outcome is kept for a file with its length and time of change, so that a run tries a file once.
+//! What the library merely refuses there it refuses here too, with its message. A file on which it ends the
+//! process, loops or floods memory is refused with the object that it was about to touch. The outcome is kept
+//! for a file with its length and time of change, so that a run tries a file once.
 
 use super::guard::{Death, Limits, Report, attempt};
 use super::{DEEPEST, Opened, locked};
@@ -15,17 +17,21 @@ use std::path::Path;
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, SystemTime};
 
-/// Processor time for one object, whatever the size of the file. A walk over 100,000 chunks takes less than 0.1 s.
+/// Processor time for one object, whatever the size of the file. A walk over 100,000 chunks takes less than
+/// 0.1 s.
 const CPU: Duration = Duration::from_secs(1);
 /// And this much more for a file: an index is a part of it.
 const CPU_PER_GIB: Duration = Duration::from_secs(10);
-/// Without a report for so long, the library waits for something that does not come. A slow disk answers earlier.
+/// Without a report for so long, the library waits for something that does not come. A slow disk answers
+/// earlier.
 const QUIET: Duration = Duration::from_secs(60);
-/// Memory that a trial may take. The library keeps a few MB for a file; an attribute or text that claims more is a lie.
+/// Memory that a trial may take. The library keeps a few MB for a file; an attribute or text that claims more
+/// is a lie.
 const MEMORY: u64 = 1 << 30;
 /// Objects that are looked at: a recording with a dataset for each of 100,000 frames has a tenth of that.
 const MOST_OBJECTS: usize = 1_000_000;
-/// An outcome is kept only of files that last changed so long ago: the clock of a file system has steps of up to 10 ms.
+/// An outcome is kept only of files that last changed so long ago: the clock of a file system has steps of up
+/// to 10 ms.
 const SETTLED: Duration = Duration::from_millis(20);
 /// Outcomes that are kept.
 const MOST_KEPT: usize = 10_000;
@@ -70,9 +76,12 @@ pub(super) fn pass(path: &Path) -> Result<(), StoreError> {
         None => {
             let gib = metadata.len() as f64 / (1u64 << 30) as f64;
             // A file that is cut is mapped whole.
-            let limits = Limits { cpu: CPU + CPU_PER_GIB.mul_f64(gib), quiet: QUIET, memory: MEMORY + metadata.len() };
+            let limits =
+                Limits { cpu: CPU + CPU_PER_GIB.mul_f64(gib), quiet: QUIET, memory: MEMORY + metadata.len() };
             let outcome = attempt(limits, |report| walk(path, report));
-            let death = outcome.map_err(|error| StoreError::io(path, "start a process that tries the file", error))?.err();
+            let death = outcome
+                .map_err(|error| StoreError::io(path, "start a process that tries the file", error))?
+                .err();
             if let Some(state) = state {
                 let mut kept = kept();
                 if kept.len() >= MOST_KEPT {
@@ -115,9 +124,11 @@ fn walk(path: &Path, report: &mut dyn FnMut(Report)) {
             if !file.has(&name) {
                 continue;
             }
-            // An object with two names is looked at once, so that groups which hold each other come to an end.
+            // An object with two names is looked at once, so that groups which hold each other come to an
+            // end.
             let about = locked(|| opened.file.loc_info_by_name(&name));
-            let token = about.as_ref().map(|about| format!("{:?}", about.token)).unwrap_or_else(|_| name.clone());
+            let token =
+                about.as_ref().map(|about| format!("{:?}", about.token)).unwrap_or_else(|_| name.clone());
             if !seen.insert(token) {
                 continue;
             }
@@ -126,7 +137,9 @@ fn walk(path: &Path, report: &mut dyn FnMut(Report)) {
                 None => drop(check(report, file.text(&name))),
             }
             attributes(&file, &opened, &name, report);
-            if about.is_ok_and(|about| about.loc_type == LocationType::Group) && name.split('/').count() < DEEPEST {
+            if about.is_ok_and(|about| about.loc_type == LocationType::Group)
+                && name.split('/').count() < DEEPEST
+            {
                 groups.push(name);
             }
         }

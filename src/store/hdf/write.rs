@@ -23,7 +23,13 @@ pub(crate) struct GridWriter {
 impl GridWriter {
     /// Creates `/name` with shuffle and deflate; `growing` lets the first dimension grow later.
     /// A shape without numbers is stored without chunks, and nothing may be written to it.
-    pub(crate) fn create<T: Item>(opened: &Opened, name: &str, shape: &[usize], chunk: &[usize], growing: bool) -> Result<GridWriter, StoreError> {
+    pub(crate) fn create<T: Item>(
+        opened: &Opened,
+        name: &str,
+        shape: &[usize],
+        chunk: &[usize],
+        growing: bool,
+    ) -> Result<GridWriter, StoreError> {
         let at = format!("/{name}");
         let dataset = locked(|| {
             // Times of modification would make equal contents unequal files.
@@ -31,10 +37,23 @@ impl GridWriter {
             if shape.contains(&0) && !growing {
                 return builder.no_chunk().shape(shape).create(name);
             }
-            let extents: Vec<Extent> = shape.iter().enumerate().map(|(d, &n)| if growing && d == 0 { Extent::resizable(n) } else { Extent::from(n) }).collect();
-            builder.shuffle().deflate(1).chunk(chunk).shape(Extents::Simple(SimpleExtents::new(extents))).create(name)
+            let extents: Vec<Extent> = shape
+                .iter()
+                .enumerate()
+                .map(|(d, &n)| if growing && d == 0 { Extent::resizable(n) } else { Extent::from(n) })
+                .collect();
+            builder
+                .shuffle()
+                .deflate(1)
+                .chunk(chunk)
+                .shape(Extents::Simple(SimpleExtents::new(extents)))
+                .create(name)
         });
-        Ok(GridWriter { opened: opened.clone(), at: at.clone(), dataset: opened.wrap(&at, "create the dataset", dataset)? })
+        Ok(GridWriter {
+            opened: opened.clone(),
+            at: at.clone(),
+            dataset: opened.wrap(&at, "create the dataset", dataset)?,
+        })
     }
 
     /// The dataset, for its attributes.
@@ -43,17 +62,34 @@ impl GridWriter {
     }
 
     /// Writes whole chunks, each with its origin and padded to full size; packs them in parallel.
-    pub(crate) fn write<T: Item, C: AsRef<[T]> + Sync>(&self, chunks: &[(Vec<usize>, C)]) -> Result<(), StoreError> {
+    pub(crate) fn write<T: Item, C: AsRef<[T]> + Sync>(
+        &self,
+        chunks: &[(Vec<usize>, C)],
+    ) -> Result<(), StoreError> {
         let packed: Vec<(Vec<u8>, u32)> = threads::map(chunks, |(_, values)| pack(values.as_ref()));
         for ((origin, _), (bytes, mask)) in chunks.iter().zip(packed) {
             let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
             let defaults = hdf5_sys::h5p::H5P_DEFAULT;
-            // SAFETY: the dataset is open and chunked, `offset` has one entry per dimension, and the buffer its stated length.
-            let status =
-                locked(|| unsafe { hdf5_sys::h5d::H5Dwrite_chunk(self.dataset.id(), defaults, mask, offset.as_ptr(), bytes.len(), bytes.as_ptr().cast()) });
+            // SAFETY: the dataset is open and chunked, `offset` has one entry per dimension, and the buffer
+            // its stated length.
+            let status = locked(|| unsafe {
+                hdf5_sys::h5d::H5Dwrite_chunk(
+                    self.dataset.id(),
+                    defaults,
+                    mask,
+                    offset.as_ptr(),
+                    bytes.len(),
+                    bytes.as_ptr().cast(),
+                )
+            });
             if status < 0 {
                 let detail = format!("the chunk at {origin:?} was refused; is the disk full?");
-                return Err(StoreError::Library { path: self.opened.path.clone(), at: self.at.clone(), doing: "write numbers", detail });
+                return Err(StoreError::Library {
+                    path: self.opened.path.clone(),
+                    at: self.at.clone(),
+                    doing: "write numbers",
+                    detail,
+                });
             }
         }
         Ok(())
@@ -76,7 +112,13 @@ pub(crate) struct ColumnWriter<T> {
 impl<T: Item> ColumnWriter<T> {
     /// Of the dataset `/name`, which comes into being with the first full chunk, or at the end.
     pub(crate) fn new(opened: &Opened, name: &str) -> ColumnWriter<T> {
-        ColumnWriter { opened: opened.clone(), name: name.into(), writer: None, written: 0, pending: Vec::new() }
+        ColumnWriter {
+            opened: opened.clone(),
+            name: name.into(),
+            writer: None,
+            written: 0,
+            pending: Vec::new(),
+        }
     }
 
     /// Numbers so far.
@@ -125,7 +167,8 @@ impl<T: Item> ColumnWriter<T> {
     pub(crate) fn finish(mut self) -> Result<GridWriter, StoreError> {
         if !self.pending.is_empty() {
             // A short column gets one chunk of its own length.
-            let chunk = if self.writer.is_some() { COLUMN_CHUNK } else { self.pending.len().min(COLUMN_CHUNK) };
+            let chunk =
+                if self.writer.is_some() { COLUMN_CHUNK } else { self.pending.len().min(COLUMN_CHUNK) };
             self.flush(self.pending.len(), chunk)?;
         }
         match self.writer {
@@ -135,13 +178,14 @@ impl<T: Item> ColumnWriter<T> {
     }
 }
 
-/// Rows that stand together in a chunk of frames or maps: at most 8, so that a band reads little it does not need, and fewer when a
-/// strip of so many rows through everything would not fit 64 MiB.
+/// Rows that stand together in a chunk of frames or maps: at most 8, so that a band reads little it does not
+/// need, and fewer when a strip of so many rows through everything would not fit 64 MiB.
 pub(crate) fn rows_per_chunk(height: usize, bytes_per_row: usize) -> usize {
     ((64 << 20) / bytes_per_row.max(1)).clamp(1, 8).min(height.max(1))
 }
 
-/// Frames that stand together in a chunk: 8 keeps a single frame cheap to read, and a chunk stays below 1 MiB.
+/// Frames that stand together in a chunk: 8 keeps a single frame cheap to read, and a chunk stays below 1
+/// MiB.
 pub(crate) fn frames_per_chunk(frames: usize, rows: usize, row_bytes: usize) -> usize {
     ((1 << 20) / (rows * row_bytes).max(1)).clamp(1, 8).min(frames.max(1))
 }

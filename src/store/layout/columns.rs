@@ -1,4 +1,5 @@
-//! Events: flat columns in canonical order, with offsets per row, so that a row band is one piece; and what other columns need too.
+//! Events: flat columns in canonical order, with offsets per row, so that a row band is one piece; and what
+//! other columns need too.
 
 use crate::error::StoreError;
 use crate::hdf::Opened;
@@ -28,7 +29,8 @@ pub(super) fn each_band<M: BandMeta>(
 ) -> Result<(), StoreError> {
     for rows in part.rows().bands(ROWS_AT_ONCE) {
         let band = part.read(rows).map_err(StoreError::Source)?;
-        let digests: Vec<Digest> = threads::map(&rows.iter().collect::<Vec<u32>>(), |row| band.row_digest(*row));
+        let digests: Vec<Digest> =
+            threads::map(&rows.iter().collect::<Vec<u32>>(), |row| band.row_digest(*row));
         digest.add_rows(&digests);
         take(band)?;
     }
@@ -58,10 +60,20 @@ impl EventsBody {
         })
     }
 
-    pub(super) fn append(&mut self, opened: &Opened, part: &EventStream, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append(
+        &mut self,
+        opened: &Opened,
+        part: &EventStream,
+        digest: &mut ValueDigest,
+    ) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             if band.t_in.is_some() != self.t_in.is_some() || band.step.is_some() != self.step.is_some() {
-                return Err(StoreError::Misuse { path: opened.path.clone(), what: "a band has other event columns than its stream announces".into() });
+                return Err(StoreError::Misuse {
+                    path: opened.path.clone(),
+                    what: "a band has other event \
+                                                            columns than its stream announces"
+                        .into(),
+                });
             }
             let before = self.t.len() as u64;
             self.row_offsets.extend(band.offsets()[1..].iter().map(|&offset| before + offset as u64));
@@ -98,28 +110,52 @@ fn write_offsets(opened: &Opened, name: &str, offsets: &[u64]) -> Result<(), Sto
 
 /// Makes a group, before anything is put into it.
 pub(crate) fn create_group(opened: &Opened, name: &str) -> Result<hdf5::Group, StoreError> {
-    opened.wrap(&format!("/{name}"), "create the group", crate::hdf::locked(|| opened.file.create_group(name)))
+    opened.wrap(
+        &format!("/{name}"),
+        "create the group",
+        crate::hdf::locked(|| opened.file.create_group(name)),
+    )
 }
 
 /// A dataset that the artefact must have.
 pub(super) fn required<T: crate::hdf::Item>(opened: &Opened, name: &str) -> Result<Grid<T>, StoreError> {
-    Grid::open(opened, name)?.ok_or_else(|| opened.content(&format!("/{name}"), "nothing", "a dataset", DAMAGED))
+    Grid::open(opened, name)?
+        .ok_or_else(|| opened.content(&format!("/{name}"), "nothing", "a dataset", DAMAGED))
 }
 
 /// A column as long as the others.
-pub(super) fn column<T: crate::hdf::Item>(opened: &Opened, name: &str, length: usize) -> Result<Grid<T>, StoreError> {
+pub(super) fn column<T: crate::hdf::Item>(
+    opened: &Opened,
+    name: &str,
+    length: usize,
+) -> Result<Grid<T>, StoreError> {
     let grid = required(opened, name)?;
     if grid.shape != [length] {
-        return Err(opened.content(&format!("/{name}"), format!("the shape {:?}", grid.shape), format!("[{length}]"), DAMAGED));
+        return Err(opened.content(
+            &format!("/{name}"),
+            format!("the shape {:?}", grid.shape),
+            format!("[{length}]"),
+            DAMAGED,
+        ));
     }
     Ok(grid)
 }
 
 /// Checks that some offsets rise and end inside the columns, and gives them relative to the first.
-pub(super) fn relative(opened: &Opened, at: &str, offsets: Vec<u64>, length: usize) -> Result<(usize, Vec<usize>), StoreError> {
+pub(super) fn relative(
+    opened: &Opened,
+    at: &str,
+    offsets: Vec<u64>,
+    length: usize,
+) -> Result<(usize, Vec<usize>), StoreError> {
     let first = offsets.first().copied().unwrap_or(0);
     if !offsets.is_sorted() || offsets.last().is_some_and(|&last| last > length as u64) {
-        return Err(opened.content(at, "offsets that do not rise, or point outside", format!("rising offsets up to {length}"), DAMAGED));
+        return Err(opened.content(
+            at,
+            "offsets that do not rise, or point outside",
+            format!("rising offsets up to {length}"),
+            DAMAGED,
+        ));
     }
     Ok((first as usize, offsets.iter().map(|&offset| (offset - first) as usize).collect()))
 }
@@ -143,18 +179,30 @@ impl EventsSource {
     }
 
     /// A range of the columns, whose rows have these offsets in it.
-    fn columns(&self, start_row: u32, offsets: Vec<usize>, range: Range<usize>) -> Result<EventBand, StoreError> {
+    fn columns(
+        &self,
+        start_row: u32,
+        offsets: Vec<usize>,
+        range: Range<usize>,
+    ) -> Result<EventBand, StoreError> {
         let ((x, p), (t, t_in)) = threads::both(
             || (self.x.column(range.clone()), self.p.column(range.clone())),
-            || (self.t.column(range.clone()), self.t_in.as_ref().map(|column| column.column(range.clone())).transpose()),
+            || {
+                (
+                    self.t.column(range.clone()),
+                    self.t_in.as_ref().map(|column| column.column(range.clone())).transpose(),
+                )
+            },
         );
         let step = self.step.as_ref().map(|column| column.column(range)).transpose()?;
 
-        EventBand::from_columns(start_row, offsets, x?, p?, t?, t_in?, step)
-            .map_err(|error| self.opened.content("/events", error.message, "columns in (y, t, x) order", DAMAGED))
+        EventBand::from_columns(start_row, offsets, x?, p?, t?, t_in?, step).map_err(|error| {
+            self.opened.content("/events", error.message, "columns in (y, t, x) order", DAMAGED)
+        })
     }
 
-    /// What of some rows is stamped within a window. Of rows that are long, what lies outside is not read but for a few stamps.
+    /// What of some rows is stamped within a window. Of rows that are long, what lies outside is not read but
+    /// for a few stamps.
     fn band_within(&self, rows: Rows, window: TimeSpan) -> Result<EventBand, StoreError> {
         let offsets = self.row_offsets.column(rows.start as usize..rows.start as usize + rows.len() + 1)?;
         let (first, offsets) = relative(&self.opened, "/events/row_offsets", offsets, self.t.shape[0])?;
@@ -176,7 +224,11 @@ impl EventsSource {
         let Range { mut start, mut end } = range;
         while end - start > SEARCHED {
             let middle = start + (end - start) / 2;
-            if self.t.column(middle..middle + 1)?.first().is_some_and(|t| *t < t_ns) { start = middle + 1 } else { end = middle }
+            if self.t.column(middle..middle + 1)?.first().is_some_and(|t| *t < t_ns) {
+                start = middle + 1
+            } else {
+                end = middle
+            }
         }
         Ok(start + self.t.column(start..end)?.partition_point(|t| *t < t_ns))
     }

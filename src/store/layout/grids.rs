@@ -1,4 +1,5 @@
-//! Frames and maps: dense grids in chunks of a few rows (and a few frames), so that a row band and a time range are both cheap.
+//! Frames and maps: dense grids in chunks of a few rows (and a few frames), so that a row band and a time
+//! range are both cheap.
 
 use super::columns::{create_group, each_band, required};
 use crate::error::StoreError;
@@ -10,7 +11,9 @@ use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::map::MapBand;
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{DataError, Digest, FrameBlock, FrameSequence, FramesMeta, MapMeta, MapSet, Meta, Rows};
+use photocurrent_core::{
+    DataError, Digest, FrameBlock, FrameSequence, FramesMeta, MapMeta, MapSet, Meta, Rows,
+};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -40,7 +43,13 @@ pub(crate) struct StripWriter {
 
 impl StripWriter {
     /// Creates the dataset. `tail` are the dimensions after the rows: `[w]` or `[w, channels]`.
-    pub(crate) fn create<T: crate::hdf::Item>(opened: &Opened, name: &str, frames: usize, height: usize, tail: &[usize]) -> Result<StripWriter, StoreError> {
+    pub(crate) fn create<T: crate::hdf::Item>(
+        opened: &Opened,
+        name: &str,
+        frames: usize,
+        height: usize,
+        tail: &[usize],
+    ) -> Result<StripWriter, StoreError> {
         let row_values: usize = tail.iter().product();
         let row_bytes = row_values * 4;
         let strip_rows = rows_per_chunk(height, frames * row_bytes);
@@ -49,7 +58,17 @@ impl StripWriter {
         let chunk: Vec<usize> = [&[chunk_frames, strip_rows], tail].concat();
         let writer = GridWriter::create::<T>(opened, name, &shape, &chunk, false)?;
         let strip = vec![0.0; frames * strip_rows * row_values];
-        Ok(StripWriter { writer, frames, height, row_values, strip_rows, chunk_frames, strip, next_row: 0, queue: Vec::new() })
+        Ok(StripWriter {
+            writer,
+            frames,
+            height,
+            row_values,
+            strip_rows,
+            chunk_frames,
+            strip,
+            next_row: 0,
+            queue: Vec::new(),
+        })
     }
 
     /// The dataset, for its attributes.
@@ -58,7 +77,11 @@ impl StripWriter {
     }
 
     /// Adds the next rows of all frames; `convert` makes what is stored of a DN.
-    pub(crate) fn append<T: crate::hdf::Item>(&mut self, block: &FrameBlock, convert: impl Fn(f32) -> T + Sync) -> Result<(), StoreError> {
+    pub(crate) fn append<T: crate::hdf::Item>(
+        &mut self,
+        block: &FrameBlock,
+        convert: impl Fn(f32) -> T + Sync,
+    ) -> Result<(), StoreError> {
         for row in block.rows.iter() {
             let in_strip = self.next_row % self.strip_rows;
             for frame in block.frames.clone() {
@@ -73,7 +96,10 @@ impl StripWriter {
         Ok(())
     }
 
-    fn queue_strip<T: crate::hdf::Item>(&mut self, convert: &(impl Fn(f32) -> T + Sync)) -> Result<(), StoreError> {
+    fn queue_strip<T: crate::hdf::Item>(
+        &mut self,
+        convert: &(impl Fn(f32) -> T + Sync),
+    ) -> Result<(), StoreError> {
         if self.strip.is_empty() {
             return Ok(());
         }
@@ -97,8 +123,9 @@ impl StripWriter {
     fn flush<T: crate::hdf::Item>(&mut self, convert: &(impl Fn(f32) -> T + Sync)) -> Result<(), StoreError> {
         // A few chunks at a time, so that the converted copies stay small however many frames there are.
         for part in self.queue.chunks(QUEUE) {
-            let converted: Vec<(Vec<usize>, Vec<T>)> =
-                threads::map(part, |(origin, values)| (origin.clone(), values.iter().map(|&value| convert(value)).collect()));
+            let converted: Vec<(Vec<usize>, Vec<T>)> = threads::map(part, |(origin, values)| {
+                (origin.clone(), values.iter().map(|&value| convert(value)).collect())
+            });
             self.writer.write(&converted)?;
         }
         self.queue.clear();
@@ -118,13 +145,25 @@ pub(super) struct FramesBody(StripWriter);
 impl FramesBody {
     pub(super) fn create(opened: &Opened, meta: &FramesMeta) -> Result<FramesBody, StoreError> {
         create_group(opened, "frames")?;
-        StripWriter::create::<f32>(opened, "frames/dn", meta.times.len(), meta.extent.height as usize, &[meta.row_values()]).map(FramesBody)
+        StripWriter::create::<f32>(
+            opened,
+            "frames/dn",
+            meta.times.len(),
+            meta.extent.height as usize,
+            &[meta.row_values()],
+        )
+        .map(FramesBody)
     }
 
-    pub(super) fn append(&mut self, part: &FrameSequence, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append(
+        &mut self,
+        part: &FrameSequence,
+        digest: &mut ValueDigest,
+    ) -> Result<(), StoreError> {
         for rows in part.rows().bands(self.0.rows_at_once()) {
             let block = part.read_rows(rows).map_err(StoreError::Source)?;
-            let digests: Vec<Digest> = threads::map(&rows.iter().collect::<Vec<u32>>(), |row| block.row_digest(*row));
+            let digests: Vec<Digest> =
+                threads::map(&rows.iter().collect::<Vec<u32>>(), |row| block.row_digest(*row));
             digest.add_rows(&digests);
             self.0.append(&block, |dn| dn)?;
         }
@@ -149,16 +188,27 @@ pub(super) struct MapBody {
 impl MapBody {
     pub(super) fn create(opened: &Opened, meta: &MapMeta) -> Result<MapBody, StoreError> {
         create_group(opened, "map")?;
-        let (height, planes, width) = (meta.extent.height as usize, meta.planes.len(), meta.extent.width as usize);
+        let (height, planes, width) =
+            (meta.extent.height as usize, meta.planes.len(), meta.extent.width as usize);
         let chunk_rows = rows_per_chunk(height, planes * width * 4);
-        let writer = GridWriter::create::<f32>(opened, "map/values", &[height, planes, width], &[chunk_rows, planes, width], false)?;
+        let writer = GridWriter::create::<f32>(
+            opened,
+            "map/values",
+            &[height, planes, width],
+            &[chunk_rows, planes, width],
+            false,
+        )?;
         Ok(MapBody { writer, chunk_rows, row_values: planes * width, first_row: 0, pending: Vec::new() })
     }
 
     pub(super) fn append(&mut self, part: &MapSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             self.pending.extend_from_slice(&band.values);
-            if self.pending.len() >= QUEUE * self.chunk_rows * self.row_values { self.flush(false) } else { Ok(()) }
+            if self.pending.len() >= QUEUE * self.chunk_rows * self.row_values {
+                self.flush(false)
+            } else {
+                Ok(())
+            }
         })
     }
 
@@ -167,7 +217,8 @@ impl MapBody {
         if chunk_values == 0 {
             return Ok(());
         }
-        let count = if last { self.pending.len() } else { self.pending.len() - self.pending.len() % chunk_values };
+        let count =
+            if last { self.pending.len() } else { self.pending.len() - self.pending.len() % chunk_values };
         let mut chunks = Vec::new();
         for piece in self.pending[..count].chunks(chunk_values) {
             let mut chunk = piece.to_vec();
@@ -193,7 +244,9 @@ struct FramesSource {
 
 impl FrameSource for FramesSource {
     fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
-        let dn = self.grid.read(&[frames.start, rows.start as usize, 0], &[frames.len(), rows.len(), self.row_values])?;
+        let dn = self
+            .grid
+            .read(&[frames.start, rows.start as usize, 0], &[frames.len(), rows.len(), self.row_values])?;
         Ok(FrameBlock { frames, rows, row_values: self.row_values, dn })
     }
 }
@@ -203,7 +256,12 @@ pub(super) fn open_frames(opened: &Opened, meta: Arc<FramesMeta>) -> Result<Fram
     let expected = [meta.times.len(), meta.extent.height as usize, meta.row_values()];
     if grid.shape != expected {
         let hint = "the artefact is damaged: run the pipeline again";
-        return Err(opened.content("/frames/dn", format!("the shape {:?}", grid.shape), format!("{expected:?}"), hint));
+        return Err(opened.content(
+            "/frames/dn",
+            format!("the shape {:?}", grid.shape),
+            format!("{expected:?}"),
+            hint,
+        ));
     }
     let (rows, row_values) = (meta.extent.rows(), meta.row_values());
     Ok(FrameSequence::new(meta, rows, Arc::new(FramesSource { grid: grid.keeping(KEPT_BYTES), row_values })))
@@ -217,9 +275,12 @@ struct MapSource {
 
 impl BandSource<MapBand> for MapSource {
     fn read(&self, rows: Rows) -> Result<MapBand, DataError> {
-        let values = self.grid.read(&[rows.start as usize, 0, 0], &[rows.len(), self.grid.shape[1], self.grid.shape[2]])?;
-        MapBand::from_values(rows, &self.meta, values)
-            .ok_or_else(|| DataError::new(format!("{}: /map/values does not fit its planes", self.opened.path.display())))
+        let values = self
+            .grid
+            .read(&[rows.start as usize, 0, 0], &[rows.len(), self.grid.shape[1], self.grid.shape[2]])?;
+        MapBand::from_values(rows, &self.meta, values).ok_or_else(|| {
+            DataError::new(format!("{}: /map/values does not fit its planes", self.opened.path.display()))
+        })
     }
 }
 
@@ -228,7 +289,12 @@ pub(super) fn open_map(opened: &Opened, meta: Arc<MapMeta>) -> Result<MapSet, St
     let expected = [meta.extent.height as usize, meta.planes.len(), meta.extent.width as usize];
     if grid.shape != expected {
         let hint = "the artefact is damaged: run the pipeline again";
-        return Err(opened.content("/map/values", format!("the shape {:?}", grid.shape), format!("{expected:?}"), hint));
+        return Err(opened.content(
+            "/map/values",
+            format!("the shape {:?}", grid.shape),
+            format!("{expected:?}"),
+            hint,
+        ));
     }
     let rows = meta.extent.rows();
     Ok(MapSet::new(meta.clone(), rows, Arc::new(MapSource { opened: opened.clone(), grid, meta })))

@@ -1,4 +1,5 @@
-//! Artefacts: one HDF5 layout per type of value (`photocurrent-artefact/1`), written band by band and read lazily.
+//! Artefacts: one HDF5 layout per type of value (`photocurrent-artefact/1`), written band by band and read
+//! lazily.
 //!
 //! | type | datasets |
 //! | --- | --- |
@@ -11,9 +12,10 @@
 //! | sensor | `/meta` holds it |
 //! | diagnosis | `/diagnosis`: a JSON text; its kind in `/meta` |
 //!
-//! Every file has the attributes `format`, `data_type` and `tool_version`, and `/meta`, a JSON text of what is known of the value.
-//! Filters are shuffle and deflate only, so h5py and MATLAB read it with nothing installed.
-//! A content digest is computed while writing: it is the value's own ([`Value::digest`]), whatever the height of the bands.
+//! Every file has the attributes `format`, `data_type` and `tool_version`, and `/meta`, a JSON text of what
+//! is known of the value. Filters are shuffle and deflate only, so h5py and MATLAB read it with nothing
+//! installed. A content digest is computed while writing: it is the value's own ([`Value::digest`]), whatever
+//! the height of the bands.
 
 mod columns;
 mod grids;
@@ -29,7 +31,9 @@ use columns::EventsBody;
 use grids::{FramesBody, MapBody};
 use photocurrent_core::map::MapBand;
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{Diagnosis, Digest, Extent, LightMeta, MapMeta, MapSet, Meta, Rows, TracksMeta, Truth, Value};
+use photocurrent_core::{
+    Diagnosis, Digest, Extent, LightMeta, MapMeta, MapSet, Meta, Rows, TracksMeta, Truth, Value,
+};
 use series::SeriesBody;
 use std::path::Path;
 use std::sync::Arc;
@@ -64,11 +68,19 @@ impl ValueWriter {
     /// When the file cannot be created, or `meta` says that there is nothing to write.
     pub fn create(path: &Path, meta: &Meta) -> Result<ValueWriter, StoreError> {
         if let Meta::Absent { data_type, why } = meta {
-            return Err(StoreError::Misuse { path: path.into(), what: format!("there are no {data_type} to write: {why}") });
+            return Err(StoreError::Misuse {
+                path: path.into(),
+                what: format!(
+                    "there are no {data_type} to \
+                                                            write: {why}"
+                ),
+            });
         }
         // A new file and not a truncated one: whoever has the old one open goes on reading it.
         match std::fs::remove_file(path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(StoreError::io(path, "replace the file", error)),
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(StoreError::io(path, "replace the file", error));
+            }
             _ => {}
         }
         let opened = Opened::create(path)?;
@@ -76,7 +88,8 @@ impl ValueWriter {
         opened.set_text_attribute(&opened.file, "data_type", meta.data_type().name())?;
         opened.set_text_attribute(&opened.file, "tool_version", crate::TOOL_VERSION)?;
         // A hint about size is no content: without it, equal contents give equal files.
-        let json = serde_json::to_string(&without_hint(meta)).map_err(|error| StoreError::Misuse { path: path.into(), what: error.to_string() })?;
+        let json = serde_json::to_string(&without_hint(meta))
+            .map_err(|error| StoreError::Misuse { path: path.into(), what: error.to_string() })?;
         opened.set_text("meta", &json)?;
         let body = match meta {
             Meta::Events(meta) => Body::Events(Box::new(EventsBody::create(&opened, meta)?)),
@@ -93,14 +106,23 @@ impl ValueWriter {
     /// Adds the next rows; what is not banded comes in one piece.
     ///
     /// # Errors
-    /// When the part is of another type or description, does not follow the rows before it, or cannot be read or written.
+    /// When the part is of another type or description, does not follow the rows before it, or cannot be read
+    /// or written.
     pub fn append(&mut self, part: &Value) -> Result<(), StoreError> {
         let found = without_hint(&part.meta());
         if found != self.meta {
             let what = if found.data_type() == self.meta.data_type() {
-                format!("a part says of itself {}, but the value was announced as {}", describe(&found), describe(&self.meta))
+                format!(
+                    "a part says of itself {}, but the value was announced as {}",
+                    describe(&found),
+                    describe(&self.meta)
+                )
             } else {
-                format!("a part is {}, but the value was announced as {}", found.data_type(), self.meta.data_type())
+                format!(
+                    "a part is {}, but the value was announced as {}",
+                    found.data_type(),
+                    self.meta.data_type()
+                )
             };
             return Err(self.misuse(what));
         }
@@ -115,7 +137,9 @@ impl ValueWriter {
         }
         match (&mut self.body, part) {
             (Body::Events(body), Value::Events(part)) => body.append(&self.opened, part, &mut self.digest),
-            (Body::Frames(body), Value::Frames(part) | Value::Truth(Truth(part))) => body.append(part, &mut self.digest),
+            (Body::Frames(body), Value::Frames(part) | Value::Truth(Truth(part))) => {
+                body.append(part, &mut self.digest)
+            }
             (Body::Series(body), Value::Tracks(part)) => body.append(part, &mut self.digest),
             (Body::Series(body), Value::Light(part)) => body.append(part, &mut self.digest),
             (Body::Map(body), Value::Map(part)) => body.append(part, &mut self.digest),
@@ -152,13 +176,24 @@ impl ValueWriter {
                 whole = value;
             }
             Body::Whole(None) => {
-                return Err(StoreError::Misuse { path: opened.path.clone(), what: format!("the value is not complete: the {} is missing", meta.data_type()) });
+                return Err(StoreError::Misuse {
+                    path: opened.path.clone(),
+                    what: format!(
+                        "the value is not \
+                                                            complete: the {} is missing",
+                        meta.data_type()
+                    ),
+                });
             }
         }
         let path = opened.path.clone();
         close(opened)?;
-        let digest = digest.finish(&whole).map_err(|error| StoreError::Misuse { path: path.clone(), what: error.message })?;
-        let bytes = std::fs::metadata(&path).map_err(|error| StoreError::io(&path, "read the file's size", error))?.len();
+        let digest = digest
+            .finish(&whole)
+            .map_err(|error| StoreError::Misuse { path: path.clone(), what: error.message })?;
+        let bytes = std::fs::metadata(&path)
+            .map_err(|error| StoreError::io(&path, "read the file's size", error))?
+            .len();
         Ok((digest, bytes))
     }
 
@@ -171,7 +206,12 @@ impl ValueWriter {
 pub(crate) fn close(opened: Opened) -> Result<(), StoreError> {
     opened.wrap("/", "write the rest of the file", locked(|| opened.file.flush()))?;
     let Opened { path, file, .. } = opened;
-    locked(|| file.close()).map_err(|error| StoreError::Library { path, at: "/".into(), doing: "close the file", detail: crate::hdf::short(&error) })
+    locked(|| file.close()).map_err(|error| StoreError::Library {
+        path,
+        at: "/".into(),
+        doing: "close the file",
+        detail: crate::hdf::short(&error),
+    })
 }
 
 fn banded() -> Value {
@@ -182,9 +222,15 @@ fn banded() -> Value {
 
 fn without_hint(meta: &Meta) -> Meta {
     match meta {
-        Meta::Events(meta) if meta.count_hint.is_some() => Meta::Events(Arc::new(photocurrent_core::EventsMeta { count_hint: None, ..(**meta).clone() })),
-        Meta::Light(meta) if meta.count_hint.is_some() => Meta::Light(Arc::new(LightMeta { count_hint: None, ..(**meta).clone() })),
-        Meta::Tracks(meta) if meta.count_hint.is_some() => Meta::Tracks(Arc::new(TracksMeta { count_hint: None, ..(**meta).clone() })),
+        Meta::Events(meta) if meta.count_hint.is_some() => {
+            Meta::Events(Arc::new(photocurrent_core::EventsMeta { count_hint: None, ..(**meta).clone() }))
+        }
+        Meta::Light(meta) if meta.count_hint.is_some() => {
+            Meta::Light(Arc::new(LightMeta { count_hint: None, ..(**meta).clone() }))
+        }
+        Meta::Tracks(meta) if meta.count_hint.is_some() => {
+            Meta::Tracks(Arc::new(TracksMeta { count_hint: None, ..(**meta).clone() }))
+        }
         other => other.clone(),
     }
 }
@@ -224,11 +270,22 @@ fn value_of(opened: &Opened) -> Result<Value, StoreError> {
         return Err(opened.content("/", found, format!("format = \"{FORMAT}\""), hint));
     }
     let missing = |what: &str| opened.content(what, "nothing", "a text", hint);
-    let data_type = opened.text_attribute(&opened.file, "/", "data_type")?.ok_or_else(|| missing("/: attribute `data_type`"))?;
+    let data_type = opened
+        .text_attribute(&opened.file, "/", "data_type")?
+        .ok_or_else(|| missing("/: attribute `data_type`"))?;
     let dataset = opened.dataset("meta")?.ok_or_else(|| missing("/meta"))?;
     let text = opened.text("/meta", &dataset)?;
-    let meta: Meta =
-        serde_json::from_str(&text).map_err(|error| opened.content("/meta", format!("a text that cannot be read ({error})"), "a description", hint))?;
+    let meta: Meta = serde_json::from_str(&text).map_err(|error| {
+        opened.content(
+            "/meta",
+            format!(
+                "a text that cannot be \
+                                                            read ({error})"
+            ),
+            "a description",
+            hint,
+        )
+    })?;
     if meta.data_type().name() != data_type {
         return Err(opened.content("/meta", meta.data_type().name(), data_type, hint));
     }
@@ -244,7 +301,8 @@ fn value_of(opened: &Opened) -> Result<Value, StoreError> {
         Meta::Diagnosis(meta) => {
             let dataset = opened.dataset("diagnosis")?.ok_or_else(|| missing("/diagnosis"))?;
             let text = opened.text("/diagnosis", &dataset)?;
-            let document = Diagnosis::from_text(meta.kind, text).map_err(|error| opened.content("/diagnosis", error.message, "a JSON text", hint))?;
+            let document = Diagnosis::from_text(meta.kind, text)
+                .map_err(|error| opened.content("/diagnosis", error.message, "a JSON text", hint))?;
             Ok(Value::Diagnosis(Arc::new(document)))
         }
         Meta::Absent { .. } => Err(opened.content("/meta", "nothing", "a value", hint)),

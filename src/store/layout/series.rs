@@ -1,5 +1,5 @@
-//! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the type; `sigma` stands next to `photocurrent`
-//! where it is known.
+//! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the
+//! type; `sigma` stands next to `photocurrent` where it is known.
 
 use super::columns::{DAMAGED, between, column, create_group, each_band, relative, required};
 use crate::error::StoreError;
@@ -27,15 +27,21 @@ impl SeriesBody {
         let name = |column: &str| format!("{}/{column}", M::NAME);
         let mut pixel_offsets = ColumnWriter::new(opened, &name("pixel_offsets"));
         pixel_offsets.append(&[0])?;
-        let (t, photocurrent) = (ColumnWriter::new(opened, &name("t")), ColumnWriter::new(opened, &name("photocurrent")));
+        let (t, photocurrent) =
+            (ColumnWriter::new(opened, &name("t")), ColumnWriter::new(opened, &name("photocurrent")));
         let sigma = meta.has_sigma().then(|| ColumnWriter::new(opened, &name("sigma")));
         Ok(SeriesBody { t, photocurrent, sigma, pixel_offsets })
     }
 
-    pub(super) fn append<M: SeriesMeta>(&mut self, part: &Handle<M>, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append<M: SeriesMeta>(
+        &mut self,
+        part: &Handle<M>,
+        digest: &mut ValueDigest,
+    ) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             let before = self.t.len() as u64;
-            let offsets: Vec<u64> = band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
+            let offsets: Vec<u64> =
+                band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
             self.pixel_offsets.append(&offsets)?;
             self.t.append(&band.t)?;
             if let Some(sigma) = &mut self.sigma {
@@ -69,12 +75,18 @@ impl SeriesSource {
     fn band<M: SeriesMeta>(&self, rows: Rows) -> Result<SeriesBand<M>, StoreError> {
         let pixels = rows.start as usize * self.width;
         let offsets = self.pixel_offsets.column(pixels..pixels + rows.len() * self.width + 1)?;
-        let (first, offsets) = relative(&self.opened, &format!("/{}/pixel_offsets", M::NAME), offsets, self.t.shape[0])?;
+        let (first, offsets) =
+            relative(&self.opened, &format!("/{}/pixel_offsets", M::NAME), offsets, self.t.shape[0])?;
         let range = first..first + offsets.last().copied().unwrap_or(0);
-        let (t, photocurrent) = threads::both(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
-        let sigma = self.sigma.as_ref().map(|sigma| sigma.column(range.clone())).transpose()?.unwrap_or_default();
-        SeriesBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?, sigma)
-            .map_err(|error| self.opened.content(&format!("/{}", M::NAME), error.message, "whole rows of pixels", DAMAGED))
+        let (t, photocurrent) =
+            threads::both(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
+        let sigma =
+            self.sigma.as_ref().map(|sigma| sigma.column(range.clone())).transpose()?.unwrap_or_default();
+        SeriesBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?, sigma).map_err(
+            |error| {
+                self.opened.content(&format!("/{}", M::NAME), error.message, "whole rows of pixels", DAMAGED)
+            },
+        )
     }
 }
 
@@ -100,7 +112,11 @@ pub(super) fn open<M: SeriesMeta>(opened: &Opened, meta: &M) -> Result<Handle<M>
         t: column(opened, &name("t"), n)?,
         photocurrent: column(opened, &name("photocurrent"), n)?,
         sigma: meta.has_sigma().then(|| column(opened, &name("sigma"), n)).transpose()?,
-        pixel_offsets: column(opened, &name("pixel_offsets"), meta.row_series() as usize * meta.extent().height as usize + 1)?,
+        pixel_offsets: column(
+            opened,
+            &name("pixel_offsets"),
+            meta.row_series() as usize * meta.extent().height as usize + 1,
+        )?,
     };
     Ok(Handle::new(Arc::new(meta.counted(n as u64)), meta.extent().rows(), Arc::new(source)))
 }

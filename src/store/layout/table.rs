@@ -1,6 +1,7 @@
 //! Tables: one dataset per column, with names, kinds and notes in one JSON text.
 //!
-//! A column of text is stored as its UTF-8 bytes and the offset of each cell, so that any text survives, and any reader can take it apart.
+//! A column of text is stored as its UTF-8 bytes and the offset of each cell, so that any text survives, and
+//! any reader can take it apart.
 
 use super::columns::{create_group, required};
 use crate::error::StoreError;
@@ -54,7 +55,8 @@ pub(super) fn write(opened: &Opened, table: &Table) -> Result<(), StoreError> {
         columns.push(ColumnForm { name: name.clone(), kind, dataset });
     }
     let form = Form { columns, notes: table.notes.clone() };
-    let json = serde_json::to_string(&form).map_err(|error| StoreError::Misuse { path: opened.path.clone(), what: error.to_string() })?;
+    let json = serde_json::to_string(&form)
+        .map_err(|error| StoreError::Misuse { path: opened.path.clone(), what: error.to_string() })?;
     opened.set_text("table/form", &json)
 }
 
@@ -66,9 +68,12 @@ fn write_column<T: Item>(opened: &Opened, dataset: &str, name: &str, cells: &[T]
 
 /// Reads a table, whole.
 pub(super) fn read(opened: &Opened) -> Result<Table, StoreError> {
-    let dataset = opened.dataset("table/form")?.ok_or_else(|| opened.content("/table/form", "nothing", "a text", DAMAGED))?;
+    let dataset = opened
+        .dataset("table/form")?
+        .ok_or_else(|| opened.content("/table/form", "nothing", "a text", DAMAGED))?;
     let text = opened.text("/table/form", &dataset)?;
-    let form: Form = serde_json::from_str(&text).map_err(|error| opened.content("/table/form", error.to_string(), "the form of a table", DAMAGED))?;
+    let form: Form = serde_json::from_str(&text)
+        .map_err(|error| opened.content("/table/form", error.to_string(), "the form of a table", DAMAGED))?;
     let mut table = Table::default();
     let mut rows = None;
     for ColumnForm { name, kind, dataset } in form.columns {
@@ -79,7 +84,12 @@ pub(super) fn read(opened: &Opened) -> Result<Table, StoreError> {
         };
         // Core panics on columns of unequal length, which is right for a node and wrong for a file.
         if *rows.get_or_insert(column.len()) != column.len() {
-            return Err(opened.content(&format!("/{dataset}"), format!("{} cells", column.len()), "as many as the column before", DAMAGED));
+            return Err(opened.content(
+                &format!("/{dataset}"),
+                format!("{} cells", column.len()),
+                "as many as the column before",
+                DAMAGED,
+            ));
         }
         table = table.with(&name, column);
     }
@@ -94,9 +104,22 @@ fn read_column<T: Item>(opened: &Opened, dataset: &str) -> Result<Vec<T>, StoreE
 fn read_texts(opened: &Opened, dataset: &str) -> Result<Vec<String>, StoreError> {
     let offsets: Vec<u64> = read_column(opened, &format!("{dataset}_offsets"))?;
     let bytes: Vec<u8> = read_column(opened, dataset)?;
-    let damaged = || opened.content(&format!("/{dataset}"), "bytes that are no cells of text", "UTF-8 text with rising offsets", DAMAGED);
+    let damaged = || {
+        opened.content(
+            &format!("/{dataset}"),
+            "bytes that are no cells of text",
+            "UTF-8 text with rising offsets",
+            DAMAGED,
+        )
+    };
     offsets
         .windows(2)
-        .map(|ends| bytes.get(ends[0] as usize..ends[1] as usize).and_then(|cell| std::str::from_utf8(cell).ok()).map(String::from).ok_or_else(damaged))
+        .map(|ends| {
+            bytes
+                .get(ends[0] as usize..ends[1] as usize)
+                .and_then(|cell| std::str::from_utf8(cell).ok())
+                .map(String::from)
+                .ok_or_else(damaged)
+        })
         .collect()
 }

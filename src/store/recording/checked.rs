@@ -8,9 +8,20 @@ use crate::hdf::{Item, Opened, locked};
 pub const FORMAT: &str = "photocurrent-recording/1";
 
 /// A dataset that the format demands, with `unit` when it holds times.
-pub(super) fn required<T: Item>(opened: &Opened, name: &str, unit: Option<&str>) -> Result<Grid<T>, StoreError> {
+pub(super) fn required<T: Item>(
+    opened: &Opened,
+    name: &str,
+    unit: Option<&str>,
+) -> Result<Grid<T>, StoreError> {
     let at = format!("/{name}");
-    let missing = || opened.content(&at, "nothing", format!("a dataset of {}", T::type_descriptor()), format!("write {at} as the recording format says"));
+    let missing = || {
+        opened.content(
+            &at,
+            "nothing",
+            format!("a dataset of {}", T::type_descriptor()),
+            format!("write {at} as the recording format says"),
+        )
+    };
     let grid = Grid::open(opened, name)?.ok_or_else(missing)?;
     if let Some(unit) = unit {
         check_unit(opened, name, unit)?;
@@ -27,20 +38,45 @@ fn check_unit(opened: &Opened, name: &str, unit: &str) -> Result<(), StoreError>
         return Ok(());
     }
     let found = found.map_or("no attribute `unit`".into(), |found| format!("unit = \"{found}\""));
-    Err(opened.content(&at, found, format!("unit = \"{unit}\""), format!("write times as i64 nanoseconds and set the attribute `unit` to \"{unit}\"")))
+    Err(opened.content(
+        &at,
+        found,
+        format!("unit = \"{unit}\""),
+        format!(
+            "write times as i64 nanoseconds \
+                                                            and set the attribute `unit` to \"{unit}\""
+        ),
+    ))
 }
 
 /// A column of `count` numbers.
-pub(super) fn column<T: Item>(opened: &Opened, name: &str, count: usize, like: &str, unit: Option<&str>) -> Result<Grid<T>, StoreError> {
+pub(super) fn column<T: Item>(
+    opened: &Opened,
+    name: &str,
+    count: usize,
+    like: &str,
+    unit: Option<&str>,
+) -> Result<Grid<T>, StoreError> {
     let grid = required(opened, name, unit)?;
     check_column(opened, name, &grid, count, like)?;
     Ok(grid)
 }
 
-pub(super) fn check_column<T: Item>(opened: &Opened, name: &str, grid: &Grid<T>, count: usize, like: &str) -> Result<(), StoreError> {
+pub(super) fn check_column<T: Item>(
+    opened: &Opened,
+    name: &str,
+    grid: &Grid<T>,
+    count: usize,
+    like: &str,
+) -> Result<(), StoreError> {
     if grid.shape != [count] {
         let expected = format!("[{count}], as {like} has");
-        return Err(opened.content(&format!("/{name}"), format!("the shape {:?}", grid.shape), expected, "datasets that belong together have one length"));
+        return Err(opened.content(
+            &format!("/{name}"),
+            format!("the shape {:?}", grid.shape),
+            expected,
+            "datasets that belong together have one length",
+        ));
     }
     Ok(())
 }

@@ -22,7 +22,8 @@ pub(super) struct Events {
     p: Grid<u8>,
     t: Grid<i64>,
     t_in: Option<Grid<i64>>,
-    /// Set when a whole scan found nothing wrong. Not a lock: two first readers may both check, and come to the same result.
+    /// Set when a whole scan found nothing wrong. Not a lock: two first readers may both check, and come to
+    /// the same result.
     checked: AtomicBool,
 }
 
@@ -48,13 +49,23 @@ impl Events {
         }
         let (count, like) = match count {
             Some(count) => (count, "/events/t"),
-            None => (mistakes.take(required::<u16>(opened, "events/x", None)).and_then(|x| x.shape.first().copied()).unwrap_or(0), "/events/x"),
+            None => (
+                mistakes
+                    .take(required::<u16>(opened, "events/x", None))
+                    .and_then(|x| x.shape.first().copied())
+                    .unwrap_or(0),
+                "/events/x",
+            ),
         };
         let x = mistakes.take(column(opened, "events/x", count, like, None));
         let y = mistakes.take(column(opened, "events/y", count, like, None));
         let p = mistakes.take(column(opened, "events/p", count, like, None));
         let has_t_in = mistakes.take(opened.dataset("events/t_in")).flatten().is_some();
-        let t_in = if has_t_in { mistakes.take(column(opened, "events/t_in", count, like, Some("ns"))) } else { None };
+        let t_in = if has_t_in {
+            mistakes.take(column(opened, "events/t_in", count, like, Some("ns")))
+        } else {
+            None
+        };
         let resolution = mistakes.take(resolution(opened)).flatten();
         let span = match &t {
             Some(t) if mistakes.is_empty() && count > 0 => {
@@ -65,7 +76,14 @@ impl Events {
         };
         mistakes.finish(&opened.path)?;
         let (Some(t), Some(x), Some(y), Some(p)) = (t, x, y, p) else { return Ok(None) };
-        let meta = EventsMeta { extent, span, has_t_in, has_step: false, t_resolution_ns: resolution, count_hint: Some(count as u64) };
+        let meta = EventsMeta {
+            extent,
+            span,
+            has_t_in,
+            has_step: false,
+            t_resolution_ns: resolution,
+            count_hint: Some(count as u64),
+        };
         Ok(Some(Events { meta: Arc::new(meta), count, x, y, p, t_in, t, checked: AtomicBool::new(false) }))
     }
 
@@ -76,7 +94,8 @@ impl Events {
         for start in (0..self.count).step_by(BLOCK) {
             let range = start..self.count.min(start + BLOCK);
             let y = self.y.column(range.clone())?;
-            let wanted: Vec<usize> = (0..y.len()).filter(|&i| (rows.start..rows.end).contains(&y[i].into())).collect();
+            let wanted: Vec<usize> =
+                (0..y.len()).filter(|&i| (rows.start..rows.end).contains(&y[i].into())).collect();
             if wanted.is_empty() && checks.is_none() {
                 continue;
             }
@@ -90,13 +109,20 @@ impl Events {
             checks.verdict(opened, self.meta.extent)?;
             self.checked.store(true, Ordering::Release);
         }
-        kept.into_band().map_err(|error| opened.content("/events", error.message, "events in time order", "sort the events by /events/t"))
+        kept.into_band().map_err(|error| {
+            opened.content("/events", error.message, "events in time order", "sort the events by /events/t")
+        })
     }
 
     fn block(&self, range: Range<usize>) -> Result<Block, StoreError> {
         let ((x, p), (t, t_in)) = threads::both(
             || (self.x.column(range.clone()), self.p.column(range.clone())),
-            || (self.t.column(range.clone()), self.t_in.as_ref().map(|column| column.column(range.clone())).transpose()),
+            || {
+                (
+                    self.t.column(range.clone()),
+                    self.t_in.as_ref().map(|column| column.column(range.clone())).transpose(),
+                )
+            },
         );
         Ok(Block { x: x?, p: p?, t: t?, t_in: t_in? })
     }
@@ -107,7 +133,12 @@ fn resolution(opened: &Opened) -> Result<Option<i64>, StoreError> {
     let resolution = group_integer(opened, "events", "t_resolution_ns")?;
     if let Some(step) = resolution.filter(|&step| step < 0) {
         let hint = "give the step of the recorded stamps, or leave the attribute out";
-        return Err(opened.content("/events: attribute `t_resolution_ns`", step.to_string(), "a number of nanoseconds", hint));
+        return Err(opened.content(
+            "/events: attribute `t_resolution_ns`",
+            step.to_string(),
+            "a number of nanoseconds",
+            hint,
+        ));
     }
     Ok(resolution)
 }
@@ -164,16 +195,41 @@ impl Checks {
 
     fn verdict(self, opened: &Opened, extent: Extent) -> Result<(), StoreError> {
         let faults = [
-            ("/events/x, /events/y", "outside the sensor", self.outside, format!("x below {} and y below {}", extent.width, extent.height), WRONG_SIZE),
-            ("/events/p", "with another polarity", self.polarity, "1 for ON, 0 for OFF".into(), "write OFF as 0, not as -1 or 255"),
-            ("/events/t", "earlier than the event ahead", self.order, "times that do not decrease".into(), "sort the events by t, keeping ties in order"),
-            ("/events/t_in", "with its in-pixel time after its off-pixel time", self.in_pixel, "t_in <= t".into(), "were the two columns swapped?"),
+            (
+                "/events/x, /events/y",
+                "outside the sensor",
+                self.outside,
+                format!("x below {} and y below {}", extent.width, extent.height),
+                WRONG_SIZE,
+            ),
+            (
+                "/events/p",
+                "with another polarity",
+                self.polarity,
+                "1 for ON, 0 for OFF".into(),
+                "write OFF as 0, not as -1 or 255",
+            ),
+            (
+                "/events/t",
+                "earlier than the event ahead",
+                self.order,
+                "times that do not decrease".into(),
+                "sort the events by t, keeping ties in order",
+            ),
+            (
+                "/events/t_in",
+                "with its in-pixel time after its off-pixel time",
+                self.in_pixel,
+                "t_in <= t".into(),
+                "were the two columns swapped?",
+            ),
         ];
         let mut mistakes = Mistakes::default();
         for (at, what, fault, expected, hint) in faults {
             if let Some((index, example)) = fault.first {
                 let events = if fault.count == 1 { "event" } else { "events" };
-                let found = format!("{} {events} {what}, the first at index {index} ({example})", fault.count);
+                let found =
+                    format!("{} {events} {what}, the first at index {index} ({example})", fault.count);
                 mistakes.take::<()>(Err(opened.content(at, found, expected, hint)));
             }
         }
@@ -195,7 +251,14 @@ struct Kept {
 
 impl Kept {
     fn new(rows: Rows, has_t_in: bool) -> Kept {
-        Kept { rows, y: Vec::new(), x: Vec::new(), p: Vec::new(), t: Vec::new(), t_in: has_t_in.then(Vec::new) }
+        Kept {
+            rows,
+            y: Vec::new(),
+            x: Vec::new(),
+            p: Vec::new(),
+            t: Vec::new(),
+            t_in: has_t_in.then(Vec::new),
+        }
     }
 
     fn add(&mut self, wanted: &[usize], y: &[u16], block: &Block) {
@@ -209,7 +272,8 @@ impl Kept {
     }
 
     fn into_band(self) -> Result<EventBand, photocurrent_core::DataError> {
-        // The band could repair a disorder in time; here it is a mistake of the file, which `Checks` reports before.
+        // The band could repair a disorder in time; here it is a mistake of the file, which `Checks` reports
+        // before.
         EventBand::from_file_order(self.rows, &self.y, &self.x, &self.p, &self.t, self.t_in.as_deref())
     }
 }

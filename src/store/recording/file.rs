@@ -8,7 +8,8 @@ use crate::hdf::Opened;
 use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::{
-    Colour, DataError, EventBand, EventStream, EventsMeta, Exposure, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Rows, Timestamp, Truth,
+    Colour, DataError, EventBand, EventStream, EventsMeta, Exposure, Extent, FrameScale, FrameSequence,
+    FrameTimes, FramesMeta, Rows, Timestamp, Truth,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -32,17 +33,23 @@ impl Recording {
     /// Opens a file and reads its header: attributes, shapes, exposures, the first and the last stamp.
     ///
     /// # Errors
-    /// When the file is no recording or its header contradicts the format, with every mistake there is. Event by event checks come with the first read.
+    /// When the file is no recording or its header contradicts the format, with every mistake there is. Event
+    /// by event checks come with the first read.
     pub fn open(path: &Path) -> Result<Recording, StoreError> {
         let opened = Opened::read(path)?;
         if let Some(cut) = opened.cut() {
-            let hint = format!("keep what is whole in a file of its own: photocurrent convert {} OUT.h5", path.display());
+            let hint = format!(
+                "keep what is whole in a file of its own: photocurrent convert {} OUT.h5",
+                path.display()
+            );
             return Err(StoreError::NotReadable { path: path.into(), found: cut, hint });
         }
         let format = opened.text_attribute(&opened.file, "/", "format")?;
         if format.as_deref() != Some(FORMAT) {
-            let found = format.map_or("no attribute `format`".into(), |format| format!("format = \"{format}\""));
-            let hint = "docs/formats.md states the layout of a recording; set the attribute if the file keeps to it";
+            let found =
+                format.map_or("no attribute `format`".into(), |format| format!("format = \"{format}\""));
+            let hint = "docs/formats.md states the layout of a recording; set the attribute if the file \
+                        keeps to it";
             return Err(opened.content("/", found, format!("format = \"{FORMAT}\""), hint));
         }
         let mut mistakes = Mistakes::default();
@@ -53,7 +60,9 @@ impl Recording {
         let events = mistakes.take(Events::open(&opened, extent)).flatten();
         let frames = mistakes.take(Frames::open(&opened, known)).flatten();
         let truth = mistakes.take(TruthFrames::open(&opened, known)).flatten();
-        let sensor = opened.dataset("sensor").and_then(|found| found.map(|dataset| opened.text("/sensor", &dataset)).transpose());
+        let sensor = opened
+            .dataset("sensor")
+            .and_then(|found| found.map(|dataset| opened.text("/sensor", &dataset)).transpose());
         let sensor = mistakes.take(sensor).flatten();
         mistakes.finish(path)?;
         Ok(Recording { inner: Arc::new(Inner { opened, extent, events, frames, sensor, truth }) })
@@ -79,17 +88,26 @@ impl Recording {
         self.inner.events.as_ref().map_or(0, |events| events.count as u64)
     }
 
-    /// The events of some rows in canonical order; a scan of the whole file. Without an event stream, a band without events.
+    /// The events of some rows in canonical order; a scan of the whole file. Without an event stream, a band
+    /// without events.
     ///
     /// # Errors
     /// When a row is outside the sensor, events contradict the format, or the file cannot be read.
     pub fn read_events(&self, rows: Rows) -> Result<EventBand, StoreError> {
         if !self.extent().rows().contains(rows) {
-            return Err(StoreError::Misuse { path: self.path().into(), what: format!("{rows} were asked for, but the sensor has {}", self.extent().rows()) });
+            return Err(StoreError::Misuse {
+                path: self.path().into(),
+                what: format!(
+                    "{rows} were asked for, \
+                                                            but the sensor has {}",
+                    self.extent().rows()
+                ),
+            });
         }
         match &self.inner.events {
             Some(events) => events.read(&self.inner.opened, rows),
-            None => EventBand::from_events(rows, Vec::new()).map_err(|error| StoreError::Misuse { path: self.path().into(), what: error.message }),
+            None => EventBand::from_events(rows, Vec::new())
+                .map_err(|error| StoreError::Misuse { path: self.path().into(), what: error.message }),
         }
     }
 
@@ -114,11 +132,17 @@ impl Recording {
         self.inner.frames.as_ref().map(|frames| frames.colour)
     }
 
-    /// What is known about the frames, with a row time that the caller settled (the recorder's word wins over the sensor description's).
+    /// What is known about the frames, with a row time that the caller settled (the recorder's word wins over
+    /// the sensor description's).
     pub fn frames_meta(&self, row_time_ns: i64) -> Option<FramesMeta> {
         let frames = self.inner.frames.as_ref()?;
         let times = FrameTimes { exposures: Arc::new(frames.exposures.clone()), row_time_ns };
-        Some(FramesMeta { extent: frames.dn.extent, colour: frames.colour, times, scale: FrameScale::Captured })
+        Some(FramesMeta {
+            extent: frames.dn.extent,
+            colour: frames.colour,
+            times,
+            scale: FrameScale::Captured,
+        })
     }
 
     /// The frames' numbers, u16 or f32 as f32; `None` without frames.
@@ -148,15 +172,20 @@ impl Recording {
         self.inner.truth.as_ref().map(|truth| truth.dn.clone() as Arc<dyn FrameSource>)
     }
 
-    /// The true frames; `None` for real data. An instant is written as an exposure of 1 ns; numbers are scaled to the median exposure
-    /// of the frames, or count as captured when there is no frame.
+    /// The true frames; `None` for real data. An instant is written as an exposure of 1 ns; numbers are
+    /// scaled to the median exposure of the frames, or count as captured when there is no frame.
     pub fn truth(&self) -> Option<Truth> {
         let truth = self.inner.truth.as_ref()?;
         let (extent, colour) = (truth.dn.extent, truth.colour);
         let exposures = truth.times.iter().map(|t| Exposure { start: *t, end: *t + 1 }).collect();
         let nominal = self.frames_meta(0).and_then(|frames| frames.times.nominal_exposure_ns());
         let scale = nominal.map_or(FrameScale::Captured, |exposure_ns| FrameScale::Nominal { exposure_ns });
-        let meta = FramesMeta { extent, colour, times: FrameTimes { exposures: Arc::new(exposures), row_time_ns: 0 }, scale };
+        let meta = FramesMeta {
+            extent,
+            colour,
+            times: FrameTimes { exposures: Arc::new(exposures), row_time_ns: 0 },
+            scale,
+        };
         Some(Truth(FrameSequence::new(Arc::new(meta), extent.rows(), self.truth_source()?)))
     }
 }

@@ -96,7 +96,9 @@ impl Recording {
         let extent = self.extent();
         let events = self.inner.events.as_ref().map(|events| {
             let span = events.meta.span;
-            let rate = span.filter(|span| span.length_ns() > 1).map(|span| events.count as f64 / (span.length_ns() as f64 / NS_PER_S));
+            let rate = span
+                .filter(|span| span.length_ns() > 1)
+                .map(|span| events.count as f64 / (span.length_ns() as f64 / NS_PER_S));
             EventsSummary {
                 count: events.count as u64,
                 span,
@@ -107,14 +109,26 @@ impl Recording {
             }
         });
         let frames = self.inner.frames.as_ref().map(|frames| {
-            let mut lengths: Vec<i64> = frames.exposures.iter().map(|exposure| exposure.length_ns()).collect();
+            let mut lengths: Vec<i64> =
+                frames.exposures.iter().map(|exposure| exposure.length_ns()).collect();
             lengths.sort_unstable();
-            let exposure = lengths.first().zip(lengths.last()).map(|(&min_ns, &max_ns)| Spread { min_ns, median_ns: lengths[(lengths.len() - 1) / 2], max_ns });
-            let between = frames.exposures.first().zip(frames.exposures.last()).map_or(0, |(first, last)| last.start - first.start);
+            let exposure = lengths.first().zip(lengths.last()).map(|(&min_ns, &max_ns)| Spread {
+                min_ns,
+                median_ns: lengths[(lengths.len() - 1) / 2],
+                max_ns,
+            });
+            let between = frames
+                .exposures
+                .first()
+                .zip(frames.exposures.last())
+                .map_or(0, |(first, last)| last.start - first.start);
             FramesSummary {
                 count: frames.exposures.len() as u64,
-                span: self.frames_meta(frames.row_time_ns.unwrap_or(0)).and_then(|meta| meta.times.span(meta.extent.height)),
-                frames_per_s: (between > 0).then(|| (frames.exposures.len() - 1) as f64 / (between as f64 / NS_PER_S)),
+                span: self
+                    .frames_meta(frames.row_time_ns.unwrap_or(0))
+                    .and_then(|meta| meta.times.span(meta.extent.height)),
+                frames_per_s: (between > 0)
+                    .then(|| (frames.exposures.len() - 1) as f64 / (between as f64 / NS_PER_S)),
                 exposure,
                 row_time_ns: frames.row_time_ns,
                 width: frames.dn.extent.width,
@@ -127,7 +141,10 @@ impl Recording {
         });
         let truth = self.truth_times().map(|times| TruthSummary {
             count: times.len() as u64,
-            span: times.first().zip(times.last()).map(|(first, last)| TimeSpan::new(first.0, last.0.saturating_add(1))),
+            span: times
+                .first()
+                .zip(times.last())
+                .map(|(first, last)| TimeSpan::new(first.0, last.0.saturating_add(1))),
         });
         Inspection {
             path: self.path().display().to_string(),

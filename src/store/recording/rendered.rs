@@ -1,8 +1,10 @@
-//! Frames in one HDF5 file for other programs, `photocurrent-frames/1`: ten thousand of them are easier to move and to slice than as many pictures.
+//! Frames in one HDF5 file for other programs, `photocurrent-frames/1`: ten thousand of them are easier to
+//! move and to slice than as many pictures.
 //!
-//! `/frames/dn` is \[frame, row, column\] (with channels last), in chunks of a few frames and rows, so that a frame and a pixel over time are both cheap to
-//! read. DN are 32-bit floating point, or 16-bit codes with the attributes `scale_factor` and `add_offset` of the CF conventions, which xarray and
-//! netCDF4 undo by themselves.
+//! `/frames/dn` is \[frame, row, column\] (with channels last), in chunks of a few frames and rows, so that a
+//! frame and a pixel over time are both cheap to read. DN are 32-bit floating point, or 16-bit codes with the
+//! attributes `scale_factor` and `add_offset` of the CF conventions, which xarray and netCDF4 undo by
+//! themselves.
 
 use super::whole::{DnCode, whole_file, write_colour, write_numbers, write_times};
 use crate::error::StoreError;
@@ -15,14 +17,23 @@ const FORMAT: &str = "photocurrent-frames/1";
 
 /// Writes frames of a whole sensor, replacing what is there only when all is written and synced.
 ///
-/// `exposure_dn_of_ns` is the exposure that DN stand for. Without `code`, DN are stored as 32-bit floating point, NaN included.
+/// `exposure_dn_of_ns` is the exposure that DN stand for. Without `code`, DN are stored as 32-bit floating
+/// point, NaN included.
 ///
 /// # Errors
 /// When frames cannot be read, lack rows, or the file cannot be written.
-pub fn write_rendered(path: &Path, frames: &FrameSequence, exposure_dn_of_ns: i64, code: Option<DnCode>) -> Result<(), StoreError> {
+pub fn write_rendered(
+    path: &Path,
+    frames: &FrameSequence,
+    exposure_dn_of_ns: i64,
+    code: Option<DnCode>,
+) -> Result<(), StoreError> {
     let meta = &frames.meta;
     if frames.rows() != meta.extent.rows() {
-        return Err(StoreError::Misuse { path: path.into(), what: format!("the frames cover {} of {} pixels", frames.rows(), meta.extent) });
+        return Err(StoreError::Misuse {
+            path: path.into(),
+            what: format!("the frames cover {} of {} pixels", frames.rows(), meta.extent),
+        });
     }
     whole_file(path, |opened| {
         opened.set_text_attribute(&opened.file, "format", FORMAT)?;
@@ -35,7 +46,11 @@ pub fn write_rendered(path: &Path, frames: &FrameSequence, exposure_dn_of_ns: i6
             Some(code) => write_numbers::<u16>(opened, "frames/dn", frames, Some(code), |dn| code.of(dn).0)?,
         }
         let exposures = &meta.times.exposures;
-        write_times(opened, "frames/exposure_start", exposures.iter().map(|exposure| exposure.start.0).collect())?;
+        write_times(
+            opened,
+            "frames/exposure_start",
+            exposures.iter().map(|exposure| exposure.start.0).collect(),
+        )?;
         write_times(opened, "frames/exposure_end", exposures.iter().map(|exposure| exposure.end.0).collect())
     })
 }

@@ -21,7 +21,8 @@ impl DnCode {
     /// The highest code.
     pub const WHITE: f64 = u16::MAX as f64;
 
-    /// The code of a value, and whether the value lies outside of what codes can say. What is not known (NaN) is code 0.
+    /// The code of a value, and whether the value lies outside of what codes can say. What is not known (NaN)
+    /// is code 0.
     ///
     /// ```
     /// # use photocurrent_store::DnCode;
@@ -34,24 +35,37 @@ impl DnCode {
     }
 }
 
-/// A file in a folder that has not got its name yet. Temporary files are private by default, and what becomes of this one is not: the umask still applies.
+/// A file in a folder that has not got its name yet. Temporary files are private by default, and what becomes
+/// of this one is not: the umask still applies.
 ///
 /// # Errors
 /// When the folder takes no file.
 pub fn unnamed_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    tempfile::Builder::new().prefix(".").suffix(".part").permissions(std::fs::Permissions::from_mode(0o666)).tempfile_in(folder)
+    tempfile::Builder::new()
+        .prefix(".")
+        .suffix(".part")
+        .permissions(std::fs::Permissions::from_mode(0o666))
+        .tempfile_in(folder)
 }
 
 /// Lets `fill` write a new file next to `path`, and moves it there when it is complete and synced.
-pub(crate) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
+pub(crate) fn whole_file<T>(
+    path: &Path,
+    fill: impl FnOnce(&Opened) -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let temporary = unnamed_in(folder).map_err(|error| StoreError::io(folder, "create a file in the folder", error))?;
+    let temporary =
+        unnamed_in(folder).map_err(|error| StoreError::io(folder, "create a file in the folder", error))?;
     let opened = Opened::create(temporary.path())?;
     let filled = fill(&opened)?;
     close(opened)?;
     temporary.as_file().sync_all().map_err(|error| StoreError::io(path, "sync the file", error))?;
-    temporary.persist(path).map_err(|error| StoreError::io(path, "move the file to its place", error.error))?;
-    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| StoreError::io(folder, "sync the folder", error))?;
+    temporary
+        .persist(path)
+        .map_err(|error| StoreError::io(path, "move the file to its place", error.error))?;
+    std::fs::File::open(folder)
+        .and_then(|folder| folder.sync_all())
+        .map_err(|error| StoreError::io(folder, "sync the folder", error))?;
     Ok(filled)
 }
 
@@ -80,7 +94,13 @@ pub(super) fn write_numbers<T: Item>(
     code: Option<DnCode>,
     convert: impl Fn(f32) -> T + Sync,
 ) -> Result<(), StoreError> {
-    let mut writer = StripWriter::create::<T>(opened, name, frames.len(), frames.meta.extent.height as usize, &tail(&frames.meta))?;
+    let mut writer = StripWriter::create::<T>(
+        opened,
+        name,
+        frames.len(),
+        frames.meta.extent.height as usize,
+        &tail(&frames.meta),
+    )?;
     if let Some(DnCode { offset, scale }) = code {
         opened.set_number_attribute(writer.dataset(), "scale_factor", scale)?;
         opened.set_number_attribute(writer.dataset(), "add_offset", offset)?;

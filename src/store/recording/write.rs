@@ -1,6 +1,7 @@
 //! Writing a recording: for simulated data, demonstrations, converters and tests.
 //!
-//! The file appears whole or not at all. Events are brought from the order of rows into that of time through a temporary file where they are many ([`super::by_time`]).
+//! The file appears whole or not at all. Events are brought from the order of rows into that of time through
+//! a temporary file where they are many ([`super::by_time`]).
 
 use super::by_time::{Sizes, for_slices_of_time};
 use super::checked::FORMAT;
@@ -78,10 +79,22 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
 }
 
 /// Data must have all rows, and `times` the extent of the sensor; any whole number of times without it.
-fn covers(path: &Path, what: &str, (extent, rows): (Extent, Rows), sensor: Extent, times: Option<u32>) -> Result<(), StoreError> {
+fn covers(
+    path: &Path,
+    what: &str,
+    (extent, rows): (Extent, Rows),
+    sensor: Extent,
+    times: Option<u32>,
+) -> Result<(), StoreError> {
     let multiple = extent.multiple_of(sensor);
     if multiple.is_none() || times.is_some_and(|times| multiple != Some(times)) || rows != extent.rows() {
-        return Err(StoreError::Misuse { path: path.into(), what: format!("the {what} cover {rows} of {extent} pixels, and the sensor has {sensor}") });
+        return Err(StoreError::Misuse {
+            path: path.into(),
+            what: format!(
+                "the {what} cover {rows} of \
+                                                            {extent} pixels, and the sensor has {sensor}"
+            ),
+        });
     }
     Ok(())
 }
@@ -92,7 +105,11 @@ fn write_events(opened: &Opened, events: &EventStream) -> Result<u64, StoreError
     if let Some(step) = events.meta.t_resolution_ns {
         opened.set_integer_attribute(&group, "t_resolution_ns", step)?;
     }
-    let (mut x, mut y, mut on) = (ColumnWriter::new(opened, "events/x"), ColumnWriter::new(opened, "events/y"), ColumnWriter::new(opened, "events/p"));
+    let (mut x, mut y, mut on) = (
+        ColumnWriter::new(opened, "events/x"),
+        ColumnWriter::new(opened, "events/y"),
+        ColumnWriter::new(opened, "events/p"),
+    );
     let mut t = ColumnWriter::new(opened, "events/t");
     let mut t_in = events.meta.has_t_in.then(|| ColumnWriter::new(opened, "events/t_in"));
     let mut count = 0;
@@ -114,7 +131,11 @@ fn write_events(opened: &Opened, events: &EventStream) -> Result<u64, StoreError
     Ok(count)
 }
 
-fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingContent) -> Result<(), StoreError> {
+fn write_frames(
+    opened: &Opened,
+    frames: &FrameSequence,
+    content: &RecordingContent,
+) -> Result<(), StoreError> {
     let group = create_group(opened, "frames")?;
     opened.set_integer_attribute(&group, "row_time_ns", frames.meta.times.row_time_ns)?;
     write_colour(opened, &group, frames.meta.colour)?;
@@ -124,7 +145,11 @@ fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingCont
         DnType::U16 => write_numbers::<u16>(opened, "frames/dn", frames, None, |dn| dn.round() as u16)?,
     }
     let exposures = &frames.meta.times.exposures;
-    write_times(opened, "frames/exposure_start", exposures.iter().map(|exposure| exposure.start.0).collect())?;
+    write_times(
+        opened,
+        "frames/exposure_start",
+        exposures.iter().map(|exposure| exposure.start.0).collect(),
+    )?;
     write_times(opened, "frames/exposure_end", exposures.iter().map(|exposure| exposure.end.0).collect())
 }
 
@@ -132,5 +157,15 @@ fn write_truth(opened: &Opened, truth: &FrameSequence) -> Result<(), StoreError>
     let group = create_group(opened, "truth")?;
     write_colour(opened, &group, truth.meta.colour)?;
     write_numbers::<f32>(opened, "truth/dn", truth, None, |dn| dn)?;
-    write_times(opened, "truth/t", truth.meta.times.exposures.iter().map(|exposure| exposure.start.0 + exposure.length_ns() / 2).collect())
+    write_times(
+        opened,
+        "truth/t",
+        truth
+            .meta
+            .times
+            .exposures
+            .iter()
+            .map(|exposure| exposure.start.0 + exposure.length_ns() / 2)
+            .collect(),
+    )
 }

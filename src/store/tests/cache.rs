@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use photocurrent_core::{testing, *};
-use photocurrent_store::{Cache, FileInput, GcOptions, Ingredients, Lookup, Params, PortInput, Record, StoreError, StoredOutput};
+use photocurrent_store::{
+    Cache, FileInput, GcOptions, Ingredients, Lookup, Params, PortInput, Record, StoreError, StoredOutput,
+};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -21,7 +23,10 @@ fn ingredients() -> Ingredients {
     Ingredients {
         kind: "solve/map".into(),
         revision: 3,
-        params: Params { canonical: "{\"cis_weight\":f3ff0000000000000,}".into(), readable: readable.as_object().unwrap().clone() },
+        params: Params {
+            canonical: "{\"cis_weight\":f3ff0000000000000,}".into(),
+            readable: readable.as_object().unwrap().clone(),
+        },
         inputs: vec![PortInput {
             port: "events".into(),
             index: 0,
@@ -31,7 +36,11 @@ fn ingredients() -> Ingredients {
             window: None,
             share: None,
         }],
-        files: vec![FileInput { param: "weights".into(), path: "net.onnx".into(), digest: Digest::of_bytes(b"net") }],
+        files: vec![FileInput {
+            param: "weights".into(),
+            path: "net.onnx".into(),
+            digest: Digest::of_bytes(b"net"),
+        }],
         seed: Some(u64::MAX),
     }
 }
@@ -77,19 +86,33 @@ fn what_is_committed_is_found_and_loaded() {
     // Nulls mean "not given" and are left out; integers beyond TOML's become text.
     assert_eq!(found.ingredients.params.readable["window"], serde_json::json!({ "start": "1 ms" }));
     assert_eq!(found.ingredients.params.readable["cis_weight"], serde_json::json!(1.0));
-    assert_eq!((&found.outputs, found.ingredients.seed, &found.notes), (&record.outputs, Some(u64::MAX), &record.notes));
+    assert_eq!(
+        (&found.outputs, found.ingredients.seed, &found.notes),
+        (&record.outputs, Some(u64::MAX), &record.notes)
+    );
     assert_eq!(found.compute_key(), record.key);
     assert_eq!(cache.load(&stored.digest).unwrap().digest().unwrap(), stored.digest);
     assert_eq!(cache.records().unwrap().len(), 1);
-    let text = std::fs::read_to_string(root.path().join("keys").join(format!("{}.toml", record.key))).unwrap();
-    assert!(text.contains("cis_weight = 1.0") && text.contains("residuals = \"none\"") && text.contains("kind = \"solve/map\""), "{text}");
+    let text =
+        std::fs::read_to_string(root.path().join("keys").join(format!("{}.toml", record.key))).unwrap();
+    assert!(
+        text.contains("cis_weight = 1.0")
+            && text.contains("residuals = \"none\"")
+            && text.contains("kind = \"solve/map\""),
+        "{text}"
+    );
 }
 
 #[test]
 fn every_type_can_be_stored() {
     let root = tempfile::tempdir().unwrap();
     let cache = Cache::open(root.path()).unwrap();
-    for value in [Value::Events(testing::events(5, 30)), Value::Frames(testing::frames(5, 30, 3)), tracks(), Value::Table(Default::default())] {
+    for value in [
+        Value::Events(testing::events(5, 30)),
+        Value::Frames(testing::frames(5, 30, 3)),
+        tracks(),
+        Value::Table(Default::default()),
+    ] {
         let stored = store(&cache, &value);
         assert_eq!((stored.digest, stored.data_type), (value.digest().unwrap(), value.data_type()));
         assert_eq!(cache.load(&stored.digest).unwrap().digest().unwrap(), stored.digest);
@@ -107,11 +130,31 @@ fn a_damaged_data_file_is_a_miss_and_a_rerun_replaces_it() {
     Cache::open(root.path()).unwrap().commit(&record).unwrap();
     type Harm<'a> = (&'a str, Box<dyn Fn() + 'a>, bool, &'a str);
     let harms: [Harm; 5] = [
-        ("a flipped byte", Box::new(|| flip_a_byte(&path)), true, "its bytes are not those that were written"),
-        ("a cut", Box::new(|| std::fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(100).unwrap()), false, "it has 100 bytes instead of"),
+        (
+            "a flipped byte",
+            Box::new(|| flip_a_byte(&path)),
+            true,
+            "its bytes are not those that were written",
+        ),
+        (
+            "a cut",
+            Box::new(|| std::fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(100).unwrap()),
+            false,
+            "it has 100 bytes instead of",
+        ),
         ("no data", Box::new(|| std::fs::remove_file(&path).unwrap()), false, "its data cannot be read"),
-        ("no checksum", Box::new(|| std::fs::remove_file(&sum).unwrap()), false, "its checksum cannot be read"),
-        ("a damaged checksum", Box::new(|| std::fs::write(&sum, "bytes = [").unwrap()), false, "its checksum is no checksum"),
+        (
+            "no checksum",
+            Box::new(|| std::fs::remove_file(&sum).unwrap()),
+            false,
+            "its checksum cannot be read",
+        ),
+        (
+            "a damaged checksum",
+            Box::new(|| std::fs::write(&sum, "bytes = [").unwrap()),
+            false,
+            "its checksum is no checksum",
+        ),
     ];
     for (name, harm, looks_whole, why) in harms {
         harm();
@@ -119,11 +162,19 @@ fn a_damaged_data_file_is_a_miss_and_a_rerun_replaces_it() {
         match cache.record(&record.key) {
             // Looking a record up compares lengths; bytes are compared when they are loaded.
             Lookup::Found(_) => assert!(looks_whole, "{name}"),
-            Lookup::Damaged { why: found } => assert!(!looks_whole && found.contains(why) && found.contains("output `tracks`"), "{name}: {found}"),
+            Lookup::Damaged { why: found } => assert!(
+                !looks_whole && found.contains(why) && found.contains("output `tracks`"),
+                "{name}: {found}"
+            ),
             Lookup::Missing => panic!("{name}: the record is there"),
         }
         let error = cache.load(&stored.digest).unwrap_err();
-        assert!(matches!(error, StoreError::Damaged { .. }) && error.is_damage() && error.to_string().contains(why), "{name}: {error}");
+        assert!(
+            matches!(error, StoreError::Damaged { .. })
+                && error.is_damage()
+                && error.to_string().contains(why),
+            "{name}: {error}"
+        );
         assert_eq!(cache.verify().unwrap().damaged.is_empty(), name == "no data" && looks_whole, "{name}");
         assert_eq!(store(&cache, &tracks()), stored);
         assert_eq!(cache.load(&stored.digest).unwrap().digest().unwrap(), stored.digest, "{name}");
@@ -177,7 +228,12 @@ fn two_runs_may_make_one_content_at_once() {
                     let cache = Cache::open(root).unwrap();
                     // Bands of different height give files of different bytes and one content.
                     let mut writer = cache.writer(&value.meta()).unwrap();
-                    value.rows().unwrap().bands(height).into_iter().for_each(|rows| writer.append(&value.cut(rows)).unwrap());
+                    value
+                        .rows()
+                        .unwrap()
+                        .bands(height)
+                        .into_iter()
+                        .for_each(|rows| writer.append(&value.cut(rows)).unwrap());
                     assert_eq!(writer.finish().unwrap().digest, digest);
                     assert_eq!(cache.load(&digest).unwrap().digest().unwrap(), digest);
                     assert!(matches!(cache.record(&digest), Lookup::Missing));
@@ -197,10 +253,16 @@ fn what_a_killed_run_left_is_removed_and_what_a_living_one_writes_is_not() {
     let alive = Cache::open(root.path()).unwrap();
     let writer = alive.writer(&tracks().meta()).unwrap();
     let tmp = root.path().join("tmp");
-    let names = || std::fs::read_dir(&tmp).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect::<Vec<_>>();
+    let names = || {
+        std::fs::read_dir(&tmp)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect::<Vec<_>>()
+    };
     let before = names();
     assert_eq!(before.len(), 2);
-    // A killed process leaves its lock file without a lock, and a file; or, after a half-done clean-up, a file alone.
+    // A killed process leaves its lock file without a lock, and a file; or, after a half-done clean-up, a
+    // file alone.
     for name in ["p1-00ff.lock", "p1-00ff-0.h5", "p1-00ff-12.part", "p2-0a-3.h5"] {
         std::fs::write(tmp.join(name), "half").unwrap();
     }
@@ -221,32 +283,51 @@ fn gc_keeps_what_records_name_and_refuses_while_a_run_lives() {
     let orphan = store(&cache, &Value::Frames(testing::frames(5, 30, 3)));
     let second = Ingredients { revision: 4, ..ingredients() };
     let third = Ingredients { revision: 5, ..ingredients() };
-    for (ingredients, outputs) in [(ingredients(), vec![a]), (second.clone(), vec![a, b]), (third.clone(), vec![b])] {
-        let outputs: Vec<_> = outputs.into_iter().map(|output| (output.data_type.name(), Some(output))).collect();
+    for (ingredients, outputs) in
+        [(ingredients(), vec![a]), (second.clone(), vec![a, b]), (third.clone(), vec![b])]
+    {
+        let outputs: Vec<_> =
+            outputs.into_iter().map(|output| (output.data_type.name(), Some(output))).collect();
         cache.commit(&record(&outputs, ingredients)).unwrap();
     }
     assert_eq!(cache.du().unwrap().unreferenced_bytes, orphan.bytes);
     assert_eq!(cache.verify().unwrap().orphans, [data_file(root.path(), &orphan.digest)]);
     let options = GcOptions::default();
     let error = Cache::gc(root.path(), &options).unwrap_err();
-    assert!(matches!(error, StoreError::Busy { .. }) && error.to_string().contains("in use by another run"), "{error}");
+    assert!(
+        matches!(error, StoreError::Busy { .. }) && error.to_string().contains("in use by another run"),
+        "{error}"
+    );
     drop(cache);
 
     let dry = Cache::gc(root.path(), &GcOptions { dry_run: true, ..GcOptions::default() }).unwrap();
-    assert_eq!((dry.records, dry.contents, dry.freed_bytes, dry.kept_bytes), (0, 1, orphan.bytes, a.bytes + b.bytes));
+    assert_eq!(
+        (dry.records, dry.contents, dry.freed_bytes, dry.kept_bytes),
+        (0, 1, orphan.bytes, a.bytes + b.bytes)
+    );
     assert!(data_file(root.path(), &orphan.digest).exists());
     assert_eq!(Cache::gc(root.path(), &options).unwrap(), dry);
     assert!(!data_file(root.path(), &orphan.digest).exists());
 
-    // The third was used last; the first is pinned; so the second goes, and nothing else, since both contents are still named.
+    // The third was used last; the first is pinned; so the second goes, and nothing else, since both contents
+    // are still named.
     let age = |key: &Digest, days: u64| {
-        let file = std::fs::OpenOptions::new().write(true).open(root.path().join("keys").join(format!("{key}.toml"))).unwrap();
+        let file = std::fs::OpenOptions::new()
+            .write(true)
+            .open(root.path().join("keys").join(format!("{key}.toml")))
+            .unwrap();
         file.set_modified(SystemTime::now() - Duration::from_secs(days * 86_400)).unwrap();
     };
     age(&ingredients().key(), 30);
     age(&second.key(), 20);
-    let report =
-        Cache::gc(root.path(), &GcOptions { older_than: Some(Duration::from_secs(10 * 86_400)), keep: [ingredients().key()].into(), ..options.clone() });
+    let report = Cache::gc(
+        root.path(),
+        &GcOptions {
+            older_than: Some(Duration::from_secs(10 * 86_400)),
+            keep: [ingredients().key()].into(),
+            ..options.clone()
+        },
+    );
     assert_eq!((report.as_ref().unwrap().records, report.unwrap().contents), (1, 0));
     // A limit of one content: the least recently used goes first, which is now the unpinned first.
     let report = Cache::gc(root.path(), &GcOptions { max_bytes: Some(b.bytes), ..options }).unwrap();
@@ -332,9 +413,21 @@ fn every_ingredient_enters_the_key_and_its_change_is_named() {
             Ingredients { params: Params { canonical: "other".into(), readable }, ..base.clone() },
             vec!["params.cis_weight 1.0 -> 2.0", "params.window.start \"1 ms\" -> \"2 ms\""],
         ),
-        (Ingredients { params: Params { canonical: "a third".into(), ..base.params.clone() }, ..base.clone() }, vec!["params changed"]),
-        (Ingredients { inputs: vec![PortInput { digest: other, ..input.clone() }], ..base.clone() }, vec!["input events changed content"]),
-        (Ingredients { inputs: vec![PortInput { layout: 2, ..input.clone() }], ..base.clone() }, vec!["input events layout 1 -> 2"]),
+        (
+            Ingredients {
+                params: Params { canonical: "a third".into(), ..base.params.clone() },
+                ..base.clone()
+            },
+            vec!["params changed"],
+        ),
+        (
+            Ingredients { inputs: vec![PortInput { digest: other, ..input.clone() }], ..base.clone() },
+            vec!["input events changed content"],
+        ),
+        (
+            Ingredients { inputs: vec![PortInput { layout: 2, ..input.clone() }], ..base.clone() },
+            vec!["input events layout 1 -> 2"],
+        ),
         (
             Ingredients { inputs: vec![PortInput { window: Some((0, 5)), ..input.clone() }], ..base.clone() },
             vec!["input events is cut from another block of time"],
@@ -343,9 +436,15 @@ fn every_ingredient_enters_the_key_and_its_change_is_named() {
             Ingredients { inputs: vec![PortInput { share: Some((0, 5)), ..input.clone() }], ..base.clone() },
             vec!["input events is cut from another block of time"],
         ),
-        (Ingredients { inputs: vec![input.clone(), PortInput { index: 1, ..input }], ..base.clone() }, vec!["input events[1] added"]),
+        (
+            Ingredients { inputs: vec![input.clone(), PortInput { index: 1, ..input }], ..base.clone() },
+            vec!["input events[1] added"],
+        ),
         (Ingredients { inputs: vec![], ..base.clone() }, vec!["input events removed"]),
-        (Ingredients { files: vec![FileInput { digest: other, ..base.files[0].clone() }], ..base.clone() }, vec!["file net.onnx changed content"]),
+        (
+            Ingredients { files: vec![FileInput { digest: other, ..base.files[0].clone() }], ..base.clone() },
+            vec!["file net.onnx changed content"],
+        ),
         (Ingredients { files: vec![], ..base.clone() }, vec!["file net.onnx removed (params.weights)"]),
         (Ingredients { seed: None, ..base.clone() }, vec!["seed 18446744073709551615 -> none"]),
     ];
@@ -371,7 +470,12 @@ fn stores_until_it_is_killed() {
     let Ok(root) = std::env::var("PHOTOCURRENT_TEST_CACHE") else { return };
     let cache = Cache::open(Path::new(&root)).unwrap();
     for i in 0..100_000 {
-        let value = Value::Frames(testing::captured(Extent { width: 40, height: 30 }, vec![Exposure::new(0, 5)], 0, |_, x, y| (x * y + i % 7) as f32));
+        let value = Value::Frames(testing::captured(
+            Extent { width: 40, height: 30 },
+            vec![Exposure::new(0, 5)],
+            0,
+            |_, x, y| (x * y + i % 7) as f32,
+        ));
         let stored = store(&cache, &value);
         let ingredients = Ingredients { revision: i, ..ingredients() };
         cache.commit(&record(&[("frames", Some(stored))], ingredients)).unwrap();
@@ -389,8 +493,14 @@ fn a_run_killed_at_any_moment_leaves_a_cache_that_works() {
         let mut children: Vec<std::process::Child> = (0..2)
             .map(|_| {
                 let mut command = std::process::Command::new(std::env::current_exe().unwrap());
-                command.args(["--ignored", "--exact", "stores_until_it_is_killed"]).env("PHOTOCURRENT_TEST_CACHE", root.path());
-                command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn().unwrap()
+                command
+                    .args(["--ignored", "--exact", "stores_until_it_is_killed"])
+                    .env("PHOTOCURRENT_TEST_CACHE", root.path());
+                command
+                    .stdout(std::process::Stdio::null())
+                    .stderr(std::process::Stdio::null())
+                    .spawn()
+                    .unwrap()
             })
             .collect();
         std::thread::sleep(Duration::from_millis(100 + 37 * round));
@@ -399,10 +509,18 @@ fn a_run_killed_at_any_moment_leaves_a_cache_that_works() {
             child.wait().unwrap();
         }
         let cache = Cache::open(root.path()).unwrap();
-        assert_eq!(std::fs::read_dir(root.path().join("tmp")).unwrap().count(), 1, "only our own lock is left");
+        assert_eq!(
+            std::fs::read_dir(root.path().join("tmp")).unwrap().count(),
+            1,
+            "only our own lock is left"
+        );
         let report = cache.verify().unwrap();
         // The children remove data behind the cache's back, so data may be missing; what is there is whole.
-        assert!(report.damaged.iter().all(|why| why.contains("cannot be read (No such file")), "{:?}", report.damaged);
+        assert!(
+            report.damaged.iter().all(|why| why.contains("cannot be read (No such file")),
+            "{:?}",
+            report.damaged
+        );
         for record in cache.records().unwrap() {
             assert_eq!(record.compute_key(), record.key);
         }

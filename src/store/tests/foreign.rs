@@ -1,5 +1,5 @@
-//! Files of other programs: `data/formats/filters.h5` was written by h5py and hdf5plugin (see the script next to it), so every number here comes from
-//! outside the code under test.
+//! Files of other programs: `data/formats/filters.h5` was written by h5py and hdf5plugin (see the script next
+//! to it), so every number here comes from outside the code under test.
 #![allow(clippy::unwrap_used)]
 
 use photocurrent_store::foreign::{ForeignFile, Number, Value};
@@ -21,7 +21,10 @@ fn column(file: &ForeignFile, name: &str) -> Vec<i64> {
 #[test]
 fn every_number_type_is_read() {
     let file = ForeignFile::open(&fixture()).unwrap();
-    assert_eq!(file.names("").unwrap(), ["compound", "long", "packed", "plain", "scalar", "table", "text", "unknown"]);
+    assert_eq!(
+        file.names("").unwrap(),
+        ["compound", "long", "packed", "plain", "scalar", "table", "text", "unknown"]
+    );
     let names = file.names("plain").unwrap();
     assert_eq!(names.len(), 14);
     for name in names {
@@ -47,13 +50,24 @@ fn every_filter_is_undone_without_a_plugin() {
     let names = file.names("packed").unwrap();
     assert_eq!(names.len(), 25);
     for name in names {
-        assert_eq!(column(&file, &format!("packed/{name}")), (0..300).map(number).collect::<Vec<_>>(), "{name}");
+        assert_eq!(
+            column(&file, &format!("packed/{name}")),
+            (0..300).map(number).collect::<Vec<_>>(),
+            "{name}"
+        );
     }
     for name in file.names("long").unwrap() {
-        assert_eq!(column(&file, &format!("long/{name}")), (0..40_000).map(|i| i / 37).collect::<Vec<i64>>(), "{name}");
+        assert_eq!(
+            column(&file, &format!("long/{name}")),
+            (0..40_000).map(|i| i / 37).collect::<Vec<i64>>(),
+            "{name}"
+        );
     }
     let error = file.dataset("unknown/bzip2").err().unwrap().to_string();
-    assert!(error.contains("/unknown/bzip2: found numbers packed by BZIP2") && error.contains("h5repack"), "{error}");
+    assert!(
+        error.contains("/unknown/bzip2: found numbers packed by BZIP2") && error.contains("h5repack"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -91,7 +105,9 @@ fn attributes_texts_and_scalars_are_read() {
     assert_eq!(column(&file, "scalar"), [1_234_567_890_123]);
     assert_eq!(file.text("text").unwrap().as_deref(), Some("a longer text"));
     assert!(file.dataset("text").is_err(), "a text is no dataset of numbers");
-    assert!(file.dataset("packed/nothing").unwrap().is_none() && file.dataset("no/such/thing").unwrap().is_none());
+    assert!(
+        file.dataset("packed/nothing").unwrap().is_none() && file.dataset("no/such/thing").unwrap().is_none()
+    );
 }
 
 /// Reads everything that can be read.
@@ -99,11 +115,14 @@ fn devour(path: &Path) -> usize {
     let Ok(file) = ForeignFile::open(path) else { return 0 };
     let mut read = 0;
     for group in ["", "plain", "packed", "long", "unknown"] {
-        let _ = file.attribute_names(group).map(|names| names.iter().filter(|name| file.attribute(group, name).is_ok()).count());
+        let _ = file
+            .attribute_names(group)
+            .map(|names| names.iter().filter(|name| file.attribute(group, name).is_ok()).count());
         for name in file.names(group).unwrap_or_default() {
             let name = if group.is_empty() { name } else { format!("{group}/{name}") };
             if let Ok(Some(dataset)) = file.dataset(&name) {
-                read += dataset.rows_at(0..dataset.rows().min(50_000)).map_or(0, |block| 1 + block.gaps().len());
+                read +=
+                    dataset.rows_at(0..dataset.rows().min(50_000)).map_or(0, |block| 1 + block.gaps().len());
             }
         }
     }
@@ -123,9 +142,14 @@ fn a_changed_byte_gives_numbers_gaps_or_an_error() {
         let mut changed = bytes.clone();
         for _ in 0..1 + random.bits() % 3 {
             let at = (random.bits() % bytes.len() as u64) as usize;
-            changed[at] = if random.bits().is_multiple_of(2) { random.bits() as u8 } else { changed[at] ^ (1 << (random.bits() % 8)) };
+            changed[at] = if random.bits().is_multiple_of(2) {
+                random.bits() as u8
+            } else {
+                changed[at] ^ (1 << (random.bits() % 8))
+            };
         }
-        // A file that is replaced, not rewritten: the library remembers open files by their place on the disk.
+        // A file that is replaced, not rewritten: the library remembers open files by their place on the
+        // disk.
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, &changed).unwrap();
         devour(&path);
@@ -150,8 +174,11 @@ fn with_chunks_of_length_0(path: &Path) {
     file.new_dataset::<u16>().chunk([64]).shape([300]).create("x").unwrap().write(&vec![7u16; 300]).unwrap();
     file.close().unwrap();
     let mut bytes = std::fs::read(path).unwrap();
-    // The layout message: version 3, chunked, two numbers, an address, the chunk's length and the size of an element.
-    let at = bytes.windows(19).position(|w| w[..3] == [3, 2, 2] && w[11..] == [64, 0, 0, 0, 2, 0, 0, 0]).unwrap() + 11;
+    // The layout message: version 3, chunked, two numbers, an address, the chunk's length and the size of an
+    // element.
+    let at =
+        bytes.windows(19).position(|w| w[..3] == [3, 2, 2] && w[11..] == [64, 0, 0, 0, 2, 0, 0, 0]).unwrap()
+            + 11;
     bytes[at] = 0;
     std::fs::write(path, bytes).unwrap();
 }
@@ -163,7 +190,11 @@ fn a_file_that_ends_the_library_is_refused_and_named() {
     with_chunks_of_length_0(&path);
     for _ in 0..2 {
         // HDF5 2 refuses the dataset, 1.10 would have ended this process.
-        let refused = ForeignFile::open(&path).and_then(|file| file.dataset("x").map(|_| ())).err().unwrap().to_string();
+        let refused = ForeignFile::open(&path)
+            .and_then(|file| file.dataset("x").map(|_| ()))
+            .err()
+            .unwrap()
+            .to_string();
         assert!(refused.contains("zero.h5") && refused.contains("/x"), "{refused}");
         std::thread::sleep(std::time::Duration::from_millis(40));
     }
@@ -184,7 +215,8 @@ fn heaps_of_texts_that_are_damaged_anywhere_are_survived() {
         ForeignFile::open(&path).and_then(|file| file.attribute("", "geometry"))
     };
     assert_eq!(read(&bytes).unwrap(), Some(Value::Text("640x480, a sensor".into())));
-    // The size of the heap, and index, count and size of its first text. Some of the changes cost the library a second of endless work.
+    // The size of the heap, and index, count and size of its first text. Some of the changes cost the library
+    // a second of endless work.
     for at in (heap + 8..heap + 40).step_by(4) {
         for wrong in [&[1u8][..], &[0xff; 8], &[0; 8]] {
             let mut changed = bytes.clone();
@@ -202,7 +234,10 @@ fn a_cut_file_gives_rows_before_the_cut_and_gaps_behind_it() {
     let rows = 4000usize;
     let right: Vec<u32> = (0..rows as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
     for (latest, chunked) in [(false, false), (false, true), (true, false), (true, true)] {
-        let file = hdf5::File::with_options().with_fapl(|fapl| if latest { fapl.libver_latest() } else { fapl }).create(&whole).unwrap();
+        let file = hdf5::File::with_options()
+            .with_fapl(|fapl| if latest { fapl.libver_latest() } else { fapl })
+            .create(&whole)
+            .unwrap();
         let build = file.new_dataset::<u32>().shape([rows]);
         let build = if chunked { build.chunk([100]) } else { build };
         build.create("t").unwrap().write(&right).unwrap();
@@ -221,9 +256,18 @@ fn a_cut_file_gives_rows_before_the_cut_and_gaps_behind_it() {
             block.integers(dataset.numbers().unwrap(), &mut found);
             let lost: usize = block.gaps().iter().map(|gap| gap.rows.len()).sum();
             for i in (0..rows).filter(|i| !block.gaps().iter().any(|gap| gap.rows.contains(i))) {
-                assert_eq!(found[i], i64::from(right[i]), "row {i} of cut {k}, latest {latest}, chunked {chunked}");
+                assert_eq!(
+                    found[i],
+                    i64::from(right[i]),
+                    "row {i} of cut {k}, latest {latest}, chunked \
+                                                           {chunked}"
+                );
             }
-            assert!(lost > 0 && block.gaps().iter().all(|gap| gap.why.contains("cut at byte")), "{:?}", block.gaps());
+            assert!(
+                lost > 0 && block.gaps().iter().all(|gap| gap.why.contains("cut at byte")),
+                "{:?}",
+                block.gaps()
+            );
             assert_eq!(dataset.integers().unwrap().len(), dataset.rows_before_the_cut().unwrap());
             before = before.max(rows - lost);
         }

@@ -1,6 +1,7 @@
 //! A link into another file is not followed.
 //!
-//! Alone in its binary: the store takes external links out of the library for the whole process, and the file must be made before.
+//! Alone in its binary: the store takes external links out of the library for the whole process, and the file
+//! must be made before.
 #![allow(clippy::unwrap_used)]
 
 use photocurrent_store::open_value;

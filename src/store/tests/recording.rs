@@ -1,4 +1,5 @@
-//! Recordings: what is written comes back, and every contradiction is reported with file, dataset, finding and next step.
+//! Recordings: what is written comes back, and every contradiction is reported with file, dataset, finding
+//! and next step.
 #![allow(clippy::unwrap_used)]
 
 use hdf5::types::VarLenUnicode;
@@ -13,12 +14,17 @@ const EXTENT: Extent = Extent { width: 12, height: 9 };
 fn truth() -> Truth {
     let frames = testing::frames(EXTENT.width, EXTENT.height, 6);
     let times = FrameTimes::new((0..6).map(|m| Exposure::new(m * 500, m * 500 + 1)).collect(), 0).unwrap();
-    let meta = FramesMeta { times, scale: FrameScale::Nominal { exposure_ns: 4_000_000 }, ..(*frames.meta).clone() };
+    let meta =
+        FramesMeta { times, scale: FrameScale::Nominal { exposure_ns: 4_000_000 }, ..(*frames.meta).clone() };
     Truth(FrameSequence::in_memory(Arc::new(meta), frames.read_rows(frames.rows()).unwrap()))
 }
 
 fn write_full(path: &Path) -> (EventStream, FrameSequence, Truth) {
-    let (events, frames, truth) = (testing::events(EXTENT.width, EXTENT.height), testing::frames(EXTENT.width, EXTENT.height, 5), truth());
+    let (events, frames, truth) = (
+        testing::events(EXTENT.width, EXTENT.height),
+        testing::frames(EXTENT.width, EXTENT.height, 5),
+        truth(),
+    );
     let content = RecordingContent {
         events: Some(&events),
         frames: Some(&frames),
@@ -39,8 +45,14 @@ fn a_recording_comes_back_as_it_was() {
     assert_eq!(back.extent(), EXTENT);
     assert_eq!(back.row_time_ns(), Some(10_000));
     assert_eq!(back.sensor_text(), Some("format = \"photocurrent-sensor/1\"\n"));
-    assert_eq!(Value::Events(back.events().unwrap()).digest().unwrap(), Value::Events(events.clone()).digest().unwrap());
-    assert_eq!(Value::Frames(back.frames(10_000).unwrap()).digest().unwrap(), Value::Frames(frames).digest().unwrap());
+    assert_eq!(
+        Value::Events(back.events().unwrap()).digest().unwrap(),
+        Value::Events(events.clone()).digest().unwrap()
+    );
+    assert_eq!(
+        Value::Frames(back.frames(10_000).unwrap()).digest().unwrap(),
+        Value::Frames(frames).digest().unwrap()
+    );
     assert_eq!(Value::Truth(back.truth().unwrap()).digest().unwrap(), Value::Truth(truth).digest().unwrap());
     for rows in EXTENT.rows().bands(4) {
         assert_eq!(back.read_events(rows).unwrap(), events.read(rows).unwrap());
@@ -55,9 +67,22 @@ fn plain<T: hdf5::H5Type>(path: &Path) -> (Vec<T>, Vec<usize>, Option<(f64, f64)
     let dn = file.dataset("frames/dn").unwrap();
     let number = |name: &str| dn.attr(name).and_then(|attribute| attribute.read_scalar::<f64>()).ok();
     let times = |name: &str| file.dataset(name).unwrap().read_raw::<i64>().unwrap();
-    assert_eq!(file.attr("format").unwrap().read_scalar::<VarLenUnicode>().unwrap().as_str(), "photocurrent-frames/1");
-    assert_eq!(file.group("frames").unwrap().attr("exposure_dn_of_ns").unwrap().read_scalar::<i64>().unwrap(), 6_500_000);
-    assert_eq!(times("frames/exposure_end").iter().zip(times("frames/exposure_start")).filter(|(end, start)| **end > *start).count(), dn.shape()[0]);
+    assert_eq!(
+        file.attr("format").unwrap().read_scalar::<VarLenUnicode>().unwrap().as_str(),
+        "photocurrent-frames/1"
+    );
+    assert_eq!(
+        file.group("frames").unwrap().attr("exposure_dn_of_ns").unwrap().read_scalar::<i64>().unwrap(),
+        6_500_000
+    );
+    assert_eq!(
+        times("frames/exposure_end")
+            .iter()
+            .zip(times("frames/exposure_start"))
+            .filter(|(end, start)| **end > *start)
+            .count(),
+        dn.shape()[0]
+    );
     (dn.read_raw::<T>().unwrap(), dn.shape(), number("scale_factor").zip(number("add_offset")))
 }
 
@@ -76,7 +101,12 @@ fn rendered_frames_are_one_file_of_values_or_of_codes_with_their_scale() {
     let (scale, offset) = found.unwrap();
     assert_eq!((shape.as_slice(), scale, offset), (&[5, 9, 12][..], 0.125, -3.0));
     // Half a code is the best that rounding can do, and nothing lies beyond the codes here.
-    assert!(codes.iter().zip(&dn).all(|(code, dn)| (offset + scale * f64::from(*code) - f64::from(*dn)).abs() <= scale / 2.0));
+    assert!(
+        codes
+            .iter()
+            .zip(&dn)
+            .all(|(code, dn)| (offset + scale * f64::from(*code) - f64::from(*dn)).abs() <= scale / 2.0)
+    );
     assert!(codes.iter().any(|code| *code != codes[0]));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays");
 }
@@ -103,19 +133,35 @@ fn either_stream_may_be_missing_or_empty() {
     let path = folder.path().join("egg.h5");
     write_recording(&path, &RecordingContent::empty(EXTENT)).unwrap();
     let back = Recording::open(&path).unwrap();
-    assert!(back.events().is_none() && back.frames(0).is_none() && back.truth().is_none() && back.sensor_text().is_none());
+    assert!(
+        back.events().is_none()
+            && back.frames(0).is_none()
+            && back.truth().is_none()
+            && back.sensor_text().is_none()
+    );
     assert!(back.read_events(EXTENT.rows()).unwrap().is_empty());
 
     let events = testing::stream(EXTENT, Vec::new());
     let one = testing::frames(EXTENT.width, EXTENT.height, 1);
     let none = testing::frames(EXTENT.width, EXTENT.height, 0);
     for frames in [&one, &none] {
-        write_recording(&path, &RecordingContent { events: Some(&events), frames: Some(frames), ..RecordingContent::empty(EXTENT) }).unwrap();
+        write_recording(
+            &path,
+            &RecordingContent {
+                events: Some(&events),
+                frames: Some(frames),
+                ..RecordingContent::empty(EXTENT)
+            },
+        )
+        .unwrap();
         let back = Recording::open(&path).unwrap();
         assert_eq!((back.event_count(), back.events_meta().unwrap().span), (0, None));
         assert!(back.events().unwrap().read(EXTENT.rows()).unwrap().is_empty());
         assert_eq!(back.frames(10_000).unwrap().len(), frames.len());
-        assert_eq!(back.frames(10_000).unwrap().read_rows(EXTENT.rows()).unwrap().dn, frames.read_rows(EXTENT.rows()).unwrap().dn);
+        assert_eq!(
+            back.frames(10_000).unwrap().read_rows(EXTENT.rows()).unwrap().dn,
+            frames.read_rows(EXTENT.rows()).unwrap().dn
+        );
         assert_eq!(back.inspect().frames.unwrap().frames_per_s, None);
     }
 }
@@ -126,15 +172,23 @@ fn whole_numbers_and_colour_are_read_as_f32() {
     let path = folder.path().join("egg.h5");
     let exposures = vec![Exposure::new(0, 5), Exposure::new(10, 15)];
     let frames = testing::captured(EXTENT, exposures, 0, |l, x, y| (l * 60_000) as f32 + (x * y) as f32);
-    write_recording(&path, &RecordingContent { frames: Some(&frames), dn: DnType::U16, ..RecordingContent::empty(EXTENT) }).unwrap();
+    write_recording(
+        &path,
+        &RecordingContent { frames: Some(&frames), dn: DnType::U16, ..RecordingContent::empty(EXTENT) },
+    )
+    .unwrap();
     let back = Recording::open(&path).unwrap();
     assert_eq!(back.inspect().frames.unwrap().number_type, "u16");
-    assert_eq!(back.frames(0).unwrap().read(1..2, Rows { start: 2, end: 7 }).unwrap(), frames.read(1..2, Rows { start: 2, end: 7 }).unwrap());
+    assert_eq!(
+        back.frames(0).unwrap().read(1..2, Rows { start: 2, end: 7 }).unwrap(),
+        frames.read(1..2, Rows { start: 2, end: 7 }).unwrap()
+    );
 
     let wide = testing::frames(EXTENT.width * 3, EXTENT.height, 2);
     let meta = FramesMeta { extent: EXTENT, colour: Colour::Rgb, ..(*wide.meta).clone() };
     let rgb = FrameSequence::in_memory(Arc::new(meta), wide.read_rows(wide.rows()).unwrap());
-    write_recording(&path, &RecordingContent { frames: Some(&rgb), ..RecordingContent::empty(EXTENT) }).unwrap();
+    write_recording(&path, &RecordingContent { frames: Some(&rgb), ..RecordingContent::empty(EXTENT) })
+        .unwrap();
     let back = Recording::open(&path).unwrap();
     assert_eq!(back.colour(), Some(Colour::Rgb));
     let rows = Rows { start: 3, end: 5 };
@@ -143,7 +197,10 @@ fn whole_numbers_and_colour_are_read_as_f32() {
     let file = hdf5::File::append(&path).unwrap();
     file.group("frames").unwrap().delete_attr("colour").unwrap();
     file.close().unwrap();
-    assert!(Recording::open(&path).err().unwrap().to_string().contains("/frames/dn: found 3 channels, expected 1 for colour = \"mono\""));
+    assert!(Recording::open(&path).err().unwrap().to_string().contains(
+        "/frames/dn: found 3 channels, \
+                                                            expected 1 for colour = \"mono\""
+    ));
 }
 
 #[test]
@@ -155,19 +212,35 @@ fn a_mosaic_of_more_pixels_than_the_events_comes_back_with_its_truth() {
         FrameSequence::in_memory(Arc::new(meta), frames.read_rows(frames.rows()).unwrap())
     };
     let colour = Colour::named("quad_bayer_grbg").unwrap();
-    let (events, frames) = (testing::events(EXTENT.width, EXTENT.height), mosaic(testing::frames(48, 36, 3), colour));
-    let rgb = testing::captured(Extent { width: 144, height: 36 }, vec![Exposure::new(5, 6)], 0, |_, x, y| (x * y) as f32);
-    let meta = FramesMeta { extent: Extent { width: 48, height: 36 }, colour: Colour::Rgb, ..(*rgb.meta).clone() };
+    let (events, frames) =
+        (testing::events(EXTENT.width, EXTENT.height), mosaic(testing::frames(48, 36, 3), colour));
+    let rgb =
+        testing::captured(Extent { width: 144, height: 36 }, vec![Exposure::new(5, 6)], 0, |_, x, y| {
+            (x * y) as f32
+        });
+    let meta =
+        FramesMeta { extent: Extent { width: 48, height: 36 }, colour: Colour::Rgb, ..(*rgb.meta).clone() };
     let truth = Truth(FrameSequence::in_memory(Arc::new(meta), rgb.read_rows(rgb.rows()).unwrap()));
-    let content = RecordingContent { events: Some(&events), frames: Some(&frames), truth: Some(&truth), ..RecordingContent::empty(EXTENT) };
+    let content = RecordingContent {
+        events: Some(&events),
+        frames: Some(&frames),
+        truth: Some(&truth),
+        ..RecordingContent::empty(EXTENT)
+    };
     write_recording(&path, &content).unwrap();
     let back = Recording::open(&path).unwrap();
-    assert_eq!(Value::Frames(back.frames(10_000).unwrap()).digest().unwrap(), Value::Frames(frames).digest().unwrap());
+    assert_eq!(
+        Value::Frames(back.frames(10_000).unwrap()).digest().unwrap(),
+        Value::Frames(frames).digest().unwrap()
+    );
     let read = back.truth().unwrap().0;
     assert_eq!((read.meta.extent, read.meta.colour), (truth.0.meta.extent, Colour::Rgb));
     assert_eq!(read.read_rows(read.rows()).unwrap(), truth.0.read_rows(truth.0.rows()).unwrap());
     let summary = back.inspect().frames.unwrap();
-    assert_eq!((summary.width, summary.height, summary.pixels_per_event_pixel, summary.colour), (48, 36, 4, colour));
+    assert_eq!(
+        (summary.width, summary.height, summary.pixels_per_event_pixel, summary.colour),
+        (48, 36, 4, colour)
+    );
 }
 
 /// Columns of a small recording as other programs write it: no chunks, no filters.
@@ -181,7 +254,13 @@ struct Plain {
 
 impl Plain {
     fn good() -> Plain {
-        Plain { x: vec![1, 0, 2, 1], y: vec![0, 1, 1, 0], p: vec![1, 0, 1, 1], t: vec![10, 20, 20, 35], t_in: Some(vec![9, 12, 19, 35]) }
+        Plain {
+            x: vec![1, 0, 2, 1],
+            y: vec![0, 1, 1, 0],
+            p: vec![1, 0, 1, 1],
+            t: vec![10, 20, 20, 35],
+            t_in: Some(vec![9, 12, 19, 35]),
+        }
     }
 
     fn write(&self, path: &Path) -> hdf5::File {
@@ -201,7 +280,13 @@ impl Plain {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bad.h5");
         self.write(&path).close().unwrap();
-        let whole = |rows| Recording::open(&path).and_then(|recording| recording.read_events(rows)).err().unwrap().to_string();
+        let whole = |rows| {
+            Recording::open(&path)
+                .and_then(|recording| recording.read_events(rows))
+                .err()
+                .unwrap()
+                .to_string()
+        };
         let all = whole(Rows { start: 0, end: 2 });
         // The same words whichever band is read first.
         assert_eq!(whole(Rows { start: 1, end: 2 }), all);
@@ -233,7 +318,10 @@ fn a_plain_file_of_another_program_is_read() {
     Plain::good().write(&path).close().unwrap();
     let back = Recording::open(&path).unwrap();
     let band = back.read_events(Rows { start: 0, end: 2 }).unwrap();
-    assert_eq!((band.offsets(), &band.x, &band.t), (&[0, 2, 4][..], &vec![1, 1, 0, 2], &vec![10, 35, 20, 20]));
+    assert_eq!(
+        (band.offsets(), &band.x, &band.t),
+        (&[0, 2, 4][..], &vec![1, 1, 0, 2], &vec![10, 35, 20, 20])
+    );
     assert_eq!(back.row_time_ns(), None);
     drop(back);
     // LZF goes through the ordinary read.
@@ -241,27 +329,53 @@ fn a_plain_file_of_another_program_is_read() {
     file.unlink("events/p").unwrap();
     file.new_dataset_builder().with_data(&[1u8, 0, 1, 1]).chunk(3).lzf().create("events/p").unwrap();
     file.close().unwrap();
-    assert_eq!(Recording::open(&path).unwrap().read_events(Rows { start: 0, end: 2 }).unwrap().on, [1, 1, 0, 1]);
+    assert_eq!(
+        Recording::open(&path).unwrap().read_events(Rows { start: 0, end: 2 }).unwrap().on,
+        [1, 1, 0, 1]
+    );
 }
 
 #[test]
 fn events_that_contradict_the_format_are_reported_with_count_and_place() {
     let good = Plain::good;
     let cases = [
-        (Plain { x: vec![1, 3, 2, 9], ..good() }, "/events/x, /events/y: found 2 events outside the sensor, the first at index 1 (x = 3, y = 1)"),
-        (Plain { y: vec![0, 1, 1, 2], ..good() }, "found 1 event outside the sensor, the first at index 3 (x = 1, y = 2), expected x below 3 and y below 2"),
-        (Plain { p: vec![1, 255, 1, 1], ..good() }, "/events/p: found 1 event with another polarity, the first at index 1 (p = 255)"),
-        (Plain { t: vec![10, 20, 19, 35], ..good() }, "/events/t: found 1 event earlier than the event ahead, the first at index 2 (19 ns after 20 ns)"),
+        (
+            Plain { x: vec![1, 3, 2, 9], ..good() },
+            "/events/x, /events/y: found 2 events outside the sensor, \
+                                                   the first at index 1 (x = 3, y = 1)",
+        ),
+        (
+            Plain { y: vec![0, 1, 1, 2], ..good() },
+            "found 1 event outside the sensor, the first at index 3 \
+                                                   (x = 1, y = 2), expected x below 3 and y below 2",
+        ),
+        (
+            Plain { p: vec![1, 255, 1, 1], ..good() },
+            "/events/p: found 1 event with another polarity, the \
+                                                     first at index 1 (p = 255)",
+        ),
+        (
+            Plain { t: vec![10, 20, 19, 35], ..good() },
+            "/events/t: found 1 event earlier than the event \
+                                                       ahead, the first at index 2 (19 ns after 20 ns)",
+        ),
         (
             Plain { t_in: Some(vec![9, 21, 19, 36]), ..good() },
-            "/events/t_in: found 2 events with its in-pixel time after its off-pixel time, the first at index 1",
+            "/events/t_in: found 2 events with its in-pixel time after its off-pixel time, the first at \
+             index 1",
         ),
-        (Plain { x: vec![1, 0, 2], ..good() }, "/events/x: found the shape [3], expected [4], as /events/t has"),
+        (
+            Plain { x: vec![1, 0, 2], ..good() },
+            "/events/x: found the shape [3], expected [4], as /events/t has",
+        ),
         (Plain { t_in: Some(vec![1]), ..good() }, "/events/t_in: found the shape [1], expected [4]"),
     ];
     for (plain, expected) in cases {
         let complaint = plain.complaint();
-        assert!(complaint.contains(expected) && complaint.contains("hint: ") && complaint.contains("bad.h5"), "{complaint}");
+        assert!(
+            complaint.contains(expected) && complaint.contains("hint: ") && complaint.contains("bad.h5"),
+            "{complaint}"
+        );
     }
 }
 
@@ -297,10 +411,24 @@ fn a_header_that_contradicts_the_format_is_reported() {
         Box::new(|path| text(&hdf5::File::create(path).unwrap(), "format", "other/2")),
         "found format = \"other/2\", expected format = \"photocurrent-recording/1\"",
     );
-    says(Box::new(|path| text(&hdf5::File::create(path).unwrap(), "format", "photocurrent-recording/1")), "found no attribute `width`");
-    says(Box::new(|path| Plain::good().write(path).unlink("events/p").unwrap()), "/events/p: found nothing, expected a dataset of uint8");
-    says(Box::new(|path| Plain::good().write(path).unlink("events/t").unwrap()), "/events/t: found nothing, expected a dataset of int64");
-    says(Box::new(|path| Plain::good().write(path).dataset("events/t").unwrap().delete_attr("unit").unwrap()), "/events/t: found no attribute `unit`");
+    says(
+        Box::new(|path| text(&hdf5::File::create(path).unwrap(), "format", "photocurrent-recording/1")),
+        "found no attribute `width`",
+    );
+    says(
+        Box::new(|path| Plain::good().write(path).unlink("events/p").unwrap()),
+        "/events/p: found nothing, \
+                                                            expected a dataset of uint8",
+    );
+    says(
+        Box::new(|path| Plain::good().write(path).unlink("events/t").unwrap()),
+        "/events/t: found nothing, \
+                                                            expected a dataset of int64",
+    );
+    says(
+        Box::new(|path| Plain::good().write(path).dataset("events/t").unwrap().delete_attr("unit").unwrap()),
+        "/events/t: found no attribute `unit`",
+    );
     let wrong_type = |path: &Path| {
         let file = Plain::good().write(path);
         file.unlink("events/x").unwrap();
@@ -311,10 +439,21 @@ fn a_header_that_contradicts_the_format_is_reported() {
         Box::new(with_frames((2, 2, 3), &[0, 10], &[5, 10])),
         "/frames/exposure_end: found an empty exposure in 1 of 2 frames, first in frame 1 (10 to 10 ns)",
     );
-    says(Box::new(with_frames((2, 2, 3), &[10, 0], &[15, 5])), "/frames/exposure_start: found frame 1 starting at 0 ns, before frame 0 at 10 ns");
-    says(Box::new(with_frames((2, 2, 3), &[0], &[5])), "/frames/exposure_start: found the shape [1], expected [2], as /frames/dn has");
+    says(
+        Box::new(with_frames((2, 2, 3), &[10, 0], &[15, 5])),
+        "/frames/exposure_start: found frame 1 \
+                                                            starting at 0 ns, before frame 0 at 10 ns",
+    );
+    says(
+        Box::new(with_frames((2, 2, 3), &[0], &[5])),
+        "/frames/exposure_start: found the shape [1], \
+                                                        expected [2], as /frames/dn has",
+    );
     for (height, width) in [(3, 3), (4, 9), (1, 1)] {
-        let expected = format!("/frames/dn: found frames of {width} x {height} pixels, expected 3 x 2, as the attributes say, or a whole multiple of it");
+        let expected = format!(
+            "/frames/dn: found frames of {width} x {height} pixels, expected 3 x 2, as \
+                                the attributes say, or a whole multiple of it"
+        );
         says(Box::new(with_frames((2, height, width), &[0, 10], &[5, 15])), &expected);
     }
     let coloured = |colour: &'static str| {
@@ -323,7 +462,11 @@ fn a_header_that_contradicts_the_format_is_reported() {
             text(&hdf5::File::append(path).unwrap().group("frames").unwrap(), "colour", colour);
         }
     };
-    says(Box::new(coloured("bayer_rgbg")), "/frames: attribute `colour`: found \"bayer_rgbg\", expected mono, rgb, bayer_rggb");
+    says(
+        Box::new(coloured("bayer_rgbg")),
+        "/frames: attribute `colour`: found \"bayer_rgbg\", expected \
+                                            mono, rgb, bayer_rggb",
+    );
     says(Box::new(coloured("rgb")), "/frames/dn: found 1 channels, expected 3 for colour = \"rgb\"");
     says(Box::new(|path| std::fs::write(path, "not at all").unwrap()), "is no HDF5 file");
     says(Box::new(|path| std::fs::write(path, "").unwrap()), "the file is empty");
@@ -354,15 +497,26 @@ fn independent_mistakes_are_reported_together() {
     parts.iter().for_each(|part| assert!(found.contains(part), "`{part}` in\n{found}"));
     // Of events, too: every kind of mistake, each with its count.
     let found = Plain { x: vec![1, 3, 2, 9], p: vec![1, 255, 1, 1], ..Plain::good() }.complaint();
-    assert!(found.contains("2 mistakes") && found.contains("2 events outside the sensor") && found.contains("1 event with another polarity"), "{found}");
+    assert!(
+        found.contains("2 mistakes")
+            && found.contains("2 events outside the sensor")
+            && found.contains("1 event with another polarity"),
+        "{found}"
+    );
 }
 
 #[test]
 fn unknown_values_in_frames_are_data() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("egg.h5");
-    let frames = testing::captured(EXTENT, vec![Exposure::new(0, 5)], 0, |_, x, _| if x == 3 { f32::NAN } else { 1.0 });
-    write_recording(&path, &RecordingContent { frames: Some(&frames), ..RecordingContent::empty(EXTENT) }).unwrap();
+    let frames = testing::captured(
+        EXTENT,
+        vec![Exposure::new(0, 5)],
+        0,
+        |_, x, _| if x == 3 { f32::NAN } else { 1.0 },
+    );
+    write_recording(&path, &RecordingContent { frames: Some(&frames), ..RecordingContent::empty(EXTENT) })
+        .unwrap();
     let block = Recording::open(&path).unwrap().frames(0).unwrap().read_rows(EXTENT.rows()).unwrap();
     assert!(block.row(0, 4)[3].is_nan() && block.row(0, 4)[2] == 1.0);
 }
@@ -390,7 +544,10 @@ fn a_file_that_somebody_writes_is_not_called_damaged() {
     // A library that was built or set not to lock reads it all the same.
     if let Err(error) = Recording::open(&path) {
         let error = error.to_string();
-        assert!(error.contains("egg.h5") && error.contains("another program has the file open for writing"), "{error}");
+        assert!(
+            error.contains("egg.h5") && error.contains("another program has the file open for writing"),
+            "{error}"
+        );
     }
     drop(writer);
     Recording::open(&path).unwrap();
@@ -404,7 +561,12 @@ fn a_dataset_stored_in_another_file_is_refused() {
     let path = folder.path().join("bad.h5");
     let file = Plain::good().write(&path);
     file.unlink("events/p").unwrap();
-    file.new_dataset::<u8>().no_chunk().external(secret.to_str().unwrap(), 0, 4).shape(4).create("events/p").unwrap();
+    file.new_dataset::<u8>()
+        .no_chunk()
+        .external(secret.to_str().unwrap(), 0, 4)
+        .shape(4)
+        .create("events/p")
+        .unwrap();
     file.close().unwrap();
     let error = Recording::open(&path).err().unwrap().to_string();
     assert!(error.contains("/events/p: found a dataset whose bytes lie in other files"), "{error}");
@@ -419,8 +581,18 @@ fn an_absurd_claim_takes_no_memory() {
         file.unlink(&format!("events/{name}")).unwrap();
     }
     let huge = 1usize << 50;
-    text(&file.new_dataset::<i64>().chunk(1024).deflate(1).shape(huge).create("events/t").unwrap(), "unit", "ns");
+    text(
+        &file.new_dataset::<i64>().chunk(1024).deflate(1).shape(huge).create("events/t").unwrap(),
+        "unit",
+        "ns",
+    );
     file.close().unwrap();
     let error = Recording::open(&path).err().unwrap().to_string();
-    assert!(error.contains("/events/t: found a shape [1125899906842624] of 8-byte numbers, but only 0 bytes are stored"), "{error}");
+    assert!(
+        error.contains(
+            "/events/t: found a shape [1125899906842624] of 8-byte numbers, but only 0 bytes \
+                            are stored"
+        ),
+        "{error}"
+    );
 }

@@ -1,7 +1,8 @@
 //! The whole array, step by step in time: comparators, resets, readout, and the charge that frames collect.
 //!
-//! All pixels take the same step together, so that what couples them (a queue, neighbours, rates) happens in its order.
-//! Inside a step the voltage is a parabola, reference and thresholds are straight lines, and an event's instant is where they cross.
+//! All pixels take the same step together, so that what couples them (a queue, neighbours, rates) happens in
+//! its order. Inside a step the voltage is a parabola, reference and thresholds are straight lines, and an
+//! event's instant is where they cross.
 
 use crate::front_end::FrontEnd;
 use crate::law::Law;
@@ -87,7 +88,14 @@ struct Array<'a> {
 }
 
 /// Runs the sensor: all events, and the charge (photocurrent x s) of each frame and pixel.
-pub fn run(scene: &Scene, physics: &Physics, width: usize, height: usize, timing: &Timing, random: &mut Random) -> (Vec<Event>, Vec<Vec<f64>>) {
+pub fn run(
+    scene: &Scene,
+    physics: &Physics,
+    width: usize,
+    height: usize,
+    timing: &Timing,
+    random: &mut Random,
+) -> (Vec<Event>, Vec<Vec<f64>>) {
     let n = width * height;
     let burn_in = if timing.reset_at_start { 4e-3 } else { 20e-3 };
     let spacing = timing.node;
@@ -109,7 +117,9 @@ pub fn run(scene: &Scene, physics: &Physics, width: usize, height: usize, timing
         array.look_around(&nodes[1]);
         for k in 0..steps {
             let [from, to] = [k, k + 1].map(|k| k as f64 / steps as f64);
-            array.advance([begin + from * spacing, begin + to * spacing], |front| front.step(&nodes, from, to, h, physics));
+            array.advance([begin + from * spacing, begin + to * spacing], |front| {
+                front.step(&nodes, from, to, h, physics)
+            });
         }
         nodes.rotate_left(1);
         light.fill((node + 3) as f64 * spacing, &mut nodes[3]);
@@ -120,7 +130,14 @@ pub fn run(scene: &Scene, physics: &Physics, width: usize, height: usize, timing
 }
 
 /// Adds the light between the nodes 1 and 2 to every frame that is exposed then.
-fn collect(charge: &mut [Vec<f64>], nodes: &[Node; 4], begin: f64, physics: &Physics, timing: &Timing, width: usize) {
+fn collect(
+    charge: &mut [Vec<f64>],
+    nodes: &[Node; 4],
+    begin: f64,
+    physics: &Physics,
+    timing: &Timing,
+    width: usize,
+) {
     for (charge, [start, end]) in charge.iter_mut().zip(&timing.exposures) {
         for (row, charge) in charge.chunks_exact_mut(width).enumerate() {
             let late = row as f64 * physics.sensor.row_time;
@@ -139,7 +156,14 @@ fn collect(charge: &mut [Vec<f64>], nodes: &[Node; 4], begin: f64, physics: &Phy
 }
 
 impl<'a> Array<'a> {
-    fn new(physics: &'a Physics, width: usize, height: usize, timing: &'a Timing, front: FrontEnd, random: &mut Random) -> Self {
+    fn new(
+        physics: &'a Physics,
+        width: usize,
+        height: usize,
+        timing: &'a Timing,
+        front: FrontEnd,
+        random: &mut Random,
+    ) -> Self {
         let n = width * height;
         let hot_sign = |random: &mut Random| random.sign();
         let pixel = |p: usize| {
@@ -147,11 +171,14 @@ impl<'a> Array<'a> {
             let across = 2.0 * (p % width) as f64 / (width - 1) as f64 - 1.0;
             let (x, y) = (p % width, p / width);
             let own_factor = (1.0 + physics.gradient * across) * law_of_place(physics, x, y, width, height);
-            let own = [physics.sensor.on, physics.sensor.off].map(|threshold| (threshold * own_factor + physics.mismatch * random.normal()).max(0.02));
-            let refractory = physics.sensor.refractory * libm::exp(physics.refractory_spread * random.normal());
+            let own = [physics.sensor.on, physics.sensor.off]
+                .map(|threshold| (threshold * own_factor + physics.mismatch * random.normal()).max(0.02));
+            let refractory =
+                physics.sensor.refractory * libm::exp(physics.refractory_spread * random.normal());
             let hot = random.chance(physics.hot_share);
             let in_hot_row = physics.hot_rows.contains(&y);
-            let hot_rate = if hot { physics.hot_rate } else { 0.0 } + if in_hot_row { physics.hot_row_rate } else { 0.0 };
+            let hot_rate = if hot { physics.hot_rate } else { 0.0 }
+                + if in_hot_row { physics.hot_row_rate } else { 0.0 };
             let noise_sign = if hot { hot_sign(&mut random) } else { 0.0 };
             let noise_rate = hot_rate + physics.background;
             let noise_at = if noise_rate > 0.0 { timing.start - 1.0 } else { f64::INFINITY };
@@ -216,8 +243,10 @@ impl<'a> Array<'a> {
                     let (x, y) = (p % w, p / w);
                     let (left, right) = (x.max(1) - 1, (x + 1).min(w - 1));
                     let (above, below) = (y.max(1) - 1, (y + 1).min(h - 1));
-                    let dx = (node.settled[y * w + right] - node.settled[y * w + left]) / (right - left) as f64;
-                    let dy = (node.settled[below * w + x] - node.settled[above * w + x]) / (below - above) as f64;
+                    let dx =
+                        (node.settled[y * w + right] - node.settled[y * w + left]) / (right - left) as f64;
+                    let dy =
+                        (node.settled[below * w + x] - node.settled[above * w + x]) / (below - above) as f64;
                     self.gradient[p] = libm::sqrt(dx * dx + dy * dy);
                 }
             }
@@ -274,11 +303,16 @@ impl<'a> Array<'a> {
             Some(Law::FrameKick { rise, decay }) => {
                 let exposures = &self.timing.exposures;
                 let period = exposures[1][0] - exposures[0][0];
-                let since = (t - exposures[0][1] - (p / self.width) as f64 * self.physics.sensor.row_time).rem_euclid(period);
+                let since = (t - exposures[0][1] - (p / self.width) as f64 * self.physics.sensor.row_time)
+                    .rem_euclid(period);
                 rise * libm::exp(-since / decay)
             }
-            Some(Law::Fatigue { rise, most, gap }) if t - pixel.last < *gap => rise * pixel.burst.min(*most) as f64,
-            Some(Law::Ripple { depth, frequency, phase }) => depth * libm::sin(2.0 * std::f64::consts::PI * frequency * t + phase),
+            Some(Law::Fatigue { rise, most, gap }) if t - pixel.last < *gap => {
+                rise * pixel.burst.min(*most) as f64
+            }
+            Some(Law::Ripple { depth, frequency, phase }) => {
+                depth * libm::sin(2.0 * std::f64::consts::PI * frequency * t + phase)
+            }
             Some(Law::SpatialGradient { rise, scale }) => rise * (self.gradient[p] / scale).min(2.0),
             Some(Law::GlobalRate { rise, mean, .. }) => rise * self.global_rate / mean,
             Some(Law::RowRate { rise, mean, .. }) => rise * self.row_rates[p / self.width] / mean,
@@ -294,7 +328,9 @@ impl<'a> Array<'a> {
                 }
                 jump * pixel.telegraph
             }
-            Some(Law::Lag { rise }) => rise * (self.front.settled[p] - self.front.first[p]).abs().min(0.3) / 0.1,
+            Some(Law::Lag { rise }) => {
+                rise * (self.front.settled[p] - self.front.first[p]).abs().min(0.3) / 0.1
+            }
             _ => 0.0,
         };
         drift * (1.0 + law).max(0.2)
@@ -312,12 +348,16 @@ impl<'a> Array<'a> {
     /// The first crossing from `from` to `to` and its sign, if there is one.
     fn crossing(&self, p: usize, from: f64, to: f64) -> Option<(f64, f64)> {
         [(1.0, self.high[p]), (-1.0, self.low[p])].into_iter().find_map(|(sign, threshold)| {
-            let beyond = |t: f64| sign * (self.voltage(p, t) - self.within(self.reference[p], t)) - threshold * self.within(self.factor[p], t);
+            let beyond = |t: f64| {
+                sign * (self.voltage(p, t) - self.within(self.reference[p], t))
+                    - threshold * self.within(self.factor[p], t)
+            };
             let (a, b) = (beyond(from), beyond(to));
             if a >= 0.0 {
                 Some((from, sign))
             } else if b >= 0.0 {
-                // The chord's root, then twice that of the chord to the end on the other side: the curve is a slight one.
+                // The chord's root, then twice that of the chord to the end on the other side: the curve is a
+                // slight one.
                 let (mut left, mut right) = ((from, a), (to, b));
                 let mut root = from;
                 for _ in 0..3 {
@@ -347,7 +387,8 @@ impl<'a> Array<'a> {
                     Some((t, sign)) if t <= noise => from = self.fire(p, t, sign),
                     _ if noise <= end => {
                         let pixel = &mut self.pixels[p];
-                        let sign = if pixel.noise_sign == 0.0 { pixel.random.sign() } else { pixel.noise_sign };
+                        let sign =
+                            if pixel.noise_sign == 0.0 { pixel.random.sign() } else { pixel.noise_sign };
                         from = self.fire(p, noise.max(from), sign);
                     }
                     _ => break,
@@ -411,12 +452,18 @@ impl<'a> Array<'a> {
         }
         let (mut decided, mut shown_late, mut hidden_late) = (t, 0.0, 0.0);
         match &physics.law {
-            Some(Law::SlowComparator { strength, most }) => decided += (strength / libm::sqrt(slope.max(1e-9))).min(*most),
+            Some(Law::SlowComparator { strength, most }) => {
+                decided += (strength / libm::sqrt(slope.max(1e-9))).min(*most)
+            }
             Some(Law::PolarityDelay { delay }) if sign < 0.0 => shown_late = *delay,
             Some(Law::NeighbourDelay { delay, window }) => {
-                let near = (-1i64..=1).flat_map(|dy| (-1i64..=1).map(move |dx| (x as i64 + dx, y as i64 + dy)));
-                let inside = near.filter(|(u, v)| (0..self.width as i64).contains(u) && (0..self.height as i64).contains(v));
-                let mut others = inside.map(|(u, v)| v as usize * self.width + u as usize).filter(|q| *q != p);
+                let near =
+                    (-1i64..=1).flat_map(|dy| (-1i64..=1).map(move |dx| (x as i64 + dx, y as i64 + dy)));
+                let inside = near.filter(|(u, v)| {
+                    (0..self.width as i64).contains(u) && (0..self.height as i64).contains(v)
+                });
+                let mut others =
+                    inside.map(|(u, v)| v as usize * self.width + u as usize).filter(|q| *q != p);
                 if others.any(|q| t - self.pixels[q].last < *window) {
                     shown_late = *delay;
                 }
@@ -429,14 +476,21 @@ impl<'a> Array<'a> {
         let gap = if let Some(Law::Fatigue { gap, .. }) = physics.law { gap } else { 0.0 };
         let light = self.front.light[p];
         let pixel = &mut self.pixels[p];
-        let latency = physics.sensor.latency_min + pixel.random.exponential(physics.sensor.latency_more).min(8.0 * physics.sensor.latency_more);
+        let latency = physics.sensor.latency_min
+            + pixel.random.exponential(physics.sensor.latency_more).min(8.0 * physics.sensor.latency_more);
         let lost = pixel.random.chance(physics.loss);
         pixel.burst = if t - pixel.last < gap { pixel.burst + 1 } else { 1 };
         pixel.last = t;
         pixel.armed = false;
         let off = decided + latency;
         pixel.blind_until = off + hidden_late + pixel.refractory / (1.0 + physics.refractory_light * light);
-        self.events.push(Event { pixel: p, on: sign > 0.0, t_in: decided + shown_late, t_off: off + shown_late, lost });
+        self.events.push(Event {
+            pixel: p,
+            on: sign > 0.0,
+            t_in: decided + shown_late,
+            t_off: off + shown_late,
+            lost,
+        });
         if physics.queue.is_some() {
             self.queued.push(self.events.len() - 1);
         }

@@ -1,4 +1,5 @@
-//! From an entry of the plan to a recording's sensor, scene and timing: everything is drawn from the recording's own seed.
+//! From an entry of the plan to a recording's sensor, scene and timing: everything is drawn from the
+//! recording's own seed.
 
 use crate::array::Timing;
 use crate::effect::{self, Setting, whole_ns};
@@ -66,11 +67,16 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     };
     let Picture { scene, light, events, answer: seen, target } = picture;
 
-    // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor` says at the mean light.
+    // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor`
+    // says at the mean light.
     let brightest = survey(&scene, &timing, threshold(&nominal), size).1;
     let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
     nominal.gain = (share * (nominal.saturation - nominal.black) / (brightest * exposure)).round();
-    let slow = if entry.condition == "dim" { random.between(500e-6, 900e-6) } else { random.between(120e-6, 250e-6) };
+    let slow = if entry.condition == "dim" {
+        random.between(500e-6, 900e-6)
+    } else {
+        random.between(120e-6, 250e-6)
+    };
     nominal.alpha = whole_ns(slow * light);
     nominal.per_lux = target.as_ref().map_or(0.0, |target| target.per_lux);
 
@@ -95,7 +101,8 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     physics.law = entry.law.map(|name| law(name, &setting, &mut random)).transpose()?;
 
     let numbers = if random.chance(0.15) { Numbers::Whole } else { Numbers::Sixteenths };
-    let needs_fine_stamps = entry.effects.iter().any(|id| id.starts_with("timestamp")) || entry.condition == "shown_queue";
+    let needs_fine_stamps =
+        entry.effects.iter().any(|id| id.starts_with("timestamp")) || entry.condition == "shown_queue";
     let resolution = match random.unit() {
         u if u < 0.14 && !needs_fine_stamps => 20_000,
         u if u < 0.3 => 1,
@@ -116,7 +123,20 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
         "sensor_actual": physics.sensor.answer(),
     });
     let target = target.map(|target| target.file(&mut random));
-    Ok(Draft { size, nominal, physics, scene, timing, numbers, resolution, has_t_in, random, answer, at_limit, target })
+    Ok(Draft {
+        size,
+        nominal,
+        physics,
+        scene,
+        timing,
+        numbers,
+        resolution,
+        has_t_in,
+        random,
+        answer,
+        at_limit,
+        target,
+    })
 }
 
 /// Columns and rows.
@@ -133,25 +153,38 @@ fn threshold(nominal: &Sensor) -> f64 {
 }
 
 /// One of the fourteen families, at a pace that gives the events that are wanted.
-fn moving(plan: Plan, index: usize, entry: &Entry, nominal: &Sensor, timing: &Timing, size: [usize; 2], random: &mut Random) -> Picture {
+fn moving(
+    plan: Plan,
+    index: usize,
+    entry: &Entry,
+    nominal: &Sensor,
+    timing: &Timing,
+    size: [usize; 2],
+    random: &mut Random,
+) -> Picture {
     let name = match entry.family {
         "" => Family::NAMES[random.below(Family::NAMES.len())],
         name => name,
     };
     let edge = if entry.condition == "fast" { 0.5 } else { random.between(0.7, 1.3) };
     let family = Family::draw(name, random, size[0] as f64, size[1] as f64, edge);
-    let light = if entry.condition == "dim" { random.log_between(2.0, 6.0) } else { random.log_between(20.0, 200.0) };
+    let light =
+        if entry.condition == "dim" { random.log_between(2.0, 6.0) } else { random.log_between(20.0, 200.0) };
     let contrast = match entry.condition {
         "fast" => 0.9,
         "wide_range" => 1.5,
         _ => random.between(0.5, 0.95),
     };
-    let wants_light_range =
-        entry.effects.iter().any(|id| ["dark_current", "parasitic_leak", "refractory_light", "black_level"].contains(id)) || entry.law == Some("light");
+    let wants_light_range = entry
+        .effects
+        .iter()
+        .any(|id| ["dark_current", "parasitic_leak", "refractory_light", "black_level"].contains(id))
+        || entry.law == Some("light");
     let contrast = if wants_light_range { contrast.max(0.85) } else { contrast };
     // Half a threshold from trough to crest: it moves events, and does not fire the whole array by itself.
     let depth = 0.5 * (nominal.on + nominal.off) * random.between(0.2, 0.35);
-    let flicker = (entry.condition == "flicker").then(|| [depth, if index.is_multiple_of(2) { 100.0 } else { 120.0 }, random.between(0.0, 6.0)]);
+    let flicker = (entry.condition == "flicker")
+        .then(|| [depth, if index.is_multiple_of(2) { 100.0 } else { 120.0 }, random.between(0.0, 6.0)]);
     let mut scene = Scene { family, mean: libm::log(light), contrast, pace: 1.0, flicker };
     let events = match (plan, entry.condition) {
         (Plan::Long, _) => random.between(230e3, 330e3),
@@ -185,7 +218,8 @@ fn target(nominal: &Sensor, timing: &Timing, size: [usize; 2], random: &mut Rand
 /// Frames with photon and read noise, which is stated, or without any.
 fn noise_of_frames(nominal: &mut Sensor, noisy: bool, random: &mut Random) {
     nominal.states_frame_noise = noisy;
-    nominal.read_noise = if noisy { (random.between(30.0, 150.0) * nominal.saturation / 1023.0).round() / 100.0 } else { 0.0 };
+    nominal.read_noise =
+        if noisy { (random.between(30.0, 150.0) * nominal.saturation / 1023.0).round() / 100.0 } else { 0.0 };
     nominal.full_well = if noisy { random.between(8e3, 3e4).round() } else { 0.0 };
 }
 
@@ -264,7 +298,18 @@ fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
     let reset_at_start = random.chance(0.8);
     // The edges of a star are sharp: four times as many nodes, and steps as long as ever.
     let finer = if plan == Plan::Target { 4 } else { 1 };
-    (Timing { start, end: start + duration, reset_at_start, node: NODE / finer as f64, steps: STEPS / finer, exposures }, exposure, rate)
+    (
+        Timing {
+            start,
+            end: start + duration,
+            reset_at_start,
+            node: NODE / finer as f64,
+            steps: STEPS / finer,
+            exposures,
+        },
+        exposure,
+        rate,
+    )
 }
 
 /// How often the light itself moves by a threshold, over all pixels, and the brightest light.
@@ -302,10 +347,16 @@ fn set_pace(scene: &mut Scene, timing: &Timing, threshold: f64, target: f64, siz
 /// A law outside the catalogue by name, with its strengths drawn.
 fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String> {
     Ok(match name {
-        "hysteresis" => Law::Hysteresis { rise: random.log_between(0.3, 0.6), decay: random.log_between(3e-3, 8e-3) },
-        "frame_kick" => Law::FrameKick { rise: random.log_between(0.25, 0.5), decay: random.log_between(0.8e-3, 2e-3) },
+        "hysteresis" => {
+            Law::Hysteresis { rise: random.log_between(0.3, 0.6), decay: random.log_between(3e-3, 8e-3) }
+        }
+        "frame_kick" => {
+            Law::FrameKick { rise: random.log_between(0.25, 0.5), decay: random.log_between(0.8e-3, 2e-3) }
+        }
         "row_parity" => Law::RowParity { skew: random.log_between(0.06, 0.12) },
-        "fatigue" => Law::Fatigue { rise: random.log_between(0.06, 0.12), most: 5, gap: random.between(5e-3, 8e-3) },
+        "fatigue" => {
+            Law::Fatigue { rise: random.log_between(0.06, 0.12), most: 5, gap: random.between(5e-3, 8e-3) }
+        }
         "column_block" => {
             let spread = random.log_between(0.07, 0.13);
             let mut factors: Vec<f64> = (0..setting.width / 8).map(|_| spread * random.normal()).collect();
@@ -313,19 +364,36 @@ fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String
             factors.iter_mut().for_each(|f| *f += 1.0 - mean);
             Law::ColumnBlock { width: 8, factors }
         }
-        "neighbour_delay" => Law::NeighbourDelay { delay: random.log_between(200e-6, 400e-6), window: random.between(300e-6, 600e-6) },
-        "ripple" => {
-            Law::Ripple { depth: random.log_between(0.1, 0.2), frequency: if random.chance(0.5) { 180.0 } else { 240.0 }, phase: random.between(0.0, 6.0) }
-        }
+        "neighbour_delay" => Law::NeighbourDelay {
+            delay: random.log_between(200e-6, 400e-6),
+            window: random.between(300e-6, 600e-6),
+        },
+        "ripple" => Law::Ripple {
+            depth: random.log_between(0.1, 0.2),
+            frequency: if random.chance(0.5) { 180.0 } else { 240.0 },
+            phase: random.between(0.0, 6.0),
+        },
         "row_reset" => Law::RowReset { per_row: whole_ns(random.log_between(10e-6, 20e-6)) },
         "spatial_gradient" => Law::SpatialGradient { rise: random.log_between(0.15, 0.3), scale: 0.1 },
-        "global_rate" => Law::GlobalRate { rise: random.log_between(0.2, 0.35), memory: random.between(1e-3, 2e-3), mean: setting.rate },
-        "row_rate" => Law::RowRate { rise: random.log_between(0.15, 0.3), memory: random.between(2e-3, 4e-3), mean: setting.rate / setting.height as f64 },
+        "global_rate" => Law::GlobalRate {
+            rise: random.log_between(0.2, 0.35),
+            memory: random.between(1e-3, 2e-3),
+            mean: setting.rate,
+        },
+        "row_rate" => Law::RowRate {
+            rise: random.log_between(0.15, 0.3),
+            memory: random.between(2e-3, 4e-3),
+            mean: setting.rate / setting.height as f64,
+        },
         "polarity_delay" => Law::PolarityDelay { delay: whole_ns(random.log_between(200e-6, 500e-6)) },
         "light" => Law::Light { rise: random.sign() * random.log_between(0.1, 0.2), middle: setting.light },
         "radius" => Law::Radius { rise: random.sign() * random.log_between(0.08, 0.16) },
         "slow_comparator" => Law::SlowComparator { strength: random.log_between(1e-3, 2e-3), most: 1e-3 },
-        "telegraph" => Law::Telegraph { share: random.between(0.25, 0.4), jump: random.log_between(0.15, 0.3), dwell: random.between(15e-3, 30e-3) },
+        "telegraph" => Law::Telegraph {
+            share: random.between(0.25, 0.4),
+            jump: random.log_between(0.15, 0.3),
+            dwell: random.between(15e-3, 30e-3),
+        },
         "lag" => Law::Lag { rise: random.log_between(0.3, 0.6) },
         _ => return Err(format!("law `{name}`: no such law; see `law.rs`")),
     })
@@ -347,17 +415,28 @@ mod tests {
                 assert_eq!(draft.target.is_some(), plan == Plan::Target);
             }
         }
-        let setting = Setting { light: 50.0, period: 0.01, readout_phase: 0.0, width: 72, height: 54, rate: 3e5 };
+        let setting =
+            Setting { light: 50.0, period: 0.01, readout_phase: 0.0, width: 72, height: 54, rate: 3e5 };
         for entry in PLAN {
             let mut random = Random::named("strengths");
             let mut physics = Physics::of(Sensor { alpha: 1e-3, ..sensor(0, entry, &mut random) });
             for id in entry.effects {
-                let concealed = effect::conceal(id, &mut physics, &setting, &mut random).expect("an effect of the plan");
-                assert_eq!(concealed.at_limit.is_none(), ["large_signal_front_end", "refractory:law"].contains(id), "{id}");
-                assert!(concealed.at_limit.is_none_or(|times| (1.0..7.0).contains(&times)), "{id}: {:?}", concealed.at_limit);
+                let concealed =
+                    effect::conceal(id, &mut physics, &setting, &mut random).expect("an effect of the plan");
+                assert_eq!(
+                    concealed.at_limit.is_none(),
+                    ["large_signal_front_end", "refractory:law"].contains(id),
+                    "{id}"
+                );
+                assert!(
+                    concealed.at_limit.is_none_or(|times| (1.0..7.0).contains(&times)),
+                    "{id}: {:?}",
+                    concealed.at_limit
+                );
                 for (key, value) in concealed.answer["parameters"].as_object().expect("an object") {
                     assert!(
-                        value["actual"] != value["nominal"] || ["full_scale_dn", "row_time_s", "phase_s", "every"].contains(&key.as_str()),
+                        value["actual"] != value["nominal"]
+                            || ["full_scale_dn", "row_time_s", "phase_s", "every"].contains(&key.as_str()),
                         "{id}: {key} {value}"
                     );
                 }

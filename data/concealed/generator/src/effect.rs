@@ -1,6 +1,7 @@
 //! The effects of the catalogue: for each id, how strong it is drawn and what it changes.
 //!
-//! Ids, parameters, units and signs are those of the project's file formats; strengths are what an engineer would want to be told of.
+//! Ids, parameters, units and signs are those of the project's file formats; strengths are what an engineer
+//! would want to be told of.
 
 use crate::random::Random;
 use crate::sensor::{Physics, Queue, Reset};
@@ -104,7 +105,12 @@ fn strength(random: &mut Random, at_limit: &mut Option<f64>, low: f64, high: f64
 ///
 /// # Errors
 /// An id that is not in the catalogue.
-pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut Random) -> Result<Concealed, String> {
+pub fn conceal(
+    id: &str,
+    physics: &mut Physics,
+    setting: &Setting,
+    random: &mut Random,
+) -> Result<Concealed, String> {
     let mut parameters = Map::new();
     let (mut equation, mut at_limit) = (None, None);
     let mut say = |name: &str, actual: f64, nominal: f64, unit: &str| {
@@ -124,7 +130,11 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
         }
         "time_constant" => {
             let nominal = sensor.alpha;
-            let (factor, limit) = if variant == "less" { (random.between(0.3, 0.5), 0.5) } else { (random.log_between(1.8, 3.0), 1.8) };
+            let (factor, limit) = if variant == "less" {
+                (random.between(0.3, 0.5), 0.5)
+            } else {
+                (random.log_between(1.8, 3.0), 1.8)
+            };
             at_limit = Some((factor - 1.0) / (limit - 1.0));
             sensor.alpha = whole_ns(nominal * factor);
             say("alpha_s", sensor.alpha, nominal, "s");
@@ -175,7 +185,8 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
         }
         "threshold_noise" => {
             let sigma = strength(random, &mut at_limit, 0.02, 0.045);
-            sensor.threshold_noise = libm::sqrt(sensor.threshold_noise * sensor.threshold_noise + sigma * sigma);
+            sensor.threshold_noise =
+                libm::sqrt(sensor.threshold_noise * sensor.threshold_noise + sigma * sigma);
             say("sigma", sigma, 0.0, "ln");
         }
         "threshold_drift" => {
@@ -188,7 +199,11 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
         }
         "refractory" if variant == "law" => {
             sensor.reset = if random.chance(0.5) { Reset::Advance } else { Reset::AdvanceLossy };
-            equation = Some(format!("V_ref moves by one threshold at t_in (`{}`), and not to V at t_off + refractory", sensor.reset.name()));
+            equation = Some(format!(
+                "V_ref moves by one threshold at t_in (`{}`), and not to V at t_off + \
+                                     refractory",
+                sensor.reset.name()
+            ));
         }
         "refractory" => {
             let nominal = sensor.refractory;
@@ -206,7 +221,11 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
             say("coefficient", physics.refractory_light, 0.0, "1/photocurrent");
         }
         "reset_memory" => {
-            physics.memory = if variant == "over" { -strength(random, &mut at_limit, 0.06, 0.1) } else { strength(random, &mut at_limit, 0.07, 0.2) };
+            physics.memory = if variant == "over" {
+                -strength(random, &mut at_limit, 0.06, 0.1)
+            } else {
+                strength(random, &mut at_limit, 0.07, 0.2)
+            };
             say("fraction", physics.memory, 0.0, "fraction");
         }
         "leak_events" => {
@@ -233,14 +252,16 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
             physics.hot_rows = vec![first, first + 2 + random.below(setting.height / 2 - 4)];
             physics.hot_row_rate = strength(random, &mut at_limit, 60.0, 200.0);
             say("rate_hz", physics.hot_row_rate, 0.0, "Hz");
-            parameters.insert("rows".into(), json!({ "actual": physics.hot_rows, "nominal": [], "unit": "index" }));
+            parameters
+                .insert("rows".into(), json!({ "actual": physics.hot_rows, "nominal": [], "unit": "index" }));
         }
         "lateral_inhibition" => {
             physics.lateral = strength(random, &mut at_limit, 0.15, 0.4);
             say("fraction", physics.lateral, 0.0, "fraction");
         }
         "readout_queue" => {
-            // In units of the mean time between two events of the array: a load of 0.5 to 0.8, with bursts above 1.
+            // In units of the mean time between two events of the array: a load of 0.5 to 0.8, with bursts
+            // above 1.
             let load = random.between(0.5, 0.8);
             at_limit = Some(load / 0.5);
             let service = whole_ns(load / setting.rate);
@@ -272,7 +293,8 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
             say("sigma_s", physics.skew_sigma, 0.0, "s");
         }
         "row_skew" => {
-            // Towards late: the first rows' stamps stay as they are, and nothing comes before the recording's start.
+            // Towards late: the first rows' stamps stay as they are, and nothing comes before the recording's
+            // start.
             physics.skew_per_row = whole_ns(strength(random, &mut at_limit, 6e-6, 20e-6));
             say("per_row_s", physics.skew_per_row, 0.0, "s");
         }
@@ -286,7 +308,8 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
             say("row_time_s", sensor.row_time, 0.0, "s");
         }
         "misalignment" => {
-            let (size, angle) = (strength(random, &mut at_limit, 0.4, 1.0), random.between(0.0, 2.0 * std::f64::consts::PI));
+            let (size, angle) =
+                (strength(random, &mut at_limit, 0.4, 1.0), random.between(0.0, 2.0 * std::f64::consts::PI));
             physics.shift = [size * libm::cos(angle), size * libm::sin(angle)];
             say("shift_x", physics.shift[0], 0.0, "px");
             say("shift_y", physics.shift[1], 0.0, "px");
@@ -302,7 +325,9 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
         "black_level" => {
             let nominal = sensor.black;
             // More in a sensor with more codes: the same share of full scale.
-            sensor.black = (nominal + strength(random, &mut at_limit, 25.0, 45.0) * (sensor.saturation / 1023.0)).round();
+            sensor.black = (nominal
+                + strength(random, &mut at_limit, 25.0, 45.0) * (sensor.saturation / 1023.0))
+                .round();
             say("black_level_dn", sensor.black, nominal, "DN");
         }
         "frame_nonlinearity" => {

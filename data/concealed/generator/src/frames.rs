@@ -3,7 +3,8 @@
 use crate::random::Random;
 use crate::sensor::Physics;
 
-/// How numbers are kept: whole (u16) or in sixteenths of a DN (f32), as a converter with four more bits would.
+/// How numbers are kept: whole (u16) or in sixteenths of a DN (f32), as a converter with four more bits
+/// would.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Numbers {
     Whole,
@@ -11,7 +12,13 @@ pub enum Numbers {
 }
 
 /// Digital numbers of all frames from their charges (photocurrent x s).
-pub fn digitise(charge: &[Vec<f64>], physics: &Physics, width: usize, numbers: Numbers, random: &mut Random) -> Vec<Vec<f64>> {
+pub fn digitise(
+    charge: &[Vec<f64>],
+    physics: &Physics,
+    width: usize,
+    numbers: Numbers,
+    random: &mut Random,
+) -> Vec<Vec<f64>> {
     let sensor = &physics.sensor;
     let height = charge.first().map_or(1, |frame| frame.len() / width);
     let (cx, cy) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));

@@ -1,4 +1,5 @@
-//! The front end of all pixels: one step of time, each low-pass by its exact exponential for an input that is a straight line.
+//! The front end of all pixels: one step of time, each low-pass by its exact exponential for an input that is
+//! a straight line.
 
 use crate::light::{Node, cubic};
 use crate::sensor::Physics;
@@ -27,9 +28,21 @@ pub struct FrontEnd {
 }
 
 /// 1 / n!, with alternating signs, from n = 9 down.
-const SERIES: [f64; 10] = [-1.0 / 362_880.0, 1.0 / 40_320.0, -1.0 / 5040.0, 1.0 / 720.0, -1.0 / 120.0, 1.0 / 24.0, -1.0 / 6.0, 0.5, -1.0, 1.0];
+const SERIES: [f64; 10] = [
+    -1.0 / 362_880.0,
+    1.0 / 40_320.0,
+    -1.0 / 5040.0,
+    1.0 / 720.0,
+    -1.0 / 120.0,
+    1.0 / 24.0,
+    -1.0 / 6.0,
+    0.5,
+    -1.0,
+    1.0,
+];
 
-/// `exp(-z)` for 0 <= z < 0.3: the series to the ninth power, wrong by 2e-12 at most; without a call the loops run on lanes.
+/// `exp(-z)` for 0 <= z < 0.3: the series to the ninth power, wrong by 2e-12 at most; without a call the
+/// loops run on lanes.
 #[inline]
 fn decay(z: f64) -> f64 {
     let mut sum = SERIES[0];
@@ -68,7 +81,8 @@ impl FrontEnd {
         }
     }
 
-    /// One step of `h` seconds that ends at `u` (0 .. 1) between the nodes 1 and 2 of `nodes` and began at `from`.
+    /// One step of `h` seconds that ends at `u` (0 .. 1) between the nodes 1 and 2 of `nodes` and began at
+    /// `from`.
     pub fn step(&mut self, nodes: &[Node; 4], from: f64, u: f64, h: f64, physics: &Physics) {
         let n = self.first.len();
         let (end, middle) = (cubic(u), cubic(0.5 * (from + u)));
@@ -85,7 +99,8 @@ impl FrontEnd {
             light[p] = i;
             new[p] = if physics.large_signal { old[p] } else { follow(old[p], settled[p], to, z) };
             if physics.large_signal {
-                // dx/dt = -(1 - exp(-x)) / tau for x = settled - V is solved by exp(x) - 1 ~ exp(-t / tau); input at mid-step.
+                // dx/dt = -(1 - exp(-x)) / tau for x = settled - V is solved by exp(x) - 1 ~ exp(-t / tau);
+                // input at mid-step.
                 let input = 0.5 * (settled[p] + to);
                 new[p] = input - libm::log1p(libm::expm1(input - old[p]) * decay(z));
             }
@@ -110,8 +125,8 @@ impl FrontEnd {
             output.copy_from_slice(new);
         }
         if physics.high_pass.is_finite() {
-            // The comparator sees what is left after the resting value, a slow low-pass of the voltage, is taken away:
-            // U = V - rest with d rest/dt = U / tau is dU/dt = dV/dt - U / tau.
+            // The comparator sees what is left after the resting value, a slow low-pass of the voltage, is
+            // taken away: U = V - rest with d rest/dt = U / tau is dU/dt = dV/dt - U / tau.
             let z = h / physics.high_pass;
             for p in 0..n {
                 let (v_old, v_new) = (self.before[p] + self.rest[p], self.now[p]);
@@ -121,7 +136,8 @@ impl FrontEnd {
         }
     }
 
-    /// What the comparator of pixel `p` sees at `u` (0 .. 1) inside the latest step: the parabola through three ends of steps.
+    /// What the comparator of pixel `p` sees at `u` (0 .. 1) inside the latest step: the parabola through
+    /// three ends of steps.
     pub fn within(&self, p: usize, u: f64) -> f64 {
         let (before, now) = (self.before[p], self.now[p]);
         before + (now - before) * u + 0.5 * (now - 2.0 * before + self.earlier[p]) * u * (u - 1.0)
@@ -131,7 +147,10 @@ impl FrontEnd {
     pub fn kick(&mut self, range: std::ops::Range<usize>, jump: f64) {
         self.first[range.clone()].iter_mut().for_each(|v| *v += jump);
         if self.unfiltered {
-            [&mut self.now, &mut self.before].into_iter().flat_map(|of| &mut of[range.clone()]).for_each(|v| *v += jump);
+            [&mut self.now, &mut self.before]
+                .into_iter()
+                .flat_map(|of| &mut of[range.clone()])
+                .for_each(|v| *v += jump);
         }
     }
 }

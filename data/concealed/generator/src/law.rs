@@ -33,33 +33,41 @@ pub enum Law {
     Light { rise: f64, middle: f64 },
     /// Threshold x (1 + rise (2 r^2 - 1)), r from 0 (centre) to 1 (corner).
     Radius { rise: f64 },
-    /// The comparator takes `strength / sqrt(|dV/dt|)` to decide, at most `most`; stamp and reset come that much later.
+    /// The comparator takes `strength / sqrt(|dV/dt|)` to decide, at most `most`; stamp and reset come that
+    /// much later.
     SlowComparator { strength: f64, most: f64 },
-    /// In a share of the pixels the threshold jumps between x (1 + jump) and x (1 - jump), each state lasting `dwell` on average.
+    /// In a share of the pixels the threshold jumps between x (1 + jump) and x (1 - jump), each state lasting
+    /// `dwell` on average.
     Telegraph { share: f64, jump: f64, dwell: f64 },
     /// Threshold x (1 + rise min(|ln i - V|, 0.3) / 0.1).
     Lag { rise: f64 },
 }
 
 impl Law {
-    /// What the law is called in the list of answers, in words, the covariates that are right, where it acts, and its numbers.
+    /// What the law is called in the list of answers, in words, the covariates that are right, where it acts,
+    /// and its numbers.
     pub fn answer(&self) -> Value {
         let (words, covariates, insertion, parameters): (&str, &[&str], &str, Value) = match self {
             Self::Hysteresis { rise, decay } => (
-                "both thresholds are raised after an event of the pixel and relax exponentially with the time since it",
+                "both thresholds are raised after an event of the pixel and relax exponentially with the \
+                 time since it",
                 &["time_since_last_event"],
                 "comparator",
                 json!({ "rise": rise, "decay_s": decay }),
             ),
             Self::FrameKick { rise, decay } => (
-                "both thresholds are raised after each frame's readout of the pixel's row and relax exponentially",
+                "both thresholds are raised after each frame's readout of the pixel's row and relax \
+                 exponentially",
                 &["frame_phase"],
                 "comparator",
                 json!({ "rise": rise, "decay_s": decay }),
             ),
-            Self::RowParity { skew } => {
-                ("both thresholds are higher in even rows and lower in odd ones", &["row_parity", "row"], "comparator", json!({ "skew": skew }))
-            }
+            Self::RowParity { skew } => (
+                "both thresholds are higher in even rows and lower in odd ones",
+                &["row_parity", "row"],
+                "comparator",
+                json!({ "skew": skew }),
+            ),
             Self::Fatigue { rise, most, gap } => (
                 "both thresholds rise with the index of the event in its burst, up to a limit",
                 &["burst_index"],
@@ -85,7 +93,8 @@ impl Law {
                 json!({ "depth": depth, "frequency_hz": frequency, "phase": phase }),
             ),
             Self::RowReset { per_row } => (
-                "the reference is renewed later in later rows, by an amount linear in the row; stamps do not show it",
+                "the reference is renewed later in later rows, by an amount linear in the row; stamps do \
+                 not show it",
                 &["row*slope", "row"],
                 "reset",
                 json!({ "per_row_s": per_row }),
@@ -108,24 +117,34 @@ impl Law {
                 "comparator",
                 json!({ "rise": rise, "memory_s": memory, "mean_rate_hz": mean }),
             ),
-            Self::PolarityDelay { delay } => ("OFF events are stamped late by a constant", &["polarity"], "time", json!({ "delay_s": delay })),
+            Self::PolarityDelay { delay } => (
+                "OFF events are stamped late by a constant",
+                &["polarity"],
+                "time",
+                json!({ "delay_s": delay }),
+            ),
             Self::Light { rise, middle } => (
                 "both thresholds grow with the logarithm of the light",
                 &["photocurrent", "dn"],
                 "comparator",
                 json!({ "rise_per_ln": rise, "middle": middle }),
             ),
-            Self::Radius { rise } => {
-                ("both thresholds grow with the square of the distance from the centre", &["radius"], "comparator", json!({ "rise": rise }))
-            }
+            Self::Radius { rise } => (
+                "both thresholds grow with the square of the distance from the centre",
+                &["radius"],
+                "comparator",
+                json!({ "rise": rise }),
+            ),
             Self::SlowComparator { strength, most } => (
-                "the comparator decides late by a constant over the root of the voltage's slope; stamp and reset come later by it",
+                "the comparator decides late by a constant over the root of the voltage's slope; stamp and \
+                 reset come later by it",
                 &["slope"],
                 "comparator",
                 json!({ "strength": strength, "most_s": most }),
             ),
             Self::Telegraph { share, jump, dwell } => (
-                "in a share of the pixels both thresholds jump to and fro between two values at random instants",
+                "in a share of the pixels both thresholds jump to and fro between two values at random \
+                 instants",
                 &["pixel", "pixel*time", "time"],
                 "comparator",
                 json!({ "share": share, "jump": jump, "dwell_s": dwell }),

@@ -1,6 +1,7 @@
 //! Light at the event pixels and in the frames, at nodes in time and between them.
 //!
-//! The scene's formula is evaluated every 32 us, a star's every 8; between nodes light is the cubic through the four nearest ones.
+//! The scene's formula is evaluated every 32 us, a star's every 8; between nodes light is the cubic through
+//! the four nearest ones.
 
 use crate::optics::{self, MARGIN};
 use crate::scene::{Grid, Scene};
@@ -51,7 +52,12 @@ impl<'a> Light<'a> {
     pub fn new(scene: &'a Scene, physics: &'a Physics, width: usize, height: usize) -> Self {
         let margin = if physics.blur + physics.crosstalk + physics.lateral > 0.0 { MARGIN } else { 0 };
         let reach = margin as f64;
-        let wide = Grid { left: -reach - physics.shift[0], top: -reach - physics.shift[1], columns: width + 2 * margin, rows: height + 2 * margin };
+        let wide = Grid {
+            left: -reach - physics.shift[0],
+            top: -reach - physics.shift[1],
+            columns: width + 2 * margin,
+            rows: height + 2 * margin,
+        };
         let area = wide.columns * wide.rows;
         let blur = (physics.blur > 0.0).then(|| optics::gaussian(physics.blur));
         Self { scene, physics, width, height, wide, blur, buffer: vec![0.0; area], scratch: vec![0.0; area] }
@@ -94,7 +100,10 @@ impl<'a> Light<'a> {
             node.frames.copy_from_slice(&node.events);
         }
         if self.physics.dark > 0.0 {
-            node.settled.iter_mut().zip(&node.events).for_each(|(l, i)| *l += libm::log1p(self.physics.dark / i));
+            node.settled
+                .iter_mut()
+                .zip(&node.events)
+                .for_each(|(l, i)| *l += libm::log1p(self.physics.dark / i));
         }
     }
 

@@ -1,4 +1,5 @@
-//! What is written beside the recordings: the list of their digests, and the answers, in one file or in two halves.
+//! What is written beside the recordings: the list of their digests, and the answers, in one file or in two
+//! halves.
 //!
 //! With two halves one can be scored and learnt from first, and the other opened once at the end.
 
@@ -35,13 +36,15 @@ fn id(answer: &Value) -> &str {
     file.rsplit('/').next().unwrap_or_default().trim_end_matches(".h5")
 }
 
-/// The answers in two halves: in the order of the hashes of their names the odd places, which may be looked at first, and the even ones.
-/// Each half is in the order of names, so that the order does not give the plan away.
+/// The answers in two halves: in the order of the hashes of their names the odd places, which may be looked
+/// at first, and the even ones. Each half is in the order of names, so that the order does not give the plan
+/// away.
 pub fn halves(answers: &[Value]) -> [Vec<Value>; 2] {
     let mut ordered: Vec<&Value> = answers.iter().collect();
     ordered.sort_by_key(|answer| sha256(id(answer).as_bytes()));
     let half = |first: usize| {
-        let mut half: Vec<Value> = ordered.iter().skip(first).step_by(2).map(|answer| (*answer).clone()).collect();
+        let mut half: Vec<Value> =
+            ordered.iter().skip(first).step_by(2).map(|answer| (*answer).clone()).collect();
         half.sort_by(|a, b| id(a).cmp(id(b)));
         half
     };
@@ -51,20 +54,32 @@ pub fn halves(answers: &[Value]) -> [Vec<Value>; 2] {
 /// The list of recordings beside them; it does not give away what they conceal.
 fn list(version: &Version, answers: &[Value]) -> String {
     let row = |answer: &Value| {
-        format!("| `{}.h5` | {} | {} | `{}` |\n", id(answer), answer["bytes"], answer["events"], answer["sha256"].as_str().unwrap_or_default())
+        format!(
+            "| `{}.h5` | {} | {} | `{}` |\n",
+            id(answer),
+            answer["bytes"],
+            answer["events"],
+            answer["sha256"].as_str().unwrap_or_default()
+        )
     };
     let mut rows: Vec<String> = answers.iter().map(row).collect();
     rows.sort();
     let about = if version.is_plain() {
-        "Written by [the generator](../generator) together with the recordings; do not edit.\nWhat they are, how they are made and under which licence: [README.md](../README.md).".to_owned()
+        "Written by [the generator](../generator) together with the recordings; do not edit.\nWhat they \
+         are, how they are made and under which licence: [README.md](../README.md)."
+            .to_owned()
     } else {
         format!(
-            "Written by the generator of `data/concealed` together with the recordings: plan `{}`, seed `{}`.\nWhat they are, how they are made and under which licence: `data/concealed/README.md`.",
+            "Written by the generator of `data/concealed` together with the recordings: plan `{}`, seed \
+             `{}`.\nWhat they are, how they are made and under which licence: `data/concealed/README.md`.",
             version.plan.name(),
             version.seed
         )
     };
-    format!("# Recordings\n\n{about}\n\n| file | bytes | events | SHA-256 |\n| --- | --- | --- | --- |\n{}", rows.concat())
+    format!(
+        "# Recordings\n\n{about}\n\n| file | bytes | events | SHA-256 |\n| --- | --- | --- | --- |\n{}",
+        rows.concat()
+    )
 }
 
 /// The answers as a document.
@@ -94,13 +109,21 @@ fn document(version: &Version, part: Option<&str>, answers: &[Value]) -> Value {
 /// # Errors
 /// What the file system says, with the file's name.
 pub fn write(version: &Version, answers: &[Value]) -> Result<(), String> {
-    let save = |path: &Path, text: &str| std::fs::write(path, text).map_err(|error| format!("{}: cannot be written: {error}", path.display()));
+    let save = |path: &Path, text: &str| {
+        std::fs::write(path, text).map_err(|error| format!("{}: cannot be written: {error}", path.display()))
+    };
     let answer = |path: &Path, part: Option<&str>, answers: &[Value]| {
-        let text = serde_json::to_string_pretty(&document(version, part, answers)).map_err(|error| format!("answers: {error}"))?;
+        let text = serde_json::to_string_pretty(&document(version, part, answers))
+            .map_err(|error| format!("answers: {error}"))?;
         save(path, &(text + "\n"))
     };
     if version.is_plain() {
-        let beside = version.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")).join("answers.json");
+        let beside = version
+            .out
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty())
+            .unwrap_or(Path::new("."))
+            .join("answers.json");
         answer(&beside, None, answers)?;
     } else if version.blind {
         let [open, blind] = halves(answers);
@@ -120,12 +143,15 @@ mod tests {
     #[test]
     fn the_two_halves_are_disjoint_and_complete() {
         for n in [1usize, 2, 12, 24, 120, 121] {
-            let answers: Vec<Value> = (0..n).map(|k| json!({ "file": format!("recordings/{:08x}.h5", k * 7_919_111) })).collect();
-            let [open, blind] = halves(&answers).map(|half| half.iter().map(|answer| id(answer).to_owned()).collect::<BTreeSet<String>>());
+            let answers: Vec<Value> =
+                (0..n).map(|k| json!({ "file": format!("recordings/{:08x}.h5", k * 7_919_111) })).collect();
+            let [open, blind] = halves(&answers)
+                .map(|half| half.iter().map(|answer| id(answer).to_owned()).collect::<BTreeSet<String>>());
             assert!(open.is_disjoint(&blind));
             assert_eq!((open.len(), blind.len()), (n.div_ceil(2), n / 2));
             assert_eq!(open.union(&blind).count(), n);
-            // Which half a recording is in hangs on names alone, and not on the order in which recordings are made.
+            // Which half a recording is in hangs on names alone, and not on the order in which recordings are
+            // made.
             let turned: Vec<Value> = answers.iter().rev().cloned().collect();
             assert_eq!(halves(&turned), halves(&answers));
         }
@@ -138,6 +164,9 @@ mod tests {
         let keys: Vec<&String> = stored.as_object().expect("an object").keys().collect();
         assert_eq!(keys, ["schema", "seed", "width", "height", "recordings"]);
         let half = document(&version(Plan::Target, true), Some("blind"), &[]);
-        assert_eq!((&half["plan"], &half["part"], half.get("width")), (&json!("target"), &json!("blind"), None));
+        assert_eq!(
+            (&half["plan"], &half["part"], half.get("width")),
+            (&json!("target"), &json!("blind"), None)
+        );
     }
 }

@@ -1,6 +1,8 @@
-//! Makes the recordings of sensors that conceal an effect, and the list of answers: `cargo run --release -- --out ../recordings`.
+//! Makes the recordings of sensors that conceal an effect, and the list of answers:
+//! `cargo run --release -- --out ../recordings`.
 //!
-//! Nothing here is shared with the engine that the recordings examine: own scenes, own integrator, own random numbers.
+//! Nothing here is shared with the engine that the recordings examine: own scenes, own integrator, own random
+//! numbers.
 
 mod array;
 mod digest;
@@ -57,17 +59,30 @@ fn options(mut words: impl Iterator<Item = String>) -> Result<Options, String> {
             continue;
         }
         let value = words.next().ok_or_else(|| format!("{word}: no value\n{USAGE}"))?;
-        let number = |text: &str| text.parse::<usize>().map_err(|_| format!("{word} {value}: `{text}` is not a whole number\n{USAGE}"));
+        let number = |text: &str| {
+            text.parse::<usize>().map_err(|_| {
+                format!(
+                    "{word} {value}: `{text}` is \
+                                                            not a whole number\n{USAGE}"
+                )
+            })
+        };
         match word.as_str() {
             "--out" => options.version.out = PathBuf::from(&value),
             "--plan" => {
                 let plan = Plan::ALL.into_iter().find(|plan| plan.name() == value);
-                options.version.plan = plan.ok_or_else(|| format!("{word} {value}: no such plan\n{USAGE}"))?;
+                options.version.plan =
+                    plan.ok_or_else(|| format!("{word} {value}: no such plan\n{USAGE}"))?;
             }
             "--seed" => options.version.seed = value,
             "--threads" => options.threads = number(&value)?.max(1),
             "--only" => {
-                let (first, last) = value.split_once("..").ok_or_else(|| format!("{word} {value}: not of the form 3..7\n{USAGE}"))?;
+                let (first, last) = value.split_once("..").ok_or_else(|| {
+                    format!(
+                        "{word} {value}: not of \
+                                                            the form 3..7\n{USAGE}"
+                    )
+                })?;
                 options.only = Some(number(first)?..number(last)?);
             }
             _ => return Err(format!("{word}: no such option\n{USAGE}")),
@@ -88,7 +103,8 @@ fn id(version: &Version, index: usize) -> String {
 fn make(index: usize, version: &Version) -> Result<Value, String> {
     let mut draft = draw(version.plan, index, &version.seed)?;
     let [width, height] = draft.size;
-    let (events, charge) = array::run(&draft.scene, &draft.physics, width, height, &draft.timing, &mut draft.random);
+    let (events, charge) =
+        array::run(&draft.scene, &draft.physics, width, height, &draft.timing, &mut draft.random);
     let frames = frames::digitise(&charge, &draft.physics, width, draft.numbers, &mut draft.random);
     let stamped = stamps::stamp(&events, &draft.physics, width, height, draft.resolution, &mut draft.random);
     let id = id(version, index);
@@ -97,9 +113,11 @@ fn make(index: usize, version: &Version) -> Result<Value, String> {
     write::write(&path, &draft, &stamped, &frames)?;
     if let Some(target) = &draft.target {
         let path = version.out.join(format!("{id}.target.toml"));
-        std::fs::write(&path, target).map_err(|error| format!("{}: cannot be written: {error}", path.display()))?;
+        std::fs::write(&path, target)
+            .map_err(|error| format!("{}: cannot be written: {error}", path.display()))?;
     }
-    let bytes = std::fs::read(&path).map_err(|error| format!("{}: cannot be read back: {error}", path.display()))?;
+    let bytes =
+        std::fs::read(&path).map_err(|error| format!("{}: cannot be read back: {error}", path.display()))?;
     let mut answer = json!({ "file": version.file(&name), "sha256": sha256_hex(&bytes), "bytes": bytes.len(), "events": stamped.len() });
     if version.plan == Plan::Target {
         answer["width"] = width.into();
@@ -116,9 +134,11 @@ fn make(index: usize, version: &Version) -> Result<Value, String> {
 
 fn all(options: &Options) -> Result<(), String> {
     let version = &options.version;
-    std::fs::create_dir_all(&version.out).map_err(|error| format!("{}: cannot be made: {error}", version.out.display()))?;
+    std::fs::create_dir_all(&version.out)
+        .map_err(|error| format!("{}: cannot be made: {error}", version.out.display()))?;
     let most = version.plan.entries().len();
-    let mut order: Vec<usize> = options.only.clone().unwrap_or(0..most).filter(|index| *index < most).collect();
+    let mut order: Vec<usize> =
+        options.only.clone().unwrap_or(0..most).filter(|index| *index < most).collect();
     if version.blind {
         // Neither what is told on the way nor the files' times show the order of the plan.
         order.sort_by_key(|index| id(version, *index));
@@ -132,7 +152,14 @@ fn all(options: &Options) -> Result<(), String> {
                     let answer = make(*index, version);
                     let mut made = made.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                     if let Ok(answer) = &answer {
-                        eprintln!("{:3} of {} {} {} events, {} bytes", made.len() + 1, order.len(), answer["file"], answer["events"], answer["bytes"]);
+                        eprintln!(
+                            "{:3} of {} {} {} events, {} bytes",
+                            made.len() + 1,
+                            order.len(),
+                            answer["file"],
+                            answer["events"],
+                            answer["bytes"]
+                        );
                     }
                     made.push((*index, answer));
                 }

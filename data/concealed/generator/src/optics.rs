@@ -1,16 +1,19 @@
-//! What happens to the picture between the scene and the event pixels, on a grid with a margin around the array.
+//! What happens to the picture between the scene and the event pixels, on a grid with a margin around the
+//! array.
 
 use crate::scene::Grid;
 
 /// Pixels around the array that optics may draw on.
 pub const MARGIN: usize = 4;
 
-/// The discrete Gaussian of variance `sigma^2` (Lindeberg 1990): `exp(-s) I_n(s)` with `s = sigma^2`, for n = 0 .. MARGIN.
+/// The discrete Gaussian of variance `sigma^2` (Lindeberg 1990): `exp(-s) I_n(s)` with `s = sigma^2`, for n =
+/// 0 .. MARGIN.
 pub fn gaussian(sigma: f64) -> [f64; MARGIN + 1] {
     let s = sigma * sigma;
     let mut weights = [0.0; MARGIN + 1];
     for (n, weight) in weights.iter_mut().enumerate() {
-        // The power series of the modified Bessel function; s is about 1 at most, so a few terms give all digits.
+        // The power series of the modified Bessel function; s is about 1 at most, so a few terms give all
+        // digits.
         let mut term = 1.0;
         for k in 1..=n {
             term *= 0.5 * s / k as f64;
@@ -33,13 +36,24 @@ pub fn blur(light: &mut [f64], grid: &Grid, weights: &[f64; MARGIN + 1], scratch
     let near = |at: usize, step: isize, end: usize| (at as isize + step).clamp(0, end as isize - 1) as usize;
     for y in 0..h {
         for x in 0..w {
-            let sum: f64 = (1..=MARGIN).map(|n| weights[n] * (light[y * w + near(x, n as isize, w)] + light[y * w + near(x, -(n as isize), w)])).sum();
+            let sum: f64 = (1..=MARGIN)
+                .map(|n| {
+                    weights[n]
+                        * (light[y * w + near(x, n as isize, w)] + light[y * w + near(x, -(n as isize), w)])
+                })
+                .sum();
             scratch[y * w + x] = weights[0] * light[y * w + x] + sum;
         }
     }
     for y in 0..h {
         for x in 0..w {
-            let sum: f64 = (1..=MARGIN).map(|n| weights[n] * (scratch[near(y, n as isize, h) * w + x] + scratch[near(y, -(n as isize), h) * w + x])).sum();
+            let sum: f64 = (1..=MARGIN)
+                .map(|n| {
+                    weights[n]
+                        * (scratch[near(y, n as isize, h) * w + x]
+                            + scratch[near(y, -(n as isize), h) * w + x])
+                })
+                .sum();
             light[y * w + x] = weights[0] * scratch[y * w + x] + sum;
         }
     }
@@ -55,7 +69,8 @@ pub fn inhibit(log_light: &mut [f64], grid: &Grid, fraction: f64, scratch: &mut 
     around(log_light, grid, scratch, |own, four, corners| own - 0.125 * fraction * (four + corners));
 }
 
-/// Replaces every value but the outermost by a function of itself, the sum of its 4 nearest and the sum of its 4 corners.
+/// Replaces every value but the outermost by a function of itself, the sum of its 4 nearest and the sum of
+/// its 4 corners.
 fn around(values: &mut [f64], grid: &Grid, scratch: &mut [f64], of: impl Fn(f64, f64, f64) -> f64) {
     let w = grid.columns;
     scratch.copy_from_slice(values);
@@ -63,7 +78,8 @@ fn around(values: &mut [f64], grid: &Grid, scratch: &mut [f64], of: impl Fn(f64,
         for x in 1..w - 1 {
             let at = y * w + x;
             let four = scratch[at - 1] + scratch[at + 1] + scratch[at - w] + scratch[at + w];
-            let corners = scratch[at - w - 1] + scratch[at - w + 1] + scratch[at + w - 1] + scratch[at + w + 1];
+            let corners =
+                scratch[at - w - 1] + scratch[at - w + 1] + scratch[at + w - 1] + scratch[at + w + 1];
             values[at] = of(scratch[at], four, corners);
         }
     }
@@ -78,9 +94,11 @@ mod tests {
         for sigma in [0.3, 0.7, 1.0] {
             let weights = gaussian(sigma);
             let sum = weights[0] + 2.0 * weights[1..].iter().sum::<f64>();
-            let variance: f64 = 2.0 * weights.iter().enumerate().map(|(n, w)| (n * n) as f64 * w).sum::<f64>();
+            let variance: f64 =
+                2.0 * weights.iter().enumerate().map(|(n, w)| (n * n) as f64 * w).sum::<f64>();
             assert!((sum - 1.0).abs() < 1e-14);
-            // What is cut off beyond four pixels is 3e-4 of the weight for sigma 1, at a distance of 5: 0.8 % of the variance.
+            // What is cut off beyond four pixels is 3e-4 of the weight for sigma 1, at a distance of 5: 0.8 %
+            // of the variance.
             assert!((variance / (sigma * sigma) - 1.0).abs() < 1e-2, "{sigma}: {variance}");
         }
     }

@@ -110,7 +110,8 @@ const fn star(entry: Entry) -> Entry {
     Entry { family: "star", ..entry }
 }
 
-/// All short recordings, in the order of their seeds. New ones go to the end, so that the others stay as they are.
+/// All short recordings, in the order of their seeds. New ones go to the end, so that the others stay as they
+/// are.
 pub const PLAN: &[Entry] = &[
     null("drift"),
     null("zoom"),
@@ -302,7 +303,8 @@ mod tests {
     #[test]
     fn the_plans_have_their_numbers_of_every_kind() {
         let counts = |plan: Plan| {
-            let kinds = [Kind::Null, Kind::HardNull, Kind::Trap, Kind::Single, Kind::Pair, Kind::OffCatalogue];
+            let kinds =
+                [Kind::Null, Kind::HardNull, Kind::Trap, Kind::Single, Kind::Pair, Kind::OffCatalogue];
             kinds.map(|kind| plan.entries().iter().filter(|entry| entry.kind == kind).count())
         };
         assert_eq!(Plan::ALL.map(|plan| plan.entries().len()), [120, 12, 24]);
@@ -310,7 +312,8 @@ mod tests {
         assert_eq!(counts(Plan::Target), [4, 0, 0, 16, 2, 2]);
         assert!(TARGET.iter().all(|entry| entry.family == "star"));
         assert!(LONG.iter().chain(TARGET).flat_map(|entry| entry.effects).all(|id| IDS.contains(id)));
-        let names: std::collections::BTreeSet<String> = Plan::ALL.iter().flat_map(|plan| (0..plan.entries().len()).map(|k| plan.seed("s", k))).collect();
+        let names: std::collections::BTreeSet<String> =
+            Plan::ALL.iter().flat_map(|plan| (0..plan.entries().len()).map(|k| plan.seed("s", k))).collect();
         assert_eq!(names.len(), 156, "no two recordings share random numbers");
     }
 
@@ -320,9 +323,12 @@ mod tests {
             let alone = PLAN.iter().any(|entry| entry.kind == Kind::Single && entry.effects == [id]);
             assert!(alone, "{id} is not among the singles");
         }
-        assert!(
-            PLAN.iter()
-                .all(|entry| entry.effects.len() == [1, 2].into_iter().find(|n| entry.kind == if *n == 1 { Kind::Single } else { Kind::Pair }).unwrap_or(0))
-        );
+        assert!(PLAN.iter().all(|entry| {
+            entry.effects.len()
+                == [1, 2]
+                    .into_iter()
+                    .find(|n| entry.kind == if *n == 1 { Kind::Single } else { Kind::Pair })
+                    .unwrap_or(0)
+        }));
     }
 }

@@ -1,7 +1,7 @@
 //! Random numbers: one small generator, seeded by text, so that every recording has streams of its own.
 //!
-//! SplitMix64 (Steele, Lea and Flood 2014): 64 bits of state, one stream a pixel costs eight bytes, and the order in which
-//! pixels are visited changes nothing.
+//! SplitMix64 (Steele, Lea and Flood 2014): 64 bits of state, one stream a pixel costs eight bytes, and the
+//! order in which pixels are visited changes nothing.
 
 use crate::digest::sha256;
 

@@ -1,7 +1,9 @@
-//! What the sensor looks at: fourteen families of moving light and a star, each given by a formula in place and time.
+//! What the sensor looks at: fourteen families of moving light and a star, each given by a formula in place
+//! and time.
 //!
-//! A family gives a pattern `s(x, y, t)` of about -1 to 1; the light is `ln i = mean + contrast s + ln(1 + depth sin(2 pi f t))`.
-//! Time inside a family runs `pace` times as fast as the clock, which is how a scene is made to fire as many events as wanted.
+//! A family gives a pattern `s(x, y, t)` of about -1 to 1; the light is
+//! `ln i = mean + contrast s + ln(1 + depth sin(2 pi f t))`. Time inside a family runs `pace` times as fast
+//! as the clock, which is how a scene is made to fire as many events as wanted.
 
 use crate::random::Random;
 use crate::star::Star;
@@ -97,17 +99,33 @@ fn reflected(at: f64, low: f64, high: f64) -> f64 {
 impl Body {
     /// The body's centre; the box reaches `beyond` pixels over the array.
     fn at(&self, t: f64, width: f64, height: f64, beyond: f64) -> [f64; 2] {
-        let along = |k: usize, far: f64| reflected(self.place[k] + self.velocity[k] * t, -beyond, far + beyond);
+        let along =
+            |k: usize, far: f64| reflected(self.place[k] + self.velocity[k] * t, -beyond, far + beyond);
         [along(0, width), along(1, height)]
     }
 }
 
 impl Family {
     /// The names of all families, as answers state them.
-    pub const NAMES: [&'static str; 14] =
-        ["drift", "zoom", "spin", "turntable", "patch", "spokes", "bars", "discs", "rings", "shake", "shear", "chess", "spots", "waves"];
+    pub const NAMES: [&'static str; 14] = [
+        "drift",
+        "zoom",
+        "spin",
+        "turntable",
+        "patch",
+        "spokes",
+        "bars",
+        "discs",
+        "rings",
+        "shake",
+        "shear",
+        "chess",
+        "spots",
+        "waves",
+    ];
 
-    /// Draws a family by name for an array of `width` x `height` pixels. `edge` is the softness of drawn edges, pixels.
+    /// Draws a family by name for an array of `width` x `height` pixels. `edge` is the softness of drawn
+    /// edges, pixels.
     pub fn draw(name: &str, random: &mut Random, width: f64, height: f64, edge: f64) -> Self {
         let centre = [width * random.between(0.3, 0.7), height * random.between(0.3, 0.7)];
         let angle = random.between(0.0, 2.0 * PI);
@@ -116,7 +134,12 @@ impl Family {
         let texture = |random: &mut Random| Texture::draw(random, finest, slope, 160);
         match name {
             "drift" => Self::Drift { texture: texture(random), velocity: heading(300.0) },
-            "zoom" => Self::Zoom { texture: texture(random), centre, frequency: 8.0, phase: random.between(0.0, 2.0 * PI) },
+            "zoom" => Self::Zoom {
+                texture: texture(random),
+                centre,
+                frequency: 8.0,
+                phase: random.between(0.0, 2.0 * PI),
+            },
             "spin" => Self::Spin { texture: texture(random), centre, omega: random.sign() * 14.0 },
             "turntable" => Self::Turntable {
                 disc: texture(random),
@@ -127,14 +150,36 @@ impl Family {
                 drift: random.between(0.0, 60.0),
             },
             "patch" => {
-                let body = Body { place: centre, velocity: heading(500.0), radius: height * random.between(0.25, 0.4), level: 0.0 };
-                Self::Patch { patch: texture(random), ground: texture(random), body, drift: random.between(50.0, 200.0) }
+                let body = Body {
+                    place: centre,
+                    velocity: heading(500.0),
+                    radius: height * random.between(0.25, 0.4),
+                    level: 0.0,
+                };
+                Self::Patch {
+                    patch: texture(random),
+                    ground: texture(random),
+                    body,
+                    drift: random.between(50.0, 200.0),
+                }
             }
-            "spokes" => Self::Spokes { count: (3 + random.below(5)) as f64, centre, omega: random.sign() * 12.0, width: edge, ground: texture(random) },
+            "spokes" => Self::Spokes {
+                count: (3 + random.below(5)) as f64,
+                centre,
+                omega: random.sign() * 12.0,
+                width: edge,
+                ground: texture(random),
+            },
             "bars" => {
                 let bar = |random: &mut Random| {
                     let speed = random.sign() * random.between(200.0, 600.0);
-                    [random.between(0.0, PI), speed, random.between(2.0, 8.0), random.between(0.0, 110.0), random.sign() * random.between(0.5, 1.0)]
+                    [
+                        random.between(0.0, PI),
+                        speed,
+                        random.between(2.0, 8.0),
+                        random.between(0.0, 110.0),
+                        random.sign() * random.between(0.5, 1.0),
+                    ]
                 };
                 Self::Bars { bars: (0..5).map(|_| bar(random)).collect(), width: edge }
             }
@@ -145,21 +190,39 @@ impl Family {
                     let speed = random.between(300.0, 900.0);
                     let velocity = [speed * libm::cos(angle), speed * libm::sin(angle)];
                     let place = [random.between(0.0, width), random.between(0.0, height)];
-                    Body { place, velocity, radius: random.between(3.0, 9.0), level: random.sign() * random.between(0.6, 1.1) }
+                    Body {
+                        place,
+                        velocity,
+                        radius: random.between(3.0, 9.0),
+                        level: random.sign() * random.between(0.6, 1.1),
+                    }
                 };
                 let bodies = (0..if few { 2 } else { 8 }).map(|_| body()).collect();
-                Self::Discs { bodies, width: edge, ground: texture(random), share: if few { 0.5 } else { 0.3 } }
+                Self::Discs {
+                    bodies,
+                    width: edge,
+                    ground: texture(random),
+                    share: if few { 0.5 } else { 0.3 },
+                }
             }
-            "rings" => Self::Rings { centre, wavelength: random.between(14.0, 26.0), speed: random.sign() * 350.0, texture: texture(random) },
+            "rings" => Self::Rings {
+                centre,
+                wavelength: random.between(14.0, 26.0),
+                speed: random.sign() * 350.0,
+                texture: texture(random),
+            },
             "shake" => Self::Shake {
                 texture: texture(random),
                 reach: [random.between(3.0, 7.0), random.between(2.0, 6.0)],
                 frequency: [random.between(8.0, 15.0), random.between(12.0, 22.0)],
                 phase: [random.between(0.0, 2.0 * PI), random.between(0.0, 2.0 * PI)],
             },
-            "shear" => {
-                Self::Shear { texture: texture(random), speed: random.sign() * 250.0, spread: random.between(150.0, 350.0), period: random.between(30.0, 60.0) }
-            }
+            "shear" => Self::Shear {
+                texture: texture(random),
+                speed: random.sign() * 250.0,
+                spread: random.between(150.0, 350.0),
+                period: random.between(30.0, 60.0),
+            },
             "chess" => Self::Chess {
                 cell: random.between(9.0, 15.0),
                 omega: random.sign() * random.between(3.0, 8.0),
@@ -180,7 +243,12 @@ impl Family {
             _ => {
                 let mut wave = || {
                     let (angle, k) = (random.between(0.0, 2.0 * PI), 2.0 * PI / random.between(9.0, 28.0));
-                    [k * libm::cos(angle), k * libm::sin(angle), 2.0 * PI * random.between(8.0, 30.0), random.between(0.0, 2.0 * PI)]
+                    [
+                        k * libm::cos(angle),
+                        k * libm::sin(angle),
+                        2.0 * PI * random.between(8.0, 30.0),
+                        random.between(0.0, 2.0 * PI),
+                    ]
                 };
                 Self::Waves { waves: (0..6).map(|_| wave()).collect() }
             }
@@ -203,10 +271,16 @@ impl Family {
         };
         let middle = [0.5 * width, 0.5 * height];
         match self {
-            Self::Drift { texture, velocity } => each(out, &|x, y| bounded(texture.at(x - velocity[0] * t, y - velocity[1] * t))),
+            Self::Drift { texture, velocity } => {
+                each(out, &|x, y| bounded(texture.at(x - velocity[0] * t, y - velocity[1] * t)))
+            }
             Self::Zoom { texture, centre, frequency, phase } => {
                 let scale = libm::exp(0.35 * libm::sin(2.0 * PI * frequency * t + phase));
-                each(out, &|x, y| bounded(texture.at(centre[0] + (x - centre[0]) * scale, centre[1] + (y - centre[1]) * scale)));
+                each(out, &|x, y| {
+                    bounded(
+                        texture.at(centre[0] + (x - centre[0]) * scale, centre[1] + (y - centre[1]) * scale),
+                    )
+                });
             }
             Self::Spin { texture, centre, omega } => {
                 let turn = turned(-omega * t, centre);
@@ -218,7 +292,8 @@ impl Family {
             Self::Turntable { disc, ground, centre, radius, omega, drift } => {
                 let turn = turned(-omega * t, centre);
                 each(out, &|x, y| {
-                    let distance = libm::sqrt((x - centre[0]) * (x - centre[0]) + (y - centre[1]) * (y - centre[1]));
+                    let distance =
+                        libm::sqrt((x - centre[0]) * (x - centre[0]) + (y - centre[1]) * (y - centre[1]));
                     let inside = 0.5 + 0.5 * soft(radius - distance, 0.8);
                     let (u, v) = turn(x, y);
                     inside * bounded(disc.at(u, v)) + (1.0 - inside) * bounded(ground.at(x - drift * t, y))
@@ -228,14 +303,17 @@ impl Family {
                 let [px, py] = body.at(t, width, height, 4.0);
                 each(out, &|x, y| {
                     let (dx, dy) = (x - px, y - py);
-                    let inside = (0.5 + 0.5 * soft(body.radius - dx.abs(), 0.8)) * (0.5 + 0.5 * soft(body.radius - dy.abs(), 0.8));
-                    inside * bounded(patch.at(dx, dy) + 0.5) + (1.0 - inside) * bounded(ground.at(x, y - drift * t))
+                    let inside = (0.5 + 0.5 * soft(body.radius - dx.abs(), 0.8))
+                        * (0.5 + 0.5 * soft(body.radius - dy.abs(), 0.8));
+                    inside * bounded(patch.at(dx, dy) + 0.5)
+                        + (1.0 - inside) * bounded(ground.at(x, y - drift * t))
                 });
             }
             Self::Spokes { count, centre, omega, width, ground } => each(out, &|x, y| {
                 let (dx, dy) = (x - centre[0], y - centre[1]);
                 let r = libm::sqrt(dx * dx + dy * dy);
-                // Times r / count: the distance to the nearest edge in pixels, so that edges are equally soft everywhere.
+                // Times r / count: the distance to the nearest edge in pixels, so that edges are equally soft
+                // everywhere.
                 let d = libm::sin(count * (libm::atan2(dy, dx) - omega * t)) * r / count;
                 0.85 * soft(d, *width) + 0.15 * bounded(ground.at(x, y))
             }),
@@ -245,7 +323,13 @@ impl Family {
                 let ways: Vec<[f64; 5]> = bars
                     .iter()
                     .map(|[angle, speed, half, start, level]| {
-                        [libm::cos(*angle), libm::sin(*angle), (start + speed * t).rem_euclid(2.0 * far + 40.0) - far, *half, *level]
+                        [
+                            libm::cos(*angle),
+                            libm::sin(*angle),
+                            (start + speed * t).rem_euclid(2.0 * far + 40.0) - far,
+                            *half,
+                            *level,
+                        ]
                     })
                     .collect();
                 each(out, &|x, y| {
@@ -258,7 +342,8 @@ impl Family {
                 });
             }
             Self::Discs { bodies, width: edge, ground, share } => {
-                let places: Vec<([f64; 2], &Body)> = bodies.iter().map(|body| (body.at(t, width, height, 8.0), body)).collect();
+                let places: Vec<([f64; 2], &Body)> =
+                    bodies.iter().map(|body| (body.at(t, width, height, 8.0), body)).collect();
                 each(out, &|x, y| {
                     let mut value = share * bounded(ground.at(x, y));
                     for ([px, py], body) in &places {
@@ -288,14 +373,20 @@ impl Family {
                 each(out, &|x, y| {
                     let (u, v) = turn(x, y);
                     let line = |d: f64| soft(libm::sin(PI * d / cell) * cell / PI, *width);
-                    0.9 * line(u - velocity[0] * t) * line(v - velocity[1] * t) + 0.1 * bounded(ground.at(x, y))
+                    0.9 * line(u - velocity[0] * t) * line(v - velocity[1] * t)
+                        + 0.1 * bounded(ground.at(x, y))
                 });
             }
             Self::Spots { spots, ground } => {
                 let places: Vec<[f64; 4]> = spots
                     .iter()
                     .map(|[x, y, rx, ry, fx, fy, size, level]| {
-                        [x + rx * libm::sin(2.0 * PI * fx * t), y + ry * libm::cos(2.0 * PI * fy * t), size * size, *level]
+                        [
+                            x + rx * libm::sin(2.0 * PI * fx * t),
+                            y + ry * libm::cos(2.0 * PI * fy * t),
+                            size * size,
+                            *level,
+                        ]
                     })
                     .collect();
                 each(out, &|x, y| {
@@ -308,7 +399,10 @@ impl Family {
                 });
             }
             Self::Waves { waves } => each(out, &|x, y| {
-                let sum: f64 = waves.iter().map(|[kx, ky, omega, phase]| libm::sin(kx * x + ky * y - omega * t + phase)).sum();
+                let sum: f64 = waves
+                    .iter()
+                    .map(|[kx, ky, omega, phase]| libm::sin(kx * x + ky * y - omega * t + phase))
+                    .sum();
                 bounded(0.6 * sum)
             }),
             Self::Star(star) => each(out, &|x, y| libm::log(star.reflectance(x, y, t))),
@@ -322,7 +416,9 @@ impl Scene {
     /// `ln i` over `grid` at time `t` (s), row by row.
     pub fn log_light(&self, t: f64, grid: &Grid, width: f64, height: f64, out: &mut [f64]) {
         self.family.pattern(self.pace * t, grid, width, height, out);
-        let lamp = self.flicker.map_or(0.0, |[depth, frequency, phase]| libm::log1p(depth * libm::sin(2.0 * PI * frequency * t + phase)));
+        let lamp = self.flicker.map_or(0.0, |[depth, frequency, phase]| {
+            libm::log1p(depth * libm::sin(2.0 * PI * frequency * t + phase))
+        });
         for v in out {
             *v = self.mean + lamp + self.contrast * *v;
         }

@@ -58,14 +58,26 @@ fn time(seconds: f64) -> String {
 impl Sensor {
     /// The description as a file of the form `photocurrent-sensor/1`.
     pub fn description(&self) -> String {
-        let mut text = String::from("format = \"photocurrent-sensor/1\"\nname = \"sensor of a recording\"\n\n[front_end]\n");
-        text +=
-            &format!("tau_0 = {}\nalpha = {}\n\n[comparator]\nthreshold_on = {}\nthreshold_off = {}\n", time(self.tau_0), time(self.alpha), self.on, self.off);
+        let mut text = String::from(
+            "format = \"photocurrent-sensor/1\"\nname = \"sensor of a \
+                                     recording\"\n\n[front_end]\n",
+        );
+        text += &format!(
+            "tau_0 = {}\nalpha = {}\n\n[comparator]\nthreshold_on = {}\nthreshold_off = {}\n",
+            time(self.tau_0),
+            time(self.alpha),
+            self.on,
+            self.off
+        );
         if self.states_threshold_noise {
             text += &format!("threshold_noise = {}\n", self.threshold_noise);
         }
-        text +=
-            &format!("reset = \"{}\"\n\n[readout]\nrefractory = {}\nlatency_min = {}\n\n", self.reset.name(), time(self.refractory), time(self.latency_min));
+        text += &format!(
+            "reset = \"{}\"\n\n[readout]\nrefractory = {}\nlatency_min = {}\n\n",
+            self.reset.name(),
+            time(self.refractory),
+            time(self.latency_min)
+        );
         text += &format!(
             "[frames]\ngain = {:?}\nblack_level_dn = {:?}\nsaturation_dn = {:?}\nrow_time = {}\n",
             self.gain,
@@ -102,7 +114,8 @@ pub struct Queue {
     pub shown: bool,
 }
 
-/// What the sensor really does: its real numbers and every effect; the neutral value of each is in [`Physics::of`].
+/// What the sensor really does: its real numbers and every effect; the neutral value of each is in
+/// [`Physics::of`].
 #[derive(Clone, Debug)]
 pub struct Physics {
     pub sensor: Sensor,

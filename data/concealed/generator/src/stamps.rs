@@ -14,8 +14,16 @@ pub struct Stamped {
 }
 
 /// Stamps all events in steps of `resolution` ns, sorted by off-pixel time.
-pub fn stamp(events: &[Event], physics: &Physics, width: usize, height: usize, resolution: i64, random: &mut Random) -> Vec<Stamped> {
-    let rows: Vec<f64> = (0..height).map(|y| physics.skew_per_row * y as f64 + physics.skew_sigma * random.normal()).collect();
+pub fn stamp(
+    events: &[Event],
+    physics: &Physics,
+    width: usize,
+    height: usize,
+    resolution: i64,
+    random: &mut Random,
+) -> Vec<Stamped> {
+    let rows: Vec<f64> =
+        (0..height).map(|y| physics.skew_per_row * y as f64 + physics.skew_sigma * random.normal()).collect();
     let mut stamped: Vec<Stamped> = events
         .iter()
         .map(|event| {
@@ -30,7 +38,12 @@ pub fn stamp(events: &[Event], physics: &Physics, width: usize, height: usize, r
                 }
                 ((t * 1e9).round() as i64).div_euclid(resolution) * resolution
             };
-            Stamped { t: nanoseconds(event.t_off), t_in: nanoseconds(event.t_in), pixel: event.pixel, on: event.on }
+            Stamped {
+                t: nanoseconds(event.t_off),
+                t_in: nanoseconds(event.t_in),
+                pixel: event.pixel,
+                on: event.on,
+            }
         })
         .collect();
     stamped.sort();

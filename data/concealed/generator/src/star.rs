@@ -1,7 +1,9 @@
-//! A known target: a rotating star of bright and dark spokes before a wall, and the file that states it up to ranges.
+//! A known target: a rotating star of bright and dark spokes before a wall, and the file that states it up to
+//! ranges.
 //!
-//! A star is the scene `siemens_disk` of `simulate/scene`: a pixel sees the mean of its spokes along the circle through its centre,
-//! and as much of the disc as an edge across a pixel lets it see. Light is illuminance x photocurrent of a lux x reflectance.
+//! A star is the scene `siemens_disk` of `simulate/scene`: a pixel sees the mean of its spokes along the
+//! circle through its centre, and as much of the disc as an edge across a pixel lets it see. Light is
+//! illuminance x photocurrent of a lux x reflectance.
 
 use crate::random::Random;
 use serde_json::{Value, json};
@@ -39,7 +41,8 @@ impl Star {
         if on_disc == 0.0 {
             return WALL;
         }
-        // In spokes, of which a turn has twice the number of bright ones; the first bright one begins at +x when nothing has turned yet.
+        // In spokes, of which a turn has twice the number of bright ones; the first bright one begins at +x
+        // when nothing has turned yet.
         let in_spokes = self.spokes / PI;
         let at = in_spokes * (libm::atan2(dy, dx) - self.omega * (t + self.start));
         let half = 0.5 * in_spokes / distance.max(0.5);
@@ -107,7 +110,8 @@ impl Target {
         self.star.start = random.between(-0.15, 0.15) * self.star.period();
     }
 
-    /// The file that states the star: what is free has a range that holds the truth, which is drawn apart from what is stated.
+    /// The file that states the star: what is free has a range that holds the truth, which is drawn apart
+    /// from what is stated.
     pub fn file(&self, random: &mut Random) -> String {
         let star = &self.star;
         let rpm = star.omega / RPM;
@@ -150,19 +154,33 @@ mod tests {
     use super::*;
 
     fn star() -> Star {
-        Star { spokes: 5.0, radius: 20.0, dark: 0.1, bright: 0.8, centre: [30.5, 24.0], omega: 10.0, start: 2e-3 }
+        Star {
+            spokes: 5.0,
+            radius: 20.0,
+            dark: 0.1,
+            bright: 0.8,
+            centre: [30.5, 24.0],
+            omega: 10.0,
+            start: 2e-3,
+        }
     }
 
     /// Reflectance at a distance and angle from the centre.
     fn at(star: &Star, distance: f64, angle: f64, t: f64) -> f64 {
-        star.reflectance(star.centre[0] + distance * libm::cos(angle), star.centre[1] + distance * libm::sin(angle), t)
+        star.reflectance(
+            star.centre[0] + distance * libm::cos(angle),
+            star.centre[1] + distance * libm::sin(angle),
+            t,
+        )
     }
 
     #[test]
     fn a_pixel_sees_the_mean_of_its_spokes_along_the_circle() {
         let star = star();
-        // The mean over an arc of one pixel of a wave that is bright on [0, pi / 5) and dark on [pi / 5, 2 pi / 5), by counting.
-        for (distance, angle, t) in [(12.3, 0.4, 7e-3), (3.1, 2.0, 0.1), (18.9, -1.3, 0.03), (0.2, 1.0, 0.01)] {
+        // The mean over an arc of one pixel of a wave that is bright on [0, pi / 5) and dark on [pi / 5, 2 pi
+        // / 5), by counting.
+        for (distance, angle, t) in [(12.3, 0.4, 7e-3), (3.1, 2.0, 0.1), (18.9, -1.3, 0.03), (0.2, 1.0, 0.01)]
+        {
             let arc = 1.0 / f64::max(distance, 0.5);
             let turned = 10.0 * (t + 2e-3);
             let n = 200_000;
@@ -171,7 +189,11 @@ mod tests {
                 ((along * 5.0 / PI).floor() as i64).rem_euclid(2) == 0
             });
             let mean = 0.1 + 0.7 * bright.count() as f64 / f64::from(n);
-            assert!((at(&star, distance, angle, t) - mean).abs() < 2e-4, "{distance} {angle} {t}: {} {mean}", at(&star, distance, angle, t));
+            assert!(
+                (at(&star, distance, angle, t) - mean).abs() < 2e-4,
+                "{distance} {angle} {t}: {} {mean}",
+                at(&star, distance, angle, t)
+            );
         }
     }
 
@@ -181,7 +203,10 @@ mod tests {
         for t in [-2e-3, 0.0, 0.013, 0.2] {
             let edge = 10.0 * (t + 2e-3);
             assert!((at(&star, 15.0, edge, t) - 0.45).abs() < 1e-9, "the edge is half bright and half dark");
-            assert!((at(&star, 15.0, edge + 0.1, t) - 0.8).abs() < 1e-12 && (at(&star, 15.0, edge - 0.1, t) - 0.1).abs() < 1e-12);
+            assert!(
+                (at(&star, 15.0, edge + 0.1, t) - 0.8).abs() < 1e-12
+                    && (at(&star, 15.0, edge - 0.1, t) - 0.1).abs() < 1e-12
+            );
             // Half way up the ramp that the edge makes over one pixel.
             assert!((at(&star, 15.0, edge + 0.25 / 15.0, t) - (0.45 + 0.25 * 0.7)).abs() < 1e-9);
         }
@@ -206,9 +231,16 @@ mod tests {
             target.turn(pace, &mut random);
             let text = target.file(&mut random);
             let range = |name: &str| -> [f64; 2] {
-                let line = text.lines().find(|line| line.trim_start_matches('"').starts_with(name) && line.contains('[')).expect("a line of that name");
-                let inner = line.split_once('[').and_then(|(_, rest)| rest.split_once(']')).expect("a range").0;
-                let ends: Vec<f64> = inner.split(',').map(|end| end.trim_matches([' ', '"']).split(' ').next().unwrap().parse().unwrap()).collect();
+                let line = text
+                    .lines()
+                    .find(|line| line.trim_start_matches('"').starts_with(name) && line.contains('['))
+                    .expect("a line of that name");
+                let inner =
+                    line.split_once('[').and_then(|(_, rest)| rest.split_once(']')).expect("a range").0;
+                let ends: Vec<f64> = inner
+                    .split(',')
+                    .map(|end| end.trim_matches([' ', '"']).split(' ').next().unwrap().parse().unwrap())
+                    .collect();
                 [ends[0], ends[1]]
             };
             let truth = [
@@ -222,7 +254,11 @@ mod tests {
             for (name, truth) in truth {
                 let [low, high] = range(name);
                 let margin = 0.05 * (high - low);
-                assert!((low + margin..high - margin).contains(&truth), "{name} = {truth} is not well within {low} to {high}\n{text}");
+                assert!(
+                    (low + margin..high - margin).contains(&truth),
+                    "{name} = {truth} is not well \
+                                                            within {low} to {high}\n{text}"
+                );
             }
         }
     }

@@ -63,7 +63,8 @@ fn instants(events: &[Event], pixel: usize) -> Vec<f64> {
 
 #[test]
 fn a_ramp_fires_once_every_threshold_and_blind_time() {
-    // Behind a low-pass a ramp is a ramp: from reset to event it takes threshold / slope, then latency and refractory period.
+    // Behind a low-pass a ramp is a ramp: from reset to event it takes threshold / slope, then latency and
+    // refractory period.
     for slope in [30.0, -30.0] {
         let times = instants(&events_of(&ramp(slope), &plain(), STEPS), 40);
         let threshold = if slope > 0.0 { 0.2 } else { 0.21 };
@@ -91,8 +92,9 @@ fn a_leak_adds_to_a_ramp_and_fires_on_a_still_scene() {
 
 #[test]
 fn memory_shortens_the_step_to_the_next_event_of_a_ramp() {
-    // V - V_ref after the reset is f (V - V_ref_before) = f (threshold + blind x slope), which is in the steady state
-    // d = f (threshold + 105 us x slope + ...): at the event the distance is the threshold, at the reset 105 us x slope more.
+    // V - V_ref after the reset is f (V - V_ref_before) = f (threshold + blind x slope), which is in the
+    // steady state d = f (threshold + 105 us x slope + ...): at the event the distance is the threshold, at
+    // the reset 105 us x slope more.
     let physics = Physics { memory: 0.1, ..plain() };
     let times = instants(&events_of(&ramp(30.0), &physics, STEPS), 3);
     let left = 0.1 * (0.2 + 105e-6 * 30.0);
@@ -106,11 +108,17 @@ fn a_slew_limit_and_a_high_pass_act_as_their_equations_say() {
     let slow = Physics { rise: 20.0, ..plain() };
     let times = instants(&events_of(&ramp(30.0), &slow, STEPS), 3);
     assert!((times[4] - times[3] - (0.2 / 20.0 + 105e-6)).abs() < 1e-9);
-    // Behind the high-pass a ramp rests at slope x tau = 0.15 for good: below the threshold, and nothing fires after a reset there.
+    // Behind the high-pass a ramp rests at slope x tau = 0.15 for good: below the threshold, and nothing
+    // fires after a reset there.
     let high = Physics { high_pass: 5e-3, ..plain() };
     assert!(instants(&events_of(&ramp(30.0), &high, STEPS), 3).is_empty());
     let wider = Physics { high_pass: 10e-3, ..plain() };
-    assert_eq!(instants(&events_of(&ramp(30.0), &wider, STEPS), 3).len(), 1, "0.3 at rest: one threshold and no second");
+    assert_eq!(
+        instants(&events_of(&ramp(30.0), &wider, STEPS), 3).len(),
+        1,
+        "0.3 at rest: one threshold \
+                                                            and no second"
+    );
 }
 
 #[test]
@@ -130,7 +138,11 @@ fn thresholds_that_move_the_reference_add_up_to_the_voltage() {
     light.fill(2e-3 - 20e-6, &mut first);
     light.fill(60e-3 - 20e-6, &mut last);
     for p in 0..W * H {
-        let steps: f64 = events.iter().filter(|event| event.pixel == p).map(|event| if event.on { 0.2 } else { -0.21 }).sum();
+        let steps: f64 = events
+            .iter()
+            .filter(|event| event.pixel == p)
+            .map(|event| if event.on { 0.2 } else { -0.21 })
+            .sum();
         let rest = last.settled[p] - first.settled[p] - steps;
         assert!((-0.215..0.205).contains(&rest), "pixel {p}: {rest} is left over, more than a threshold");
     }
@@ -151,9 +163,15 @@ fn half_the_step_moves_half_of_the_events_by_less_than_twenty_nanoseconds() {
             moved.extend(a.iter().zip(&b).map(|(a, b)| (a - b).abs()));
         }
         moved.sort_by(f64::total_cmp);
-        // A voltage wrong by 2e-6 ln shifts an event by more where the voltage is slow, and by much where it just reaches a threshold.
+        // A voltage wrong by 2e-6 ln shifts an event by more where the voltage is slow, and by much where it
+        // just reaches a threshold.
         let [middle, most] = [50, 98].map(|percent| moved[moved.len() * percent / 100]);
-        assert!(moved.len() > 300 && middle < 20e-9 && most < 1e-6, "{name}: {} events, half within {middle} s, 98 % within {most} s", moved.len());
+        assert!(
+            moved.len() > 300 && middle < 20e-9 && most < 1e-6,
+            "{name}: {} events, half within \
+                                                            {middle} s, 98 % within {most} s",
+            moved.len()
+        );
     }
 }
 
@@ -193,7 +211,8 @@ fn noise_events_come_at_their_rate() {
     let expected = |rate: f64, pixels: f64| rate / (1.0 + 25e-6 * rate) * seconds * pixels;
     let hot = events.iter().filter(|event| event.pixel / W == 4).count() as f64;
     let rest = events.len() as f64 - hot;
-    for (found, expected) in [(hot, expected(460.0, W as f64)), (rest, expected(60.0, (W * (H - 1)) as f64))] {
+    for (found, expected) in [(hot, expected(460.0, W as f64)), (rest, expected(60.0, (W * (H - 1)) as f64))]
+    {
         // Four standard deviations of a count.
         assert!((found - expected).abs() < 4.0 * expected.sqrt(), "{found} {expected}");
     }
@@ -203,11 +222,13 @@ fn noise_events_come_at_their_rate() {
 
 #[test]
 fn events_that_happen_at_once_wait_for_each_other() {
-    // A flat ramp fires the whole array at once: the k-th of N waits k service times, and its reset comes that much later.
+    // A flat ramp fires the whole array at once: the k-th of N waits k service times, and its reset comes
+    // that much later.
     let physics = Physics { queue: Some(Queue { service: 1e-6, shown: true }), ..plain() };
     let events = events_of(&ramp(30.0), &physics, STEPS);
     let n = W * H;
-    let mut waits: Vec<f64> = events[..n].iter().map(|event| (event.t_off - event.t_in - 5e-6) * 1e6).collect();
+    let mut waits: Vec<f64> =
+        events[..n].iter().map(|event| (event.t_off - event.t_in - 5e-6) * 1e6).collect();
     waits.sort_by(f64::total_cmp);
     for (k, wait) in waits.iter().enumerate() {
         assert!((wait - k as f64).abs() < 1e-3, "{k}: {wait}");
@@ -216,7 +237,10 @@ fn events_that_happen_at_once_wait_for_each_other() {
     let quiet = events_of(&ramp(30.0), &hidden, STEPS);
     assert!(quiet.iter().all(|event| (event.t_off - event.t_in - 5e-6).abs() < 1e-9), "stamps show nothing");
     let same = |events: &[Event]| instants(events, 50);
-    assert!(same(&events).iter().zip(same(&quiet)).all(|(a, b)| (a - b).abs() < 1e-12), "the resets are the same");
+    assert!(
+        same(&events).iter().zip(same(&quiet)).all(|(a, b)| (a - b).abs() < 1e-12),
+        "the resets are the same"
+    );
 }
 
 #[test]
@@ -247,8 +271,10 @@ fn rows_of_a_rolling_shutter_see_a_ramp_later() {
 #[test]
 fn stamps_are_changed_by_clock_row_and_step() {
     let event = |pixel: usize, t: f64| Event { pixel, on: true, t_in: t, t_off: t + 5e-6, lost: false };
-    let physics = Physics { clock_offset: 300e-6, clock_rate: 0.01, skew_per_row: 10e-6, quantum: 50e-6, ..plain() };
-    let stamped = stamp(&[event(2 * W, 10e-3), event(0, 20e-3)], &physics, W, H, 1000, &mut Random::named("stamps"));
+    let physics =
+        Physics { clock_offset: 300e-6, clock_rate: 0.01, skew_per_row: 10e-6, quantum: 50e-6, ..plain() };
+    let stamped =
+        stamp(&[event(2 * W, 10e-3), event(0, 20e-3)], &physics, W, H, 1000, &mut Random::named("stamps"));
     // 10 ms x 1.01 + 0.3 ms + 20 us = 10.42 ms, down to 10.4; 20 ms x 1.01 + 0.3 ms = 20.5 ms.
     assert_eq!((stamped[0].t_in, stamped[0].t, stamped[1].t_in), (10_400_000, 10_400_000, 20_500_000));
 }
@@ -264,7 +290,8 @@ fn laws_outside_the_catalogue_do_what_they_say() {
     // The reset of row 5 comes 5 x 20 us later.
     let late = events_of(&ramp(30.0), &with(Law::RowReset { per_row: 20e-6 }), STEPS);
     assert!((gap(instants(&late, 5 * W)) - (0.2 / 30.0 + 205e-6)).abs() < 1e-9);
-    // After an event the threshold is 0.2 (1 + 0.5 exp(-t / 5 ms)) with t since it: the crossing solves 30 (t - 105 us) = that.
+    // After an event the threshold is 0.2 (1 + 0.5 exp(-t / 5 ms)) with t since it: the crossing solves 30 (t
+    // - 105 us) = that.
     let tired = events_of(&ramp(30.0), &with(Law::Hysteresis { rise: 0.5, decay: 5e-3 }), STEPS);
     let t = gap(instants(&tired, 30));
     let miss = 30.0 * (t - 105e-6) - 0.2 * (1.0 + 0.5 * libm::exp(-t / 5e-3));
@@ -295,7 +322,13 @@ fn a_star_is_lit_by_lux_times_what_a_lux_is_worth_times_reflectance() {
     let mut target = Target::draw(&mut Random::named("star"), [64, 48]);
     target.turn(0.8, &mut Random::named("turn"));
     let Star { spokes, radius, dark, bright, centre, omega, start } = target.star.clone();
-    let scene = Scene { family: Family::Star(target.star.clone()), mean: libm::log(target.white()), contrast: 1.0, pace: 1.0, flicker: None };
+    let scene = Scene {
+        family: Family::Star(target.star.clone()),
+        mean: libm::log(target.white()),
+        contrast: 1.0,
+        pace: 1.0,
+        flicker: None,
+    };
     let (mut seen, t) = (vec![0.0; 64 * 48], 0.123);
     scene.log_light(t, &Grid { left: 0.0, top: 0.0, columns: 64, rows: 48 }, 64.0, 48.0, &mut seen);
     let mut counted = [0; 3];
@@ -308,11 +341,18 @@ fn a_star_is_lit_by_lux_times_what_a_lux_is_worth_times_reflectance() {
         let reflectance = match () {
             () if distance > radius + 0.5 => 0.3,
             // Further from an edge than half a pixel.
-            () if distance < radius - 0.5 && to_edge > 0.51 => [bright, dark][(spoke.floor() as i64).rem_euclid(2) as usize],
+            () if distance < radius - 0.5 && to_edge > 0.51 => {
+                [bright, dark][(spoke.floor() as i64).rem_euclid(2) as usize]
+            }
             () => continue,
         };
         counted[if reflectance == bright { 0 } else { 1 + usize::from(reflectance == dark) }] += 1;
-        assert!((seen - libm::log(target.white() * reflectance)).abs() < 1e-9, "pixel {p}: {} for {reflectance}", libm::exp(*seen) / target.white());
+        assert!(
+            (seen - libm::log(target.white() * reflectance)).abs() < 1e-9,
+            "pixel {p}: {} for \
+                                                            {reflectance}",
+            libm::exp(*seen) / target.white()
+        );
     }
     assert!(counted.iter().all(|n| *n > 300), "{counted:?}");
 }
@@ -321,7 +361,13 @@ fn a_star_is_lit_by_lux_times_what_a_lux_is_worth_times_reflectance() {
 fn light_of_a_star_between_nodes_is_that_of_the_formula() {
     let physics = plain();
     let target = Target::draw(&mut Random::named("star"), [96, 72]);
-    let scene = Scene { family: Family::Star(target.star.clone()), mean: libm::log(target.white()), contrast: 1.0, pace: 1.0, flicker: None };
+    let scene = Scene {
+        family: Family::Star(target.star.clone()),
+        mean: libm::log(target.white()),
+        contrast: 1.0,
+        pace: 1.0,
+        flicker: None,
+    };
     let mut light = Light::new(&scene, &physics, 96, 72);
     let mut nodes = [(); 4].map(|()| light.node());
     let mut between = light.node();
@@ -339,6 +385,7 @@ fn light_of_a_star_between_nodes_is_that_of_the_formula() {
             sum += (value - between.settled[p]).abs() / (20.0 * 96.0 * 72.0);
         }
     }
-    // The corners of the ramp that an edge makes, for some microseconds; everywhere else light is straight or still.
+    // The corners of the ramp that an edge makes, for some microseconds; everywhere else light is straight or
+    // still.
     assert!(worst < 1e-2 && sum < 2e-6, "{worst} ln at most, {sum} ln on average");
 }

@@ -1,6 +1,8 @@
-//! A smooth random picture on a torus whose amplitudes fall as a power of the spatial frequency, as those of natural pictures do.
+//! A smooth random picture on a torus whose amplitudes fall as a power of the spatial frequency, as those of
+//! natural pictures do.
 //!
-//! The picture is a cubic B-spline: twice differentiable everywhere, so that light at a moving point has no kinks in time.
+//! The picture is a cubic B-spline: twice differentiable everywhere, so that light at a moving point has no
+//! kinks in time.
 
 use crate::random::Random;
 use std::f64::consts::PI;
@@ -12,7 +14,8 @@ const SIZE: usize = 128;
 pub struct Texture(Vec<f64>);
 
 impl Texture {
-    /// Draws `waves` plane waves with wavelengths of `finest` pixels and more and amplitudes `|k|^-slope`; mean 0, variance 1.
+    /// Draws `waves` plane waves with wavelengths of `finest` pixels and more and amplitudes `|k|^-slope`;
+    /// mean 0, variance 1.
     pub fn draw(random: &mut Random, finest: f64, slope: f64, waves: usize) -> Self {
         let most = SIZE as f64 / finest;
         let mut picture = vec![0.0; SIZE * SIZE];
@@ -21,17 +24,20 @@ impl Texture {
             // The length is uniform in its logarithm: every octave gets as many waves.
             let length = random.log_between(1.0, most);
             let angle = random.between(0.0, PI);
-            let (kx, ky) = ((length * libm::cos(angle)).round() as i64, (length * libm::sin(angle)).round() as i64);
+            let (kx, ky) =
+                ((length * libm::cos(angle)).round() as i64, (length * libm::sin(angle)).round() as i64);
             let k2 = (kx * kx + ky * ky) as f64;
             if k2 == 0.0 {
                 continue;
             }
-            // A ring of |k| holds 2 pi |k| d|k| modes, and a draw per octave |k| d ln|k|: one factor |k| is in the draw already.
+            // A ring of |k| holds 2 pi |k| d|k| modes, and a draw per octave |k| d ln|k|: one factor |k| is
+            // in the draw already.
             let amplitude = libm::pow(k2, -0.5 * (slope - 1.0));
             let phase = random.below(SIZE) as i64;
             for (y, row) in picture.chunks_exact_mut(SIZE).enumerate() {
                 for (x, value) in row.iter_mut().enumerate() {
-                    *value += amplitude * table[(kx * x as i64 + ky * y as i64 + phase).rem_euclid(SIZE as i64) as usize];
+                    *value += amplitude
+                        * table[(kx * x as i64 + ky * y as i64 + phase).rem_euclid(SIZE as i64) as usize];
                 }
             }
         }
@@ -49,7 +55,11 @@ impl Texture {
         let mut sum = 0.0;
         for (k, w) in wy.iter().enumerate() {
             let row = &self.0[wrap(top, k) * SIZE..][..SIZE];
-            sum += w * (wx[0] * row[columns[0]] + wx[1] * row[columns[1]] + wx[2] * row[columns[2]] + wx[3] * row[columns[3]]);
+            sum += w
+                * (wx[0] * row[columns[0]]
+                    + wx[1] * row[columns[1]]
+                    + wx[2] * row[columns[2]]
+                    + wx[3] * row[columns[3]]);
         }
         sum
     }
@@ -58,7 +68,12 @@ impl Texture {
 /// The four weights of a uniform cubic B-spline at `u` in 0 .. 1.
 fn weights(u: f64) -> [f64; 4] {
     let v = 1.0 - u;
-    [v * v * v / 6.0, (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0, (4.0 - 6.0 * v * v + 3.0 * v * v * v) / 6.0, u * u * u / 6.0]
+    [
+        v * v * v / 6.0,
+        (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0,
+        (4.0 - 6.0 * v * v + 3.0 * v * v * v) / 6.0,
+        u * u * u / 6.0,
+    ]
 }
 
 #[cfg(test)]

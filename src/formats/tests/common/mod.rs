@@ -1,4 +1,5 @@
-//! What the quick test of changed files and the long one share: small whole files of every format, ways to change them, and a reader that asks for everything.
+//! What the quick test of changed files and the long one share: small whole files of every format, ways to
+//! change them, and a reader that asks for everything.
 #![allow(dead_code, missing_docs, clippy::unwrap_used, clippy::should_implement_trait)]
 
 pub mod seeds;
@@ -37,7 +38,8 @@ impl Seed {
         self.files.iter().map(|(_, bytes)| bytes.len()).sum()
     }
 
-    /// Writes it into an empty place and gives the path to open. Files that have not changed since `before` are left as they are.
+    /// Writes it into an empty place and gives the path to open. Files that have not changed since `before`
+    /// are left as they are.
     pub fn write(&self, place: &Path, before: Option<&Seed>) -> PathBuf {
         for (k, (name, bytes)) in self.files.iter().enumerate() {
             if before.is_some_and(|before| before.files[k].1 == *bytes) {
@@ -48,7 +50,8 @@ impl Seed {
                 std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             }
             std::fs::write(&path, bytes).unwrap();
-            // Every input has a time of its own, in the past: whatever is remembered of a file by its time of change is of this input.
+            // Every input has a time of its own, in the past: whatever is remembered of a file by its time of
+            // change is of this input.
             let time = SystemTime::UNIX_EPOCH + Duration::from_millis(INPUTS.fetch_add(1, Relaxed));
             std::fs::File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
         }
@@ -100,14 +103,33 @@ fn change(bytes: &mut Vec<u8>, random: &mut Random) {
     match random.below(16) {
         0..4 => bytes[at] ^= 1 << random.below(8),
         4..6 => bytes[at] = random.next() as u8,
-        6 => bytes[at] = [0, 1, 0x7f, 0x80, 0xff, b' ', b'-', b'.', b'\n', b'9', b'e', b','][random.below(12)],
+        6 => {
+            bytes[at] = [0, 1, 0x7f, 0x80, 0xff, b' ', b'-', b'.', b'\n', b'9', b'e', b','][random.below(12)]
+        }
         // Sizes, counts and places that are wrong.
         7..10 => {
-            let numbers =
-                [0, 1, u64::MAX, i64::MAX as u64, u64::from(u32::MAX), i32::MAX as u64, 1 << 31, 1 << 40, 0xffff, 0x8000, bytes.len() as u64, random.next()];
-            let number = numbers[random.below(numbers.len())].wrapping_add(random.below(3) as u64).wrapping_sub(1);
+            let numbers = [
+                0,
+                1,
+                u64::MAX,
+                i64::MAX as u64,
+                u64::from(u32::MAX),
+                i32::MAX as u64,
+                1 << 31,
+                1 << 40,
+                0xffff,
+                0x8000,
+                bytes.len() as u64,
+                random.next(),
+            ];
+            let number =
+                numbers[random.below(numbers.len())].wrapping_add(random.below(3) as u64).wrapping_sub(1);
             let width = [2, 4, 8][random.below(3)];
-            let raw = if random.below(4) == 0 { number.to_be_bytes()[8 - width..].to_vec() } else { number.to_le_bytes()[..width].to_vec() };
+            let raw = if random.below(4) == 0 {
+                number.to_be_bytes()[8 - width..].to_vec()
+            } else {
+                number.to_le_bytes()[..width].to_vec()
+            };
             let until = bytes.len().min(at + width);
             bytes[at..until].copy_from_slice(&raw[..until - at]);
         }
@@ -141,7 +163,8 @@ pub struct Outcome {
     pub losses: usize,
 }
 
-/// Opens a recording and asks for everything. Refusals and losses are right; a panic, endless work or a broken promise is not.
+/// Opens a recording and asks for everything. Refusals and losses are right; a panic, endless work or a
+/// broken promise is not.
 pub fn read(path: &Path, format: &Format, declared: &Declared) -> Outcome {
     let _ = recognise(path);
     let Ok(recording) = (format.open)(path, declared) else { return Outcome::default() };
@@ -151,10 +174,17 @@ pub fn read(path: &Path, format: &Format, declared: &Declared) -> Outcome {
         let mut chunk = EventChunk::default();
         let mut middle = 0;
         while outcome.events < MOST_EVENTS && cursor.next(&mut chunk).unwrap_or(false) {
-            assert!(chunk.x.len() == chunk.len() && chunk.y.len() == chunk.len() && chunk.on.len() == chunk.len(), "columns of one length");
+            assert!(
+                chunk.x.len() == chunk.len() && chunk.y.len() == chunk.len() && chunk.on.len() == chunk.len(),
+                "columns of one length"
+            );
             assert!(chunk.on.iter().all(|&on| on <= 1), "polarity is 0 or 1");
             if let Some(extent) = extent {
-                assert!(chunk.x.iter().all(|&x| u32::from(x) < extent.width) && chunk.y.iter().all(|&y| u32::from(y) < extent.height), "an event outside");
+                assert!(
+                    chunk.x.iter().all(|&x| u32::from(x) < extent.width)
+                        && chunk.y.iter().all(|&y| u32::from(y) < extent.height),
+                    "an event outside"
+                );
             }
             middle = chunk.t.get(chunk.len() / 2).copied().unwrap_or(middle);
             outcome.events += chunk.len();

@@ -1,4 +1,5 @@
-//! The problems that are compared: synthetic ones by size, and the reference problems; and where every solver starts.
+//! The problems that are compared: synthetic ones by size, and the reference problems; and where every solver
+//! starts.
 
 use crate::problems::{Columns, SEED, columns};
 use photocurrent_sensor::front_end::{FrontEnd, TauRule, settled_photocurrent, settling, time_constant};
@@ -65,7 +66,16 @@ pub fn reference() -> Vec<Case> {
         let columns = Columns {
             t_s: given.t_ms.iter().map(|t| t * 1e-3).collect(),
             steps: given.c.clone(),
-            frames: given.cis.iter().map(|&[start, end, dn]| FrameSample { start_s: start * 1e-3, end_s: end * 1e-3, dn, weight: 0.04 }).collect(),
+            frames: given
+                .cis
+                .iter()
+                .map(|&[start, end, dn]| FrameSample {
+                    start_s: start * 1e-3,
+                    end_s: end * 1e-3,
+                    dn,
+                    weight: 0.04,
+                })
+                .collect(),
         };
         let front_end = FrontEnd { tau_0_s: reference.tau0_ms * 1e-3, alpha_s: given.alpha * 1e-3 };
         let tau_rule = if given.tau_rule == "prev" { TauRule::Start } else { TauRule::End };
@@ -74,24 +84,34 @@ pub fn reference() -> Vec<Case> {
     reference.problems.iter().map(case).collect()
 }
 
-/// The cheaper of two: the closed form of an ideal front end, or photocurrents that make the measured steps, from the same level.
+/// The cheaper of two: the closed form of an ideal front end, or photocurrents that make the measured steps,
+/// from the same level.
 fn start(problem: &PixelProblem<'_>) -> Vec<f64> {
     // Without any iteration the solver gives its closed form.
     let none = SolveOptions { max_iterations: 0, ..SolveOptions::default() };
-    let closed_form = solve(problem, &none, &mut Workspace::default()).expect("the problem is well posed").log_photocurrent.to_vec();
+    let closed_form = solve(problem, &none, &mut Workspace::default())
+        .expect("the problem is well posed")
+        .log_photocurrent
+        .to_vec();
     match with_measured_steps(problem, closed_form[0]) {
         Some(exact) if cost(problem, &exact) <= cost(problem, &closed_form) => exact,
         _ => closed_form,
     }
 }
 
-/// Photocurrents that make every measured step, or nothing where one asks for a fall that the front end cannot make.
+/// Photocurrents that make every measured step, or nothing where one asks for a fall that the front end
+/// cannot make.
 fn with_measured_steps(problem: &PixelProblem<'_>, level: f64) -> Option<Vec<f64>> {
     let mut found = vec![level];
     let mut voltage = level;
     for k in 1..problem.t_s.len() {
         let (step, dt_s, before) = (problem.steps[k], problem.t_s[k] - problem.t_s[k - 1], found[k - 1]);
-        let gamma = |u: f64| settling(dt_s, time_constant(&problem.front_end, settled_photocurrent(problem.tau_rule.pick(before, u))));
+        let gamma = |u: f64| {
+            settling(
+                dt_s,
+                time_constant(&problem.front_end, settled_photocurrent(problem.tau_rule.pick(before, u))),
+            )
+        };
         let excess = |u: f64| gamma(u) * (u - voltage) - step;
         // Outwards until the step is made, then by halves. Far steps would pass a fold unseen.
         let stride = if step < 0.0 { -0.02 } else { 0.02 };

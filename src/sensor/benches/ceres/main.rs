@@ -1,12 +1,15 @@
-//! The solver against Ceres: the same problems from the same start in one run; times, growth with the number of events, and agreement of costs.
+//! The solver against Ceres: the same problems from the same start in one run; times, growth with the number
+//! of events, and agreement of costs.
 //!
-//! `cargo bench -p photocurrent-sensor --bench ceres`; needs g++, pkg-config and Debian's libceres-dev (2.1 or later), and says so when they
-//! are not there. Every time is processor time of one thread, the fastest of many repetitions in warm memory, and then the median over pixels
-//! (the mean shows the rare pixel that needs many rounds).
-//! Ceres' time is that of its solve alone; building its problem is given apart. Ours contains everything, the search for the start too.
+//! `cargo bench -p photocurrent-sensor --bench ceres`; needs g++, pkg-config and Debian's libceres-dev (2.1
+//! or later), and says so when they are not there. Every time is processor time of one thread, the fastest of
+//! many repetitions in warm memory, and then the median over pixels (the mean shows the rare pixel that needs
+//! many rounds). Ceres' time is that of its solve alone; building its problem is given apart. Ours contains
+//! everything, the search for the start too.
 //!
-//! Peers: `tiny.cpp` is Ceres' header-only `TinySolver`, built for this processor; `library.cpp` the library with dense normal equations, with dense
-//! QR (both over N unknowns with the analytic Jacobian), and sparse over a chain of states (u, V, charge) whose equations are stiff rows.
+//! Peers: `tiny.cpp` is Ceres' header-only `TinySolver`, built for this processor; `library.cpp` the library
+//! with dense normal equations, with dense QR (both over N unknowns with the analytic Jacobian), and sparse
+//! over a chain of states (u, V, charge) whose equations are stiff rows.
 
 // Tables are what this bench is for.
 #![allow(clippy::print_stdout)]
@@ -50,7 +53,10 @@ fn main() -> ExitCode {
     let peers = match Peers::build() {
         Ok(peers) => peers,
         Err(Unbuilt::Missing(what)) => {
-            eprintln!("skipped: the comparison with Ceres needs {what}; on Debian: apt-get install g++ pkg-config libceres-dev");
+            eprintln!(
+                "skipped: the comparison with Ceres needs {what}; on Debian: apt-get install g++ \
+                       pkg-config libceres-dev"
+            );
             return ExitCode::SUCCESS;
         }
         Err(Unbuilt::Failed(what)) => {
@@ -71,9 +77,16 @@ fn compare(peers: &Peers) -> Result<(), String> {
     for (tau_rule, name) in [(TauRule::End, "end"), (TauRule::Start, "start, as printed")] {
         let mut by_size = Vec::new();
         for knots in SIZES {
-            let repeat = if knots < 400 { Repeat { least: 20, seconds: 0.02 } } else { Repeat { least: 3, seconds: 0.05 } };
+            let repeat = if knots < 400 {
+                Repeat { least: 20, seconds: 0.02 }
+            } else {
+                Repeat { least: 3, seconds: 0.05 }
+            };
             let cases = cases::synthetic(knots, tau_rule, PIXELS);
-            println!("time constant at the {name}, N = {knots}: {PIXELS} pixels; lanes hand back {}", ours::handed_back(&cases));
+            println!(
+                "time constant at the {name}, N = {knots}: {PIXELS} pixels; lanes hand back {}",
+                ours::handed_back(&cases)
+            );
             by_size.push(answers(peers, &cases, 16, repeat)?);
         }
         println!("\n## Time constant at the {name}: M = 3, {PIXELS} pixels each\n");
@@ -93,7 +106,11 @@ fn compare(peers: &Peers) -> Result<(), String> {
 /// `together` pixels share a group of lanes: pixels of one sensor.
 fn answers(peers: &Peers, cases: &[Case], together: usize, repeat: Repeat) -> Result<Answers, String> {
     let scalar = ours::scalar(cases, true, repeat);
-    let mut answers = vec![("lanes", ours::lanes(cases, together, &scalar, repeat)), ("scalar", scalar), ("given", ours::scalar(cases, false, repeat))];
+    let mut answers = vec![
+        ("lanes", ours::lanes(cases, together, &scalar, repeat)),
+        ("scalar", scalar),
+        ("given", ours::scalar(cases, false, repeat)),
+    ];
     answers.extend(peers.solve(cases, repeat)?);
     Ok(answers)
 }
@@ -114,20 +131,34 @@ fn median(answers: &[Answer], quantity: impl Fn(&Answer) -> f64) -> f64 {
 
 fn print_times(by_size: &[Answers]) {
     println!("Microseconds a pixel, median (mean):\n");
-    println!("| method | N = 20 | 100 | 400 | growth 100 to 400 | times ours f64 | times ours f32 | set-up apart | steps |");
+    println!(
+        "| method | N = 20 | 100 | 400 | growth 100 to 400 | times ours f64 | times ours f32 | set-up \
+              apart | steps |"
+    );
     println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- |");
     let solve_s = |answers: &Answers, method: &str| median(of(answers, method), |answer| answer.solve_s);
     for (method, name) in METHODS {
         let cells = |cell: &dyn Fn(&Answers) -> String| by_size.iter().map(cell).collect::<Vec<_>>();
-        let times =
-            cells(&|answers| format!("{} ({})", digits(1e6 * solve_s(answers, method)), digits(1e6 * mean(of(answers, method), |answer| answer.solve_s))));
+        let times = cells(&|answers| {
+            format!(
+                "{} ({})",
+                digits(1e6 * solve_s(answers, method)),
+                digits(1e6 * mean(of(answers, method), |answer| answer.solve_s))
+            )
+        });
         let growth = solve_s(&by_size[2], method) / solve_s(&by_size[1], method);
         let to_scalar = cells(&|answers| digits(solve_s(answers, method) / solve_s(answers, "scalar")));
         let to_lanes = cells(&|answers| digits(solve_s(answers, method) / solve_s(answers, "lanes")));
         let setup = cells(&|answers| digits(1e6 * median(of(answers, method), |answer| answer.setup_s)));
-        let steps = cells(&|answers| format!("{:.0}", median(of(answers, method), |answer| answer.iterations)).replace("NaN", "-"));
-        let [to_scalar, to_lanes, setup, steps] = [to_scalar, to_lanes, setup, steps].map(|cells| cells.join(" / "));
-        println!("| {name} | {} | {growth:.1} | {to_scalar} | {to_lanes} | {setup} | {steps} |", times.join(" | "));
+        let steps = cells(&|answers| {
+            format!("{:.0}", median(of(answers, method), |answer| answer.iterations)).replace("NaN", "-")
+        });
+        let [to_scalar, to_lanes, setup, steps] =
+            [to_scalar, to_lanes, setup, steps].map(|cells| cells.join(" / "));
+        println!(
+            "| {name} | {} | {growth:.1} | {to_scalar} | {to_lanes} | {setup} | {steps} |",
+            times.join(" | ")
+        );
     }
     println!();
 }
@@ -144,10 +175,16 @@ fn digits(value: f64) -> String {
 
 /// For each method, how far its costs lie from the scalar solver's.
 fn print_agreement(answers: &Answers) {
-    println!("| method | same minimum | largest relative difference there | another, cheaper | another, dearer | not converged |");
+    println!(
+        "| method | same minimum | largest relative difference there | another, cheaper | another, \
+              dearer | not converged |"
+    );
     println!("| --- | --- | --- | --- | --- | --- |");
     for (method, name) in METHODS.into_iter().filter(|(method, _)| *method != "scalar") {
-        let relative = of(answers, method).iter().zip(of(answers, "scalar")).map(|(theirs, ours)| theirs.cost / ours.cost - 1.0);
+        let relative = of(answers, method)
+            .iter()
+            .zip(of(answers, "scalar"))
+            .map(|(theirs, ours)| theirs.cost / ours.cost - 1.0);
         let (mut same, mut worst, mut cheaper, mut dearer, mut open) = (0, 0.0, 0, 0, 0);
         for relative in relative {
             if relative.is_nan() {

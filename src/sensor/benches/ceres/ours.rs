@@ -43,7 +43,8 @@ fn fastest(repeat: Repeat, mut run: impl FnMut()) -> f64 {
     best
 }
 
-/// The scalar solver, from the frames as it ships (its own search for a start included) or from the case's start.
+/// The scalar solver, from the frames as it ships (its own search for a start included) or from the case's
+/// start.
 pub fn scalar(cases: &[Case], from_frames: bool, repeat: Repeat) -> Vec<Answer> {
     let mut workspace = Workspace::default();
     let options = SolveOptions::default();
@@ -54,14 +55,17 @@ pub fn scalar(cases: &[Case], from_frames: bool, repeat: Repeat) -> Vec<Answer> 
             let solution = solve_from(divan::black_box(&problem), start, &options, &mut workspace);
             divan::black_box(solution.map(|solution| solution.cost).ok());
         });
-        let solution = solve_from(&problem, start, &options, &mut workspace).expect("the problem is well posed");
-        let cost = if solution.has_converged() { cost(&problem, solution.log_photocurrent) } else { f64::NAN };
+        let solution =
+            solve_from(&problem, start, &options, &mut workspace).expect("the problem is well posed");
+        let cost =
+            if solution.has_converged() { cost(&problem, solution.log_photocurrent) } else { f64::NAN };
         Answer { setup_s: 0.0, solve_s, iterations: solution.iterations as f64, cost }
     };
     cases.iter().map(answer).collect()
 }
 
-/// Up to sixteen pixels at once in single precision, each charged its share; one that is handed back is charged its scalar solve as well.
+/// Up to sixteen pixels at once in single precision, each charged its share; one that is handed back is
+/// charged its scalar solve as well.
 pub fn lanes(cases: &[Case], together: usize, scalar: &[Answer], repeat: Repeat) -> Vec<Answer> {
     let mut group = LaneGroup::default();
     let mut answers = Vec::new();

@@ -1,4 +1,5 @@
-//! Builds the programs of the peers, hands them problems and takes their answers: plain text files in the target folder.
+//! Builds the programs of the peers, hands them problems and takes their answers: plain text files in the
+//! target folder.
 
 use crate::cases::Case;
 use crate::ours::{Answer, Repeat};
@@ -30,19 +31,23 @@ impl Peers {
     /// Builds both programs with g++.
     pub fn build() -> Result<Peers, Unbuilt> {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ceres");
-        fs::create_dir_all(&folder).map_err(|error| Unbuilt::Failed(format!("{}: {error}", folder.display())))?;
+        fs::create_dir_all(&folder)
+            .map_err(|error| Unbuilt::Failed(format!("{}: {error}", folder.display())))?;
         let peers = Peers { folder };
-        // The header-only solver is built for this processor. The library is as its package has it; flags that differ would break its ABI.
+        // The header-only solver is built for this processor. The library is as its package has it; flags
+        // that differ would break its ABI.
         peers.compile("tiny", &["-march=native"], &["-lglog"])?;
         peers.compile("library", &[], &["-lceres", "-lglog"])?;
         Ok(peers)
     }
 
     fn compile(&self, name: &str, flags: &[&str], libraries: &[&str]) -> Result<(), Unbuilt> {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/ceres").join(name).with_extension("cpp");
+        let source =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/ceres").join(name).with_extension("cpp");
         // Without pkg-config or without Eigen the source says itself what is missing.
         let eigen = Command::new("pkg-config").args(["--cflags", "eigen3"]).output();
-        let eigen = eigen.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
+        let eigen =
+            eigen.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
         let mut command = Command::new("g++");
         command.args(["-std=c++17", "-O3"]).args(flags).args(eigen.split_whitespace());
         command.arg(source).arg("-o").arg(self.folder.join(name)).args(libraries);
@@ -64,7 +69,8 @@ impl Peers {
     /// Every peer's answers, one per case, by the name of its method.
     pub fn solve(&self, cases: &[Case], repeat: Repeat) -> Result<Vec<(&'static str, Vec<Answer>)>, String> {
         let (given, found) = (self.folder.join("problems.txt"), self.folder.join("results.txt"));
-        let file = |error: std::io::Error| format!("exchange of problems in {}: {error}", self.folder.display());
+        let file =
+            |error: std::io::Error| format!("exchange of problems in {}: {error}", self.folder.display());
         fs::write(&given, cases.iter().map(text).collect::<String>()).map_err(file)?;
         let mut answers = Vec::new();
         for (program, methods) in [("tiny", &["tiny"][..]), ("library", &["dense", "qr", "chain"])] {
@@ -74,7 +80,11 @@ impl Peers {
             command.arg(&given).arg(&found).args([repeat.least.to_string(), repeat.seconds.to_string()]);
             let output = command.output().map_err(file)?;
             if !output.status.success() {
-                return Err(format!("{program} stopped with {}:\n{}", output.status, String::from_utf8_lossy(&output.stderr)));
+                return Err(format!(
+                    "{program} stopped with {}:\n{}",
+                    output.status,
+                    String::from_utf8_lossy(&output.stderr)
+                ));
             }
             let results = fs::read_to_string(&found).map_err(file)?;
             for &method in methods {
@@ -88,10 +98,17 @@ impl Peers {
 /// A problem in numbers, in the order that `statement.h` reads.
 fn text(case: &Case) -> String {
     let problem = case.problem();
-    let mut text = format!("{} {} {} ", problem.t_s.len(), problem.frames.len(), i32::from(problem.tau_rule == TauRule::End));
+    let mut text = format!(
+        "{} {} {} ",
+        problem.t_s.len(),
+        problem.frames.len(),
+        i32::from(problem.tau_rule == TauRule::End)
+    );
     let front_end = problem.front_end;
     let frames = problem.frames.iter().flat_map(|frame| [frame.start_s, frame.end_s, frame.dn, frame.weight]);
-    let numbers = [problem.evs_weight, front_end.tau_0_s, front_end.alpha_s, problem.black_level, problem.gain].into_iter();
+    let numbers =
+        [problem.evs_weight, front_end.tau_0_s, front_end.alpha_s, problem.black_level, problem.gain]
+            .into_iter();
     let columns = problem.t_s.iter().chain(problem.steps).chain(&case.start).copied();
     for number in numbers.chain(columns).chain(frames) {
         // The shortest digits that give the same bits back. Writing to a string cannot fail.
@@ -110,11 +127,23 @@ fn read(results: &str, method: &str, cases: &[Case]) -> Result<Vec<Answer>, Stri
         }
         let numbers: Result<Vec<f64>, _> = words[2..].iter().map(|word| word.parse::<f64>()).collect();
         let numbers = numbers.map_err(|error| format!("{method}: {error} in {line:?}"))?;
-        let problem = cases.get(answers.len()).map(Case::problem).filter(|problem| numbers.len() == 3 + problem.t_s.len());
+        let problem = cases
+            .get(answers.len())
+            .map(Case::problem)
+            .filter(|problem| numbers.len() == 3 + problem.t_s.len());
         let Some(problem) = problem else {
             return Err(format!("{method}: line {} does not fit its problem", answers.len() + 1));
         };
-        answers.push(Answer { setup_s: numbers[0], solve_s: numbers[1], iterations: numbers[2], cost: cost(&problem, &numbers[3..]) });
+        answers.push(Answer {
+            setup_s: numbers[0],
+            solve_s: numbers[1],
+            iterations: numbers[2],
+            cost: cost(&problem, &numbers[3..]),
+        });
     }
-    if answers.len() == cases.len() { Ok(answers) } else { Err(format!("{method}: {} answers to {} problems", answers.len(), cases.len())) }
+    if answers.len() == cases.len() {
+        Ok(answers)
+    } else {
+        Err(format!("{method}: {} answers to {} problems", answers.len(), cases.len()))
+    }
 }

@@ -1,6 +1,8 @@
-//! Synthetic problems of one pixel, for benches: steps near +-0.2 at random instants, three frames over 25 ms.
+//! Synthetic problems of one pixel, for benches: steps near +-0.2 at random instants, three frames over 25
+//! ms.
 //!
-//! Counts and times only: the digital numbers are drawn, not simulated, so a solution need not resemble any light.
+//! Counts and times only: the digital numbers are drawn, not simulated, so a solution need not resemble any
+//! light.
 
 use photocurrent_sensor::front_end::{FrontEnd, TauRule};
 use photocurrent_sensor::inverse::{FrameSample, PixelProblem};

@@ -8,7 +8,15 @@ use photocurrent_core::Exposure;
 const MS: i64 = 1_000_000;
 
 fn pixel() -> Pixel {
-    Pixel { front_end: FrontEnd::IDEAL, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP }
+    Pixel {
+        front_end: FrontEnd::IDEAL,
+        threshold_on: 0.2,
+        threshold_off: 0.2,
+        latency_ns: 0,
+        latency_spread_ns: 0.0,
+        refractory_ns: 0,
+        log_step: LOG_STEP,
+    }
 }
 
 /// Instants and photocurrents of a ramp of `ln i` with `slope` per second, finely sampled.
@@ -33,7 +41,8 @@ fn a_ramp_fires_once_per_threshold() {
         assert_eq!(events.len(), 9); // 1.85 / 0.2
         for (n, event) in events.iter().enumerate() {
             let expected_ns = 0.2 * (n + 1) as f64 / slope.abs() * 1e9;
-            // Between samples 10 us apart, i is linear instead of ln i: (37 * 1e-5)^2 / 8 of a log unit, 0.5 us.
+            // Between samples 10 us apart, i is linear instead of ln i: (37 * 1e-5)^2 / 8 of a log unit, 0.5
+            // us.
             assert!((event.t_in_ns as f64 - expected_ns).abs() < 600.0);
             assert_eq!(event.polarity, if slope > 0.0 { 1 } else { -1 });
             assert_eq!(event.t_in_ns, event.t_off_ns);
@@ -47,7 +56,8 @@ fn a_jump_fires_along_the_exponential_of_the_low_pass() {
     let pixel = Pixel { front_end: FrontEnd { tau_0_s: tau_s, alpha_s: 0.0 }, ..pixel() };
     for jump in [0.9, -0.9] {
         let (t_ns, photocurrent) = log_jump(jump);
-        let events = simulate_events(&pixel, &LinearLight::new(&t_ns, &photocurrent), 0, 40 * MS, &mut Noiseless);
+        let events =
+            simulate_events(&pixel, &LinearLight::new(&t_ns, &photocurrent), 0, 40 * MS, &mut Noiseless);
         assert_eq!(events.len(), 4); // 0.9 / 0.2
         for (n, event) in events.iter().enumerate() {
             let expected_s = 1e-3 - tau_s * libm::log(1.0 - 0.2 * (n + 1) as f64 / 0.9);
@@ -62,7 +72,8 @@ fn a_bright_pixel_answers_sooner_than_a_dark_one() {
     let first_event = |scale: f64| {
         let (t_ns, photocurrent) = log_jump(0.5);
         let photocurrent = photocurrent.map(|i| i * scale);
-        let events = simulate_events(&pixel, &LinearLight::new(&t_ns, &photocurrent), 0, 40 * MS, &mut Noiseless);
+        let events =
+            simulate_events(&pixel, &LinearLight::new(&t_ns, &photocurrent), 0, 40 * MS, &mut Noiseless);
         events[0].t_in_ns - MS
     };
     // After the jump tau = alpha / i is constant, so delays are proportional to it.
@@ -122,9 +133,14 @@ fn a_turn_inside_one_step_is_not_missed() {
         }
     }
     // The light of this step changes by twice the usual step: an error of third order, 2e-6.
-    assert!((turn_s - least.0).abs() < 1e-6 && (response.value(turn_s) - least.1).abs() < 3e-6, "{turn_s} {least:?}");
+    assert!(
+        (turn_s - least.0).abs() < 1e-6 && (response.value(turn_s) - least.1).abs() < 3e-6,
+        "{turn_s} {least:?}"
+    );
     assert!((response.value(2e-3) - v).abs() < 3e-6);
-    let (at_s, polarity) = response.first_crossing((0.0, start), 2e-3, start, 10.0, 0.9 * (start - least.1)).expect("an OFF event before the turn");
+    let (at_s, polarity) = response
+        .first_crossing((0.0, start), 2e-3, start, 10.0, 0.9 * (start - least.1))
+        .expect("an OFF event before the turn");
     assert_eq!(polarity, -1);
     assert!(at_s < turn_s && (response.value(at_s) - (start - 0.9 * (start - least.1))).abs() < 1e-12);
 }

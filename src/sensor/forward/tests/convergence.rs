@@ -17,9 +17,15 @@ fn halving_the_step_divides_the_error_by_eight() {
     let t_ns: Vec<i64> = (0..12).map(|n| n * 5_000_000).collect();
     let photocurrent = t_ns.iter().map(|&t| 0.5 + 0.4 * libm::sin(t as f64 * 3e-7)).collect();
     let light = Samples { t_ns, photocurrent };
-    let pixel = Pixel { front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 400e-6 }, threshold_on: 0.05, threshold_off: 0.05, ..ideal_pixel() };
+    let pixel = Pixel {
+        front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 400e-6 },
+        threshold_on: 0.05,
+        threshold_off: 0.05,
+        ..ideal_pixel()
+    };
     let times = |log_step| {
-        let events = simulate_events(&Pixel { log_step, ..pixel }, &light.light(), 0, 55 * MS, &mut Noiseless);
+        let events =
+            simulate_events(&Pixel { log_step, ..pixel }, &light.light(), 0, 55 * MS, &mut Noiseless);
         events.iter().map(|event| event.t_in_ns as f64).collect::<Vec<f64>>()
     };
     let exact = times(0.005);
@@ -37,9 +43,15 @@ fn finer_samples_of_the_same_motion_move_events_with_the_square_of_their_spacing
     let pixel = Pixel { front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 100e-6 }, ..ideal_pixel() };
     let times = |spacing_ns: i64| {
         let t_ns: Vec<i64> = (0..=60 * MS / spacing_ns).map(|n| n * spacing_ns).collect();
-        let photocurrent = t_ns.iter().map(|&t| libm::exp(libm::sin(t as f64 * 4e-7) + 0.4 * libm::sin(t as f64 * 1.1e-6))).collect();
+        let photocurrent = t_ns
+            .iter()
+            .map(|&t| libm::exp(libm::sin(t as f64 * 4e-7) + 0.4 * libm::sin(t as f64 * 1.1e-6)))
+            .collect();
         let light = Samples { t_ns, photocurrent };
-        simulate_events(&pixel, &light.light(), 0, 58 * MS, &mut Noiseless).iter().map(|event| event.t_in_ns as f64).collect::<Vec<f64>>()
+        simulate_events(&pixel, &light.light(), 0, 58 * MS, &mut Noiseless)
+            .iter()
+            .map(|event| event.t_in_ns as f64)
+            .collect::<Vec<f64>>()
     };
     let exact = times(5_000);
     let errors = [400_000, 200_000, 100_000].map(|spacing_ns| apart(&times(spacing_ns), &exact));
@@ -58,9 +70,15 @@ fn event_times_do_not_clump_on_the_samples_of_the_light() {
         let mut random = Random::new(seed, &[]);
         let (phase, omega) = (6.0 * random.uniform(), 300.0 + 400.0 * random.uniform());
         let t_ns: Vec<i64> = (0..=500).map(|n| n * period_ns).collect();
-        let photocurrent = t_ns.iter().map(|&t| libm::exp(libm::sin(phase + omega * t as f64 / 1e9))).collect();
+        let photocurrent =
+            t_ns.iter().map(|&t| libm::exp(libm::sin(phase + omega * t as f64 / 1e9))).collect();
         let light = Samples { t_ns, photocurrent };
-        let pixel = Pixel { front_end: FrontEnd { tau_0_s: 20e-6, alpha_s: 30e-6 }, threshold_on: 0.05, threshold_off: 0.06, ..ideal_pixel() };
+        let pixel = Pixel {
+            front_end: FrontEnd { tau_0_s: 20e-6, alpha_s: 30e-6 },
+            threshold_on: 0.05,
+            threshold_off: 0.06,
+            ..ideal_pixel()
+        };
         for event in simulate_events(&pixel, &light.light(), 0, 50 * MS, &mut Noiseless) {
             counts[(event.t_in_ns % period_ns * 20 / period_ns) as usize] += 1.0;
         }
@@ -79,7 +97,10 @@ fn a_sinusoid_through_a_low_pass_crosses_where_algebra_says() {
     let pixel = Pixel { front_end: FrontEnd { tau_0_s: tau_s, alpha_s: 0.0 }, ..ideal_pixel() };
     let events = simulate_events(&pixel, &light.light(), 0, 60 * MS, &mut Noiseless);
     let lag = omega * tau_s;
-    let voltage = |t: f64| depth / (1.0 + lag * lag) * (libm::sin(omega * t) - lag * libm::cos(omega * t) + lag * libm::exp(-t / tau_s));
+    let voltage = |t: f64| {
+        depth / (1.0 + lag * lag)
+            * (libm::sin(omega * t) - lag * libm::cos(omega * t) + lag * libm::exp(-t / tau_s))
+    };
     let rate = |t: f64| (depth * libm::sin(omega * t) - voltage(t)) / tau_s;
     // Each event lies on its rung of the ladder of thresholds.
     let mut rung = 0.0;

@@ -42,12 +42,22 @@ const OFF: f64 = 0.12;
 fn smooth_light(seed: u64, duration_ns: i64) -> Samples {
     let mut random = Random::new(seed, &[]);
     let tau = std::f64::consts::TAU;
-    let waves: Vec<[f64; 3]> =
-        (0..4).map(|n| [0.15 + 0.25 * random.uniform(), tau * (20.0 + 40.0 * f64::from(n) * random.uniform()), tau * random.uniform()]).collect();
-    Samples::of_log(duration_ns, |t| waves.iter().map(|[depth, omega, phase]| depth * libm::sin(omega * t + phase)).sum())
+    let waves: Vec<[f64; 3]> = (0..4)
+        .map(|n| {
+            [
+                0.15 + 0.25 * random.uniform(),
+                tau * (20.0 + 40.0 * f64::from(n) * random.uniform()),
+                tau * random.uniform(),
+            ]
+        })
+        .collect();
+    Samples::of_log(duration_ns, |t| {
+        waves.iter().map(|[depth, omega, phase]| depth * libm::sin(omega * t + phase)).sum()
+    })
 }
 
-/// Times in seconds and polarities, by the midpoint form of explicit Euler with linear interpolation between grid points.
+/// Times in seconds and polarities, by the midpoint form of explicit Euler with linear interpolation between
+/// grid points.
 fn euler(case: &Case, light: &Samples, duration_s: f64) -> Vec<(f64, i8)> {
     let model = &case.model;
     let spacing_s = (light.t_ns[1] - light.t_ns[0]) as f64 / 1e9;
@@ -66,7 +76,8 @@ fn euler(case: &Case, light: &Samples, duration_s: f64) -> Vec<(f64, i8)> {
         let i = at(t);
         let lag = libm::log(i) - v;
         let drive = if model.drive == Drive::LargeSignal { 1.0 - libm::exp(-lag) } else { lag };
-        let rate = (drive / (model.low_pass.tau_0_s + model.low_pass.alpha_s / i)).clamp(-model.slew_down_per_s, model.slew_up_per_s);
+        let rate = (drive / (model.low_pass.tau_0_s + model.low_pass.alpha_s / i))
+            .clamp(-model.slew_down_per_s, model.slew_up_per_s);
         let rate_w = model.second_pole.map_or(0.0, |pole| (v - w) / (pole.tau_s + pole.tau_light_s / i));
         [rate, rate_w, (if model.second_pole.is_some() { w } else { v } - h) / model.high_pass_s]
     };
@@ -137,7 +148,8 @@ fn agree(name: &str, case: Case) {
             log_step: LOG_STEP,
         };
         let effects: Vec<Box<dyn Effect>> = vec![Box::new(Made(case))];
-        let chain = Chain { pixel, reset: case.reset, effects: &effects, tolerance: crate::forward::TOLERANCE };
+        let chain =
+            Chain { pixel, reset: case.reset, effects: &effects, tolerance: crate::forward::TOLERANCE };
         let site = Site { x: 0, y: 0, width: 1, height: 1, seed };
         let ours = simulate(&chain, &site, &light.light(), 0, duration_ns, &mut Noiseless);
         let theirs = euler(&case, &light, duration_ns as f64 / 1e9);
@@ -149,7 +161,10 @@ fn agree(name: &str, case: Case) {
         }
     }
     assert!(total > 100, "{name}: {total} events are few");
-    assert!(off as f64 <= 1e-3 * f64::from(total), "{name}: {off} of {total} events differ by more than 1 us");
+    assert!(
+        off as f64 <= 1e-3 * f64::from(total),
+        "{name}: {off} of {total} events differ by more than 1 us"
+    );
 }
 
 fn plain(tau_0_s: f64, alpha_s: f64) -> Case {
@@ -179,7 +194,10 @@ fn blind_time_and_reset_rules_agree() {
 
 #[test]
 fn leaks_agree() {
-    agree("leak", Case { leak_per_s: 3.0, per_photocurrent_per_s: 2.0, refractory_ns: 50_000, ..plain(20e-6, 100e-6) });
+    agree(
+        "leak",
+        Case { leak_per_s: 3.0, per_photocurrent_per_s: 2.0, refractory_ns: 50_000, ..plain(20e-6, 100e-6) },
+    );
 }
 
 #[test]

@@ -1,10 +1,13 @@
-//! That every place where an effect may enter does what the trait promises, with effects made for the purpose.
+//! That every place where an effect may enter does what the trait promises, with effects made for the
+//! purpose.
 
 use super::super::neighbours::{halo, joined};
 use super::super::*;
 use super::plane::event_plane;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, recorded};
-use crate::effects::{Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
+use crate::effects::{
+    Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds,
+};
 use crate::exposure::DigitalNumber;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
@@ -30,7 +33,10 @@ made!(Loses {
 #[test]
 fn a_lost_event_has_reset_its_pixel() {
     let ramp = Samples::of_log(100 * MS, |t| -1.0 + 20.0 * t);
-    let times: Vec<i64> = recorded(ideal_pixel(), vec![Box::new(Loses)], &ramp, 55 * MS).iter().map(|event| (event.t_in_ns + MS / 2) / MS).collect();
+    let times: Vec<i64> = recorded(ideal_pixel(), vec![Box::new(Loses)], &ramp, 55 * MS)
+        .iter()
+        .map(|event| (event.t_in_ns + MS / 2) / MS)
+        .collect();
     assert_eq!(times, [30, 40, 50]);
 }
 
@@ -60,8 +66,10 @@ fn a_spontaneous_event_resets_an_armed_pixel_and_leaves_a_blind_one_alone() {
     let ramp = Samples::of_log(100 * MS, |t| -1.0 + 20.0 * t);
     let pixel = Pixel { refractory_ns: 2 * MS, ..ideal_pixel() };
     let events = recorded(pixel, vec![Box::new(Pops)], &ramp, 30 * MS);
-    // At 5 it fires and is blind until 7, so 6 is silent; 12 fires and is blind until 14; 10 ms after that the ramp has climbed a threshold.
-    let found: Vec<(i64, i8)> = events.iter().map(|event| ((event.t_in_ns + MS / 2) / MS, event.polarity)).collect();
+    // At 5 it fires and is blind until 7, so 6 is silent; 12 fires and is blind until 14; 10 ms after that
+    // the ramp has climbed a threshold.
+    let found: Vec<(i64, i8)> =
+        events.iter().map(|event| ((event.t_in_ns + MS / 2) / MS, event.polarity)).collect();
     assert_eq!(found, [(5, -1), (12, -1), (24, 1)]);
 }
 
@@ -82,10 +90,18 @@ fn an_impulse_fires_at_its_instant_and_the_front_end_settles_back() {
     let slow = Pixel { front_end: FrontEnd { tau_0_s: 1e-3, alpha_s: 0.0 }, ..ideal_pixel() };
     let light = Samples::constant(1.0);
     let of = |target, change| recorded(slow, vec![Box::new(Impulses(target, change))], &light, 20 * MS);
-    // Up by 0.25: ON at once; then back from 0.05 above that reference to 0.2 below it, which is where the light is: asymptotically never.
-    assert_eq!(of(ImpulseTarget::FrontEnd, 0.25).iter().map(|event| (event.t_in_ns, event.polarity)).collect::<Vec<_>>()[0], (5 * MS, 1));
+    // Up by 0.25: ON at once; then back from 0.05 above that reference to 0.2 below it, which is where the
+    // light is: asymptotically never.
+    assert_eq!(
+        of(ImpulseTarget::FrontEnd, 0.25)
+            .iter()
+            .map(|event| (event.t_in_ns, event.polarity))
+            .collect::<Vec<_>>()[0],
+        (5 * MS, 1)
+    );
     let events = of(ImpulseTarget::FrontEnd, -0.45);
-    // Down by 0.45: two OFF at once, reference -0.4; back up through -0.2 after ln(0.45 / 0.2) ms, and 0 is reached asymptotically.
+    // Down by 0.45: two OFF at once, reference -0.4; back up through -0.2 after ln(0.45 / 0.2) ms, and 0 is
+    // reached asymptotically.
     assert_eq!(events.iter().map(|event| event.polarity).collect::<Vec<_>>()[..3], [-1, -1, 1]);
     let expected_ns = 5e6 + 1e6 * libm::log(0.45 / 0.2);
     assert!((events[2].t_in_ns as f64 - expected_ns).abs() < 2.0);
@@ -111,12 +127,26 @@ fn an_effect_draws_from_streams_of_its_own() {
     let ramp = Samples::of_log(100 * MS, |t| -1.0 + 20.0 * t);
     let alone = recorded(ideal_pixel(), vec![Box::new(Draws)], &ramp, 100 * MS);
     let effects: Vec<Box<dyn Effect>> = vec![Box::new(Stamps), Box::new(Draws)];
-    let chain = Chain { pixel: ideal_pixel(), reset: Reset::Resample, effects: &effects, tolerance: crate::forward::TOLERANCE };
+    let chain = Chain {
+        pixel: ideal_pixel(),
+        reset: Reset::Resample,
+        effects: &effects,
+        tolerance: crate::forward::TOLERANCE,
+    };
     let both = simulate(&chain, &SITE, &ramp.light(), 0, 100 * MS, &mut Noiseless);
-    assert_eq!(both.iter().map(|fired| fired.event).collect::<Vec<_>>(), alone, "stamping does not disturb thresholds");
+    assert_eq!(
+        both.iter().map(|fired| fired.event).collect::<Vec<_>>(),
+        alone,
+        "stamping does not disturb \
+                                                            thresholds"
+    );
     assert!(both.iter().any(|fired| fired.recorded != Some(fired.event)));
     let other = Site { x: SITE.x + 1, ..SITE };
-    assert_ne!(simulate(&chain, &other, &ramp.light(), 0, 100 * MS, &mut Noiseless), both, "another pixel, other numbers");
+    assert_ne!(
+        simulate(&chain, &other, &ramp.light(), 0, 100 * MS, &mut Noiseless),
+        both,
+        "another pixel, other numbers"
+    );
 }
 
 made!(Leads {
@@ -148,7 +178,9 @@ fn kernels_follow_one_another_and_repeat_the_edge() {
     assert_eq!(event_plane(&effects[..0], 3, 2, &[1.0; 6]), None);
     let seen = event_plane(&effects, 3, 2, &[1.0, 2.0, 4.0, 1.0, 8.0, 16.0]).unwrap();
     // Shifted: 2 4 4 / 8 16 16. The edge repeats, so i^0.75 over the other row's i^0.25.
-    for (found, expected) in seen.iter().zip([(2.0, 8.0), (4.0, 16.0), (4.0, 16.0), (8.0, 2.0), (16.0, 4.0), (16.0, 4.0)]) {
+    for (found, expected) in
+        seen.iter().zip([(2.0, 8.0), (4.0, 16.0), (4.0, 16.0), (8.0, 2.0), (16.0, 4.0), (16.0, 4.0)])
+    {
         let (own, other): (f64, f64) = expected;
         assert!((found - libm::pow(own, 0.75) / libm::pow(other, 0.25)).abs() < 1e-12);
     }
@@ -157,7 +189,11 @@ fn kernels_follow_one_another_and_repeat_the_edge() {
 #[test]
 fn frames_take_true_exposure_then_charge_then_number() {
     let light = LinearLight::new(&[0, 1_000_000], &[1.0, 1001.0]);
-    let readout = FrameReadout { number: DigitalNumber { black_level: 10.0, gain: 1e6 }, saturation: f64::INFINITY, row_time_ns: 0 };
+    let readout = FrameReadout {
+        number: DigitalNumber { black_level: 10.0, gain: 1e6 },
+        saturation: f64::INFINITY,
+        row_time_ns: 0,
+    };
     let stated = [Exposure::new(0, 1_000), Exposure::new(1_000, 2_000)];
     let plain = read_frames(&readout, &[], &SITE, &light, &stated);
     // The photocurrent is 1 + t / us: integrals over the first two microseconds are 1.5 and 2.5.
@@ -170,15 +206,23 @@ fn frames_take_true_exposure_then_charge_then_number() {
 
 #[test]
 fn kernels_join_by_convolution() {
-    let half: Vec<Box<dyn Effect>> =
-        crate::effects::from_description(&serde_json::from_value(serde_json::json!({ "misalignment": { "shift_x": 0.5 } })).unwrap()).unwrap();
+    let half: Vec<Box<dyn Effect>> = crate::effects::from_description(
+        &serde_json::from_value(serde_json::json!({ "misalignment": { "shift_x": 0.5 } })).unwrap(),
+    )
+    .unwrap();
     let once = joined(&half).unwrap().unwrap();
     let twice: Vec<Box<dyn Effect>> = half
         .into_iter()
-        .chain(crate::effects::from_description(&serde_json::from_value(serde_json::json!({ "misalignment": { "shift_x": 0.5 } })).unwrap()).unwrap())
+        .chain(
+            crate::effects::from_description(
+                &serde_json::from_value(serde_json::json!({ "misalignment": { "shift_x": 0.5 } })).unwrap(),
+            )
+            .unwrap(),
+        )
         .collect();
     let weights = |kernel: &crate::effects::Kernel| {
-        let mut weights: Vec<f64> = kernel.taps.iter().map(|tap| tap.weight).filter(|weight| *weight != 0.0).collect();
+        let mut weights: Vec<f64> =
+            kernel.taps.iter().map(|tap| tap.weight).filter(|weight| *weight != 0.0).collect();
         weights.sort_by(f64::total_cmp);
         weights
     };

@@ -20,7 +20,8 @@ fn theirs() -> Vec<Vec<(i64, bool)>> {
 }
 
 fn ours(reset: Reset) -> Vec<Vec<(i64, bool)>> {
-    let light: Vec<f64> = LIGHT.chunks_exact(4).map(|bytes| f64::from(f32::from_le_bytes(bytes.try_into().unwrap()))).collect();
+    let light: Vec<f64> =
+        LIGHT.chunks_exact(4).map(|bytes| f64::from(f32::from_le_bytes(bytes.try_into().unwrap()))).collect();
     let instants: Vec<i64> = (0..(light.len() / WIDTH) as i64).map(|k| k * LIGHT_STEP_NS).collect();
     let pixel = Pixel {
         front_end: FrontEnd { tau_0_s: 11.161933e-6, alpha_s: 27387.502754e-6 },
@@ -35,13 +36,15 @@ fn ours(reset: Reset) -> Vec<Vec<(i64, bool)>> {
     let row = |x: usize| {
         let photocurrent: Vec<f64> = light.iter().skip(x).step_by(WIDTH).copied().collect();
         let site = Site { x: x as u32, y: 36, width: WIDTH as u32, height: 72, seed: 0 };
-        let fired = simulate(&chain, &site, &LinearLight::new(&instants, &photocurrent), 0, END_NS, &mut Noiseless);
+        let fired =
+            simulate(&chain, &site, &LinearLight::new(&instants, &photocurrent), 0, END_NS, &mut Noiseless);
         fired.into_iter().map(|fired| (fired.event.t_in_ns, fired.event.polarity > 0)).collect()
     };
     (0..WIDTH).map(row).collect()
 }
 
-/// Share of the events met by one of ours at the same place of the pixel's list, with the same sign, within 2 us.
+/// Share of the events met by one of ours at the same place of the pixel's list, with the same sign, within 2
+/// us.
 fn met(ours: &[Vec<(i64, bool)>], theirs: &[Vec<(i64, bool)>]) -> f64 {
     let pairs = || ours.iter().zip(theirs).flat_map(|(ours, theirs)| ours.iter().zip(theirs));
     let total: usize = theirs.iter().map(Vec::len).sum();

@@ -1,6 +1,8 @@
-//! Second starts, for pixels whose first answer does not explain what was measured: such pixels wait until eight of them are together.
+//! Second starts, for pixels whose first answer does not explain what was measured: such pixels wait until
+//! eight of them are together.
 //!
-//! A second start takes three times as many steps as the first: lanes that ask for none would only wait for the others.
+//! A second start takes three times as many steps as the first: lanes that ask for none would only wait for
+//! the others.
 
 use super::super::options::{Evidence, MapSolution, MapTask, SecondStart};
 use super::super::problem::Offsets;
@@ -16,7 +18,9 @@ impl MapGroup {
         let apart = misfits(&self.lines);
         from_fn(|l| {
             let (state, MapTask { problem, options }) = (&self.lanes[l].state, tasks[l]);
-            let is_worth_it = |second: &SecondStart| second.is_worth_a_try(problem, state.status, state.misfit(problem), &apart[l].0);
+            let is_worth_it = |second: &SecondStart| {
+                second.is_worth_a_try(problem, state.status, state.misfit(problem), &apart[l].0)
+            };
             let waits = l < group.len() && options.second.as_ref().is_some_and(is_worth_it);
             if waits {
                 self.take_lane(l);
@@ -27,9 +31,15 @@ impl MapGroup {
         })
     }
 
-    /// Solves pixels that wait from their second start, as long as a group of them is full, or until none waits where no more are to come; of both answers the better
-    /// goes to `take`.
-    pub(super) fn again(&mut self, all: &[MapTask<'_>], is_last: bool, evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
+    /// Solves pixels that wait from their second start, as long as a group of them is full, or until none
+    /// waits where no more are to come; of both answers the better goes to `take`.
+    pub(super) fn again(
+        &mut self,
+        all: &[MapTask<'_>],
+        is_last: bool,
+        evidence: Evidence,
+        take: &mut impl FnMut(usize, MapSolution<'_>),
+    ) {
         while self.waiting.places.len() >= if is_last { 1 } else { WIDTH } {
             let count = usize::min(self.waiting.places.len(), WIDTH);
             self.group_again(all, count, evidence, take);
@@ -37,19 +47,27 @@ impl MapGroup {
         }
     }
 
-    fn group_again(&mut self, all: &[MapTask<'_>], count: usize, evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
+    fn group_again(
+        &mut self,
+        all: &[MapTask<'_>],
+        count: usize,
+        evidence: Evidence,
+        take: &mut impl FnMut(usize, MapSolution<'_>),
+    ) {
         let places: [usize; WIDTH] = from_fn(|l| self.waiting.places[usize::min(l, count - 1)]);
         let tasks = lanes_of(all, &places[..count]);
         self.begin(&tasks, count);
         let first = self.u[0];
-        let seconds: [SecondStart; WIDTH] = from_fn(|l| tasks[l].options.second.unwrap_or(SecondStart::USUAL));
+        let seconds: [SecondStart; WIDTH] =
+            from_fn(|l| tasks[l].options.second.unwrap_or(SecondStart::USUAL));
         for stage in 0..2 {
             let staged: [MapTask<'_>; WIDTH] = from_fn(|l| {
                 let (problem, options) = seconds[l].stages(&tasks[l].problem, &tasks[l].options)[stage];
                 MapTask { problem, options }
             });
             let staged: [&MapTask<'_>; WIDTH] = from_fn(|l| &staged[l]);
-            let so_far: [Offsets; WIDTH] = from_fn(|l| if stage == 0 { Offsets::default() } else { self.lanes[l].state.offsets });
+            let so_far: [Offsets; WIDTH] =
+                from_fn(|l| if stage == 0 { Offsets::default() } else { self.lanes[l].state.offsets });
             let common = self.load(&staged, count, |_| true);
             for (lane, offsets) in self.lanes.iter_mut().zip(so_far).take(count) {
                 lane.state.offsets = offsets;

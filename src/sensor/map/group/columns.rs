@@ -13,7 +13,8 @@ use multiversion::multiversion;
 /// Steps whose segments are computed at once: they stay in the nearest cache.
 const BLOCK: usize = 16;
 
-/// Stands for the length of a segment that is not there, seconds: what is computed from it is thrown away, but must not be slow as subnormal numbers are.
+/// Stands for the length of a segment that is not there, seconds: what is computed from it is thrown away,
+/// but must not be slow as subnormal numbers are.
 const NO_SEGMENT_S: f64 = 1e-5;
 
 /// What is given at a step.
@@ -127,7 +128,8 @@ impl Columns {
         energy.resize(steps, Wide::ZERO);
         u.resize(steps, Wide::ZERO);
         for s in 0..steps {
-            let (given, what, nearby, expected, u) = (&mut given[s], &mut what[s], &mut nearby[s], &mut expected[s], &mut u[s]);
+            let (given, what, nearby, expected, u) =
+                (&mut given[s], &mut what[s], &mut nearby[s], &mut expected[s], &mut u[s]);
             // Behind the end and at steps without a segment nothing moves.
             *given = Given { length_s: Wide::splat(NO_SEGMENT_S), variance: Wide::ONE, ..Given::default() };
             (*what, *nearby) = (Flags::default(), Nearby::default());
@@ -140,20 +142,29 @@ impl Columns {
                 };
                 let k = step.knot as usize;
                 u.0[l] = pixel.u[k];
-                (what.0[l], given.target.0[l], given.exposure.0[l], given.variance.0[l]) = (step.what, step.target, step.exposure, step.variance);
+                (what.0[l], given.target.0[l], given.exposure.0[l], given.variance.0[l]) =
+                    (step.what, step.target, step.exposure, step.variance);
                 if step.what & SEGMENT != 0 && s > 0 {
                     let segments = pixel.segments;
                     (given.length_s.0[l], given.per_s.0[l]) = (segments.length_s[k], segments.per_s[k]);
                     match common.family {
                         Family::Local(_) => {
-                            (nearby.reach_s.0[l], nearby.per_nearby.0[l]) = (segments.reach_s[k], segments.per_nearby[k]);
+                            (nearby.reach_s.0[l], nearby.per_nearby.0[l]) =
+                                (segments.reach_s[k], segments.per_nearby[k]);
                             let (low, high) = segments.nearby[k];
-                            (nearby.low[l], nearby.high[l]) = (pixel.stream.first_step[low as usize - 1], pixel.stream.first_step[high as usize]);
+                            (nearby.low[l], nearby.high[l]) = (
+                                pixel.stream.first_step[low as usize - 1],
+                                pixel.stream.first_step[high as usize],
+                            );
                         }
                         Family::Walk(..) => {}
-                        Family::IntegratedWalk(..) => nearby.reach_s.0[l] = if k > 1 { segments.middle_s[k] - segments.middle_s[k - 1] } else { 0.0 },
+                        Family::IntegratedWalk(..) => {
+                            nearby.reach_s.0[l] =
+                                if k > 1 { segments.middle_s[k] - segments.middle_s[k - 1] } else { 0.0 }
+                        }
                     }
-                    (expected.correlation.0[l], expected.fresh.0[l]) = (segments.correlation[k], segments.fresh[k]);
+                    (expected.correlation.0[l], expected.fresh.0[l]) =
+                        (segments.correlation[k], segments.fresh[k]);
                 }
             }
             given.information = Wide::ONE / given.variance;
@@ -207,9 +218,11 @@ pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide 
                 let (change, apart_s) = (slope - before, nearby[s].reach_s);
                 let fresh = (spread * apart_s + change * change) / tails;
                 // The first slope of a pixel has none before it.
-                let fresh = is(apart_s.above(Wide::ZERO, fresh, Wide::splat(FIRST_SLOPE_VARIANCE)), Wide::ZERO);
+                let fresh =
+                    is(apart_s.above(Wide::ZERO, fresh, Wide::splat(FIRST_SLOPE_VARIANCE)), Wide::ZERO);
                 (expected[s].fresh, expected[s].per_fresh) = (fresh, is(Wide::ONE / fresh, Wide::ZERO));
-                (expected[s].scale, expected[s].per_scale) = (is(given[s].length_s, Wide::ZERO), given[s].per_s);
+                (expected[s].scale, expected[s].per_scale) =
+                    (is(given[s].length_s, Wide::ZERO), given[s].per_s);
                 before = slope;
             }
         }
@@ -254,11 +267,23 @@ struct Block {
 /// Runs the pixels at `u` with these offsets. The prior's cost is that of the
 /// scales and correlations that stand in `columns`.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &WideOffsets, lines: &mut [Line]) -> Cost {
+pub(super) fn run(
+    columns: &Columns,
+    common: &Common,
+    u: &[Wide],
+    offsets: &WideOffsets,
+    lines: &mut [Line],
+) -> Cost {
     let steps = u.len();
-    let (given, what, expected, lines) = (&columns.given[..steps], &columns.what[..steps], &columns.expected[..steps], &mut lines[..steps]);
+    let (given, what, expected, lines) =
+        (&columns.given[..steps], &columns.what[..steps], &columns.expected[..steps], &mut lines[..steps]);
     let zero = [[0.0; WIDTH]; BLOCK];
-    let mut block = Block { u: [[0.0; WIDTH]; BLOCK + 1], root: [[1.0; WIDTH]; BLOCK + 1], length_s: zero, pieces: [zero; 6] };
+    let mut block = Block {
+        u: [[0.0; WIDTH]; BLOCK + 1],
+        root: [[1.0; WIDTH]; BLOCK + 1],
+        length_s: zero,
+        pieces: [zero; 6],
+    };
     let mut cost = Cost::default();
     let mut voltage = u[0];
     let mut reference = voltage + offsets.reference;
@@ -313,20 +338,27 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
             let below = (-off).above(change, -off - change, Wide::ZERO);
             let broken = is(NO_EVENT, above + below, Wide::ZERO);
             for l in 0..WIDTH {
-                // More light than a lower bound is no contradiction, and a no-event constraint that is not broken none either.
+                // More light than a lower bound is no contradiction, and a no-event constraint that is not
+                // broken none either.
                 let beyond = if dark.0[l] < 0.0 { BOUND } else { 0 };
                 let unbroken = if broken.0[l] == 0.0 { NO_EVENT } else { 0 };
-                let counts = if then.0[l] & (beyond | unbroken) == 0 { EVENT | FRAME | LIGHT | NO_EVENT | RISE } else { 0 };
+                let counts = if then.0[l] & (beyond | unbroken) == 0 {
+                    EVENT | FRAME | LIGHT | NO_EVENT | RISE
+                } else {
+                    0
+                };
                 // Too high a voltage is too high for the ON threshold.
                 let rises = if broken.0[l] < 0.0 { RISE } else { 0 };
                 line.sight.0[l] = (then.0[l] & counts) | rises;
             }
-            line.residual = is(EVENT, level - voltage, is(LIGHT, given.target - here, is(NO_EVENT, broken, dark)));
+            line.residual =
+                is(EVENT, level - voltage, is(LIGHT, given.target - here, is(NO_EVENT, broken, dark)));
             line.variance = given.variance;
             let mut information = given.information;
             if has_stamps {
                 let current = Wide(block.root[k + 1]) * Wide(block.root[k + 1]);
-                let tau_light = Wide::splat(common.front_end.tau_0_s) * current + Wide::splat(common.front_end.alpha_s);
+                let tau_light =
+                    Wide::splat(common.front_end.tau_0_s) * current + Wide::splat(common.front_end.alpha_s);
                 let slope = tau_light.above(Wide::ZERO, (here - voltage) * current / tau_light, Wide::ZERO);
                 let stamp = slope * common.stamp_sigma_s;
                 line.variance = is(EVENT, given.variance + stamp * stamp, given.variance);

@@ -104,7 +104,11 @@ pub(super) fn wide(lanes: &[Lane; WIDTH], of: impl Fn(&LaneState) -> f64) -> Wid
 
 pub(super) fn offsets(lanes: &[Lane; WIDTH]) -> WideOffsets {
     let part = |of: fn(&Offsets) -> f64| wide(lanes, |state| of(&state.offsets));
-    WideOffsets { reference: part(|offsets| offsets.reference), on: part(|offsets| offsets.on), off: part(|offsets| offsets.off) }
+    WideOffsets {
+        reference: part(|offsets| offsets.reference),
+        on: part(|offsets| offsets.on),
+        off: part(|offsets| offsets.off),
+    }
 }
 
 /// Are both tasks of one pixel, so that they have the same knots and the same start?
@@ -115,7 +119,15 @@ pub(super) fn starts_alike(one: &MapTask<'_>, other: &MapTask<'_>) -> bool {
         && std::ptr::eq(a.events, b.events)
         && std::ptr::eq(a.frames, b.frames)
         && std::ptr::eq(a.hints, b.hints);
-    let solved = |task: &MapTask<'_>| (task.problem.start_ns, task.problem.end_ns, task.problem.sensor, task.problem.noise.lone, task.options.spacing_ns);
+    let solved = |task: &MapTask<'_>| {
+        (
+            task.problem.start_ns,
+            task.problem.end_ns,
+            task.problem.sensor,
+            task.problem.noise.lone,
+            task.options.spacing_ns,
+        )
+    };
     same && solved(one) == solved(other)
 }
 
@@ -147,7 +159,14 @@ pub(super) fn begin_step(state: &mut LaneState, task: &MapTask<'_>, prior_cost: 
 }
 
 /// What becomes of a lane after a step: is its trial accepted?
-pub(super) fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longest: f64, offsets: Offsets) -> bool {
+pub(super) fn judge(
+    state: &mut LaneState,
+    task: &MapTask<'_>,
+    cost: &Cost,
+    l: usize,
+    longest: f64,
+    offsets: Offsets,
+) -> bool {
     if !state.steps {
         return false;
     }

@@ -8,8 +8,9 @@
 //! of the measurements (`lambda`) and, for standard deviations ([`super::variance`]), their curvature:
 //! nothing is ever inverted, so states without noise are no trouble.
 //!
-//! Pixels do different things at the same step, so every step does everything, and lanes choose: a measurement that a lane does not have weighs
-//! nothing there and leaves its numbers as they are, to the last bit.
+//! Pixels do different things at the same step, so every step does everything, and lanes choose: a
+//! measurement that a lane does not have weighs nothing there and leaves its numbers as they are, to the last
+//! bit.
 //!
 //! Source: A. E. Bryson and M. Frazier, "Smoothing for linear and nonlinear dynamic systems" (1963); the
 //! recursion as in G. J. Bierman (1973).
@@ -96,7 +97,11 @@ pub(super) struct WideOffsets {
 impl WideOffsets {
     /// Moved by a share of `by`.
     pub(super) fn moved(&self, by: &WideOffsets, share: Wide) -> WideOffsets {
-        WideOffsets { reference: self.reference + share * by.reference, on: self.on + share * by.on, off: self.off + share * by.off }
+        WideOffsets {
+            reference: self.reference + share * by.reference,
+            on: self.on + share * by.on,
+            off: self.off + share * by.off,
+        }
     }
 
     pub(super) fn lane(&self, l: usize) -> Offsets {
@@ -138,7 +143,8 @@ impl Evidence {
     /// Log of the marginal likelihood of a lane's measurements.
     pub(super) fn log(&self, lane: usize) -> f64 {
         const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
-        let log_information = libm::log(self.mantissa.0[lane]) + self.exponent.0[lane] * std::f64::consts::LN_2;
+        let log_information =
+            libm::log(self.mantissa.0[lane]) + self.exponent.0[lane] * std::f64::consts::LN_2;
         -0.5 * (self.count.0[lane] * LOG_TWO_PI - log_information + self.squares.0[lane])
     }
 
@@ -187,7 +193,11 @@ pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, cons
         let line = &lines[j];
         // Nothing moves before the first step: its segment keeps all as it is.
         let prior = &expected[j];
-        state.predict(&Transition::new(prior.correlation, prior.scale, &line.slopes), prior.fresh, -prior.surprise);
+        state.predict(
+            &Transition::new(prior.correlation, prior.scale, &line.slopes),
+            prior.fresh,
+            -prior.surprise,
+        );
         let choose = |event: Wide, frame: Wide, light: Wide| {
             let rest = line.sight.choose(FRAME, frame, line.sight.choose(LIGHT, light, Wide::ZERO));
             line.sight.any(ask.events, event, rest)
@@ -206,7 +216,8 @@ pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, cons
             event.1 = event.1 - line.sight.choose(RISE, state.x[ON], -state.x[OFF]);
         }
         let spread = choose(event.0, cross[S], cross[U]) + line.variance;
-        let innovation = choose(line.residual - event.1, line.residual - state.x[S], line.residual - state.x[U]);
+        let innovation =
+            choose(line.residual - event.1, line.residual - state.x[S], line.residual - state.x[U]);
         let weight = state.take(cross, spread, innovation);
         if EVIDENCE {
             let counts = line.sight.choose(EVENT | FRAME, Wide::ONE, Wide::ZERO);
@@ -265,7 +276,11 @@ fn dot<const N: usize>(row: &[Wide; N], lambda: &[Wide; N]) -> Wide {
 
 /// Fills the change of log light at each step; gives its largest magnitude and the change of the offsets.
 #[inline(always)]
-fn backward<const N: usize, const DAMPED: bool>(ask: &Ask<'_>, memory: &Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
+fn backward<const N: usize, const DAMPED: bool>(
+    ask: &Ask<'_>,
+    memory: &Memory<N>,
+    change: &mut [Wide],
+) -> (Wide, WideOffsets) {
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
     let (kept, change) = (&memory.kept[..steps], &mut change[..steps]);
@@ -320,10 +335,15 @@ fn backward<const N: usize, const DAMPED: bool>(ask: &Ask<'_>, memory: &Memory<N
     (longest, WideOffsets { reference: at[R] - at[V], on: threshold(ON), off: threshold(OFF) })
 }
 
-pub(super) const NO_EVIDENCE: Evidence = Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
+pub(super) const NO_EVIDENCE: Evidence =
+    Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
 
 /// One Gauss-Newton step of each lane: see [`backward`].
-pub(super) fn step<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
+pub(super) fn step<const N: usize>(
+    ask: &Ask<'_>,
+    memory: &mut Memory<N>,
+    change: &mut [Wide],
+) -> (Wide, WideOffsets) {
     let steps = ask.lines.len();
     memory.make_room(steps);
     if ask.damping == Wide::ZERO {
@@ -334,7 +354,11 @@ pub(super) fn step<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, change
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-fn passes<const N: usize, const DAMPED: bool>(ask: &Ask<'_>, memory: &mut Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
+fn passes<const N: usize, const DAMPED: bool>(
+    ask: &Ask<'_>,
+    memory: &mut Memory<N>,
+    change: &mut [Wide],
+) -> (Wide, WideOffsets) {
     forward::<N, DAMPED, true, false>(ask, memory, &mut { NO_EVIDENCE });
     backward::<N, DAMPED>(ask, memory, change)
 }

@@ -5,7 +5,9 @@ use super::super::prior::Prior;
 use super::super::problem::{MapProblem, Offsets, has_run_away};
 use super::super::state::{ON, STATES};
 use super::columns::{Columns, Common, Family, Pixel, adapt, misfits, moved, run};
-use super::lane::{Lane, LaneState, begin_step, is_advancing, is_exact, judge, lanes_of, offsets, starts_alike, wide};
+use super::lane::{
+    Lane, LaneState, begin_step, is_advancing, is_exact, judge, lanes_of, offsets, starts_alike, wide,
+};
 use super::passes::{self, Ask, Line, Memory, WideOffsets, step};
 use super::stream::{EVENT, LIGHT, NO_EVENT};
 use super::variance;
@@ -62,7 +64,17 @@ impl MapGroup {
         let mut answer = std::mem::take(&mut self.answer);
         let mut rest = None;
         self.solve(std::slice::from_ref(task), |_, solution| {
-            let MapSolution { t_ns, log_photocurrent, variance, offsets, status, iterations, log_evidence, misfit, largest_square } = solution;
+            let MapSolution {
+                t_ns,
+                log_photocurrent,
+                variance,
+                offsets,
+                status,
+                iterations,
+                log_evidence,
+                misfit,
+                largest_square,
+            } = solution;
             t_ns.clone_into(&mut answer.t_ns);
             log_photocurrent.clone_into(&mut answer.log_photocurrent);
             variance.clone_into(&mut answer.variance);
@@ -70,12 +82,28 @@ impl MapGroup {
         });
         self.answer = answer;
         let Answer { t_ns, log_photocurrent, variance } = &self.answer;
-        let (offsets, status, iterations, log_evidence, misfit, largest_square) = rest.expect("every task has one answer");
-        MapSolution { t_ns, log_photocurrent, variance, offsets, status, iterations, log_evidence, misfit, largest_square }
+        let (offsets, status, iterations, log_evidence, misfit, largest_square) =
+            rest.expect("every task has one answer");
+        MapSolution {
+            t_ns,
+            log_photocurrent,
+            variance,
+            offsets,
+            status,
+            iterations,
+            log_evidence,
+            misfit,
+            largest_square,
+        }
     }
 
     /// Solves `tasks`, with the evidence or without.
-    pub(in super::super) fn solve_with(&mut self, tasks: &[MapTask<'_>], evidence: Evidence, mut take: impl FnMut(usize, MapSolution<'_>)) {
+    pub(in super::super) fn solve_with(
+        &mut self,
+        tasks: &[MapTask<'_>],
+        evidence: Evidence,
+        mut take: impl FnMut(usize, MapSolution<'_>),
+    ) {
         let mut order = std::mem::take(&mut self.order);
         order.clear();
         order.extend(0..tasks.len());
@@ -85,7 +113,9 @@ impl MapGroup {
             Prior::Walk { .. } => 1,
             Prior::IntegratedWalk { .. } => 2,
         };
-        order.sort_by_key(|&n| (is_exact(&tasks[n]), family(n), tasks[n].problem.events.len(), tasks[n].problem.hints.len(), n));
+        order.sort_by_key(|&n| {
+            (is_exact(&tasks[n]), family(n), tasks[n].problem.events.len(), tasks[n].problem.hints.len(), n)
+        });
         let mut rest = order.as_slice();
         while let Some(&first) = rest.first() {
             let alike = |n: usize| {
@@ -103,13 +133,26 @@ impl MapGroup {
         self.order = order;
     }
 
-    fn group(&mut self, all: &[MapTask<'_>], group: &[usize], evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
+    fn group(
+        &mut self,
+        all: &[MapTask<'_>],
+        group: &[usize],
+        evidence: Evidence,
+        take: &mut impl FnMut(usize, MapSolution<'_>),
+    ) {
         let tasks = lanes_of(all, group);
         let common = self.begin(&tasks, group.len());
         let first = self.u[0];
         self.descend(&tasks, &common, first, group.len());
         let waits = self.wait(&tasks, group);
-        self.finish(&common, &tasks, first, evidence, |l| (!waits[l]).then_some(group.get(l).copied()).flatten(), take);
+        self.finish(
+            &common,
+            &tasks,
+            first,
+            evidence,
+            |l| (!waits[l]).then_some(group.get(l).copied()).flatten(),
+            take,
+        );
     }
 
     /// Gives the answers of lanes to `take`: of those that have a place.
@@ -150,15 +193,34 @@ impl MapGroup {
             } else {
                 self.of_pixel.clear();
             }
-            let (log_evidence, (misfit, largest_square)) = (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
+            let (log_evidence, (misfit, largest_square)) =
+                (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
             let (t_ns, log_photocurrent, variance) = (&lane.knots.t_ns, &lane.u, &self.of_pixel);
-            take(n, MapSolution { t_ns, log_photocurrent, variance, offsets, status, iterations, log_evidence, misfit, largest_square });
+            take(
+                n,
+                MapSolution {
+                    t_ns,
+                    log_photocurrent,
+                    variance,
+                    offsets,
+                    status,
+                    iterations,
+                    log_evidence,
+                    misfit,
+                    largest_square,
+                },
+            );
         }
     }
 
     /// Gives each lane that has a place its light: the answer, or the start where that failed or is
     /// implausible.
-    fn fall_back(&mut self, common: &Common, tasks: &[&MapTask<'_>; WIDTH], place: impl Fn(usize) -> Option<usize>) {
+    fn fall_back(
+        &mut self,
+        common: &Common,
+        tasks: &[&MapTask<'_>; WIDTH],
+        place: impl Fn(usize) -> Option<usize>,
+    ) {
         let mut has_failed = false;
         for l in (0..WIDTH).filter(|l| place(*l).is_some()) {
             self.take_lane(l);
@@ -179,14 +241,22 @@ impl MapGroup {
     /// Pseudo-measurements get the variance that counts for the posterior variance.
     pub(super) fn widen_hints(&mut self) {
         for (l, lane) in self.lanes.iter().enumerate() {
-            for (line, step) in self.lines.iter_mut().zip(&lane.stream.steps).filter(|(_, step)| step.what & LIGHT != 0) {
+            for (line, step) in
+                self.lines.iter_mut().zip(&lane.stream.steps).filter(|(_, step)| step.what & LIGHT != 0)
+            {
                 line.variance.0[l] = step.for_sigma;
             }
         }
     }
 
     /// Iterates all lanes that step, until none does.
-    pub(super) fn descend(&mut self, tasks: &[&MapTask<'_>; WIDTH], common: &Common, first: Wide, count: usize) {
+    pub(super) fn descend(
+        &mut self,
+        tasks: &[&MapTask<'_>; WIDTH],
+        common: &Common,
+        first: Wide,
+        count: usize,
+    ) {
         while self.lanes.iter().any(|lane| lane.state.steps) {
             let prior_cost = adapt(&mut self.columns, common, &self.u);
             for (l, lane) in self.lanes.iter_mut().enumerate() {
@@ -194,7 +264,11 @@ impl MapGroup {
             }
             let damping = wide(&self.lanes, |state| if state.steps { state.damping } else { 0.0 });
             let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), damping);
-            let (longest, by) = if is_exact(tasks[0]) { step(&ask, &mut self.exact, &mut self.change) } else { step(&ask, &mut self.free, &mut self.change) };
+            let (longest, by) = if is_exact(tasks[0]) {
+                step(&ask, &mut self.exact, &mut self.change)
+            } else {
+                step(&ask, &mut self.free, &mut self.change)
+            };
             for (l, lane) in self.lanes.iter_mut().enumerate() {
                 lane.state.share = f64::min(1.0, LONGEST_STEP / longest.0[l]);
             }
@@ -236,7 +310,8 @@ impl MapGroup {
         let cost = run(&self.columns, common, &self.u, &offsets(&self.lanes), &mut self.lines);
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             let of_offsets = lane.state.offsets.cost(&lane.state.noise);
-            (lane.state.measured, lane.state.no_event_square) = (cost.measured.0[l] + of_offsets, cost.no_event_square.0[l]);
+            (lane.state.measured, lane.state.no_event_square) =
+                (cost.measured.0[l] + of_offsets, cost.no_event_square.0[l]);
         }
     }
 
@@ -264,11 +339,20 @@ impl MapGroup {
 
     /// Puts the pixels of a group into their lanes, with the light that they have; those that step go on from
     /// there.
-    pub(super) fn load(&mut self, tasks: &[&MapTask<'_>; WIDTH], count: usize, steps: impl Fn(usize) -> bool) -> Common {
+    pub(super) fn load(
+        &mut self,
+        tasks: &[&MapTask<'_>; WIDTH],
+        count: usize,
+        steps: impl Fn(usize) -> bool,
+    ) -> Common {
         let common = self.common(tasks);
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             let MapTask { problem, options } = tasks[l];
-            lane.state = LaneState { steps: l < count && options.max_iterations > 0 && steps(l), noise: problem.noise, ..LaneState::default() };
+            lane.state = LaneState {
+                steps: l < count && options.max_iterations > 0 && steps(l),
+                noise: problem.noise,
+                ..LaneState::default()
+            };
             if l < count {
                 lane.stream.fill(problem, &lane.knots);
             }
@@ -298,7 +382,13 @@ impl MapGroup {
 
     /// The evidence of each lane; the posterior variance of log light at each step as well where it is asked
     /// for.
-    pub(super) fn judge_all(&mut self, common: &Common, first: Wide, is_exact: bool, with_variance: bool) -> [f64; WIDTH] {
+    pub(super) fn judge_all(
+        &mut self,
+        common: &Common,
+        first: Wide,
+        is_exact: bool,
+        with_variance: bool,
+    ) -> [f64; WIDTH] {
         adapt(&mut self.columns, common, &self.u);
         // As measured: what the prior expects of thresholds has no part in it.
         self.lanes.iter_mut().for_each(|lane| lane.state.expected = Offsets::default());
@@ -314,16 +404,28 @@ impl MapGroup {
 }
 
 /// What the passes are asked for at `here`, the first log light, when the prior expects `first` of it.
-pub(super) fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (first, here): (Wide, Wide), damping: Wide) -> Ask<'a> {
+pub(super) fn ask<'a>(
+    lanes: &[Lane; WIDTH],
+    columns: &'a Columns,
+    lines: &'a [Line],
+    (first, here): (Wide, Wide),
+    damping: Wide,
+) -> Ask<'a> {
     let offsets = offsets(lanes);
     Ask {
         lines,
         expected: &columns.expected,
         what: &columns.what,
-        events: Flags(std::array::from_fn(|l| if lanes[l].state.no_event_sigma > 0.0 { EVENT | NO_EVENT } else { EVENT })),
+        events: Flags(std::array::from_fn(|l| {
+            if lanes[l].state.no_event_sigma > 0.0 { EVENT | NO_EVENT } else { EVENT }
+        })),
         damping,
         first: first - here,
-        offsets: WideOffsets { on: offsets.on - wide(lanes, |state| state.expected.on), off: offsets.off - wide(lanes, |state| state.expected.off), ..offsets },
+        offsets: WideOffsets {
+            on: offsets.on - wide(lanes, |state| state.expected.on),
+            off: offsets.off - wide(lanes, |state| state.expected.off),
+            ..offsets
+        },
         first_variance: FIRST_VARIANCE,
         reference_variance: wide(lanes, |state| state.noise.reference * state.noise.reference),
         threshold_variance: wide(lanes, |state| state.noise.threshold * state.noise.threshold),

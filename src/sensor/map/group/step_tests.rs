@@ -3,7 +3,9 @@
 
 use super::super::prior::FIRST_SLOPE_VARIANCE;
 use super::super::tests::{event, sensor};
-use super::super::{Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapTask, Noise, Offsets, Prior};
+use super::super::{
+    Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapTask, Noise, Offsets, Prior,
+};
 use super::columns::{Common, adapt, run};
 use super::lane::{is_exact, lanes_of, offsets as of_lanes};
 use super::passes::step;
@@ -68,7 +70,9 @@ impl<'a> Alone<'a> {
 
     /// Residual, variance and kind of each measurement.
     fn measured(&self) -> Vec<(f64, f64, u64)> {
-        let lines = self.group.lines[..self.steps()].iter().map(|line| (line.residual.0[0], line.variance.0[0], line.sight.0[0] & (EVENT | FRAME | LIGHT)));
+        let lines = self.group.lines[..self.steps()]
+            .iter()
+            .map(|line| (line.residual.0[0], line.variance.0[0], line.sight.0[0] & (EVENT | FRAME | LIGHT)));
         lines.filter(|(.., sight)| *sight != 0).collect()
     }
 
@@ -89,7 +93,8 @@ impl<'a> Alone<'a> {
 
     /// The log of the marginal likelihood and the posterior variance at each knot.
     fn judge(&mut self) -> (f64, Vec<f64>) {
-        let log_evidence = self.group.judge_all(&self.common, Wide::splat(self.first), is_exact(&self.task), true)[0];
+        let log_evidence =
+            self.group.judge_all(&self.common, Wide::splat(self.first), is_exact(&self.task), true)[0];
         (log_evidence, self.at_knots(&self.group.variance))
     }
 }
@@ -98,15 +103,25 @@ fn frame(start_ns: i64, dn: f64) -> MapFrame {
     MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false }
 }
 
-const FAMILIES: [Prior; 3] = [Prior::USUAL, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }];
+const FAMILIES: [Prior; 3] =
+    [Prior::USUAL, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }];
 
 /// Five events, two frames, and two pseudo-measurements: one between events, one at an event's instant.
 fn with_pixels(then: impl Fn(&str, MapProblem<'_>, MapOptions)) {
-    let events = [event(2_100_000, 1), event(2_900_000, 1), event(5_000_000, -1), event(5_080_500, -1), event(9_000_000, 1)];
+    let events = [
+        event(2_100_000, 1),
+        event(2_900_000, 1),
+        event(5_000_000, -1),
+        event(5_080_500, -1),
+        event(9_000_000, 1),
+    ];
     let frames = [frame(500_000, 250.0), frame(6_000_000, 260.0)];
-    let hint = |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance, for_sigma: variance };
+    let hint =
+        |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance, for_sigma: variance };
     let hints = [hint(4_100_000, 4.7, 0.01), hint(9_000_000, 4.5, 0.04)];
-    for (reset, prior) in [Reset::Resample, Reset::Advance].into_iter().flat_map(|reset| FAMILIES.map(|prior| (reset, prior))) {
+    for (reset, prior) in
+        [Reset::Resample, Reset::Advance].into_iter().flat_map(|reset| FAMILIES.map(|prior| (reset, prior)))
+    {
         for threshold in [0.02, 0.0] {
             let problem = MapProblem {
                 hints: &hints,
@@ -133,18 +148,24 @@ impl Dense {
         let n = u.len();
         let noise = pixel.task.problem.noise;
         let unknowns = if noise.threshold > 0.0 { n + 3 } else { n + 1 };
-        let at: Vec<f64> = u.iter().copied().chain([offsets.reference, offsets.on, offsets.off]).take(unknowns).collect();
+        let at: Vec<f64> =
+            u.iter().copied().chain([offsets.reference, offsets.on, offsets.off]).take(unknowns).collect();
         let mut rows = |x: &[f64]| {
             let of = |k: usize| x.get(n + k).copied().unwrap_or(0.0);
             pixel.place(&x[..n], Offsets { reference: of(0), on: of(1), off: of(2) });
             let mut prior = pixel.prior_rows();
             prior.push(of(0) / noise.reference);
             prior.extend((n + 1..unknowns).map(|k| x[k] / noise.threshold));
-            let measured = pixel.measured().into_iter().map(|(residual, variance, _)| residual / variance.sqrt()).collect();
+            let measured = pixel
+                .measured()
+                .into_iter()
+                .map(|(residual, variance, _)| residual / variance.sqrt())
+                .collect();
             (DVector::from_vec(prior), DVector::from_vec(measured))
         };
         let (prior, measured) = rows(&at);
-        let (mut prior_slopes, mut measured_slopes) = (DMatrix::zeros(prior.len(), unknowns), DMatrix::zeros(measured.len(), unknowns));
+        let (mut prior_slopes, mut measured_slopes) =
+            (DMatrix::zeros(prior.len(), unknowns), DMatrix::zeros(measured.len(), unknowns));
         for column in 0..unknowns {
             let (mut above, mut below) = (at.clone(), at.clone());
             above[column] += 1e-5;
@@ -184,7 +205,11 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
     with_pixels(|of, problem, options| {
         let mut pixel = Alone::new(problem, options, 0.05);
         let (u, offsets) = (pixel.start(), Offsets { reference: 0.01, on: -0.01, off: 0.015 });
-        let offsets = if problem.noise.threshold > 0.0 { offsets } else { Offsets { reference: 0.01, ..Offsets::default() } };
+        let offsets = if problem.noise.threshold > 0.0 {
+            offsets
+        } else {
+            Offsets { reference: 0.01, ..Offsets::default() }
+        };
         let dense = Dense::new(&mut pixel, &u, offsets);
         let n = u.len();
         // Second differences of rows up to 1e4 in size: a relative error of 1e-5 is what numerical
@@ -193,14 +218,28 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
             let (covariance, expected) = dense.step(n, damping);
             let (change, by) = pixel.step(damping);
             for j in 0..n {
-                assert!((change[j] - expected[j]).abs() < 1e-4 * (0.1 + expected[j].abs()), "{of} {damping} knot {j}: {} against {}", change[j], expected[j]);
+                assert!(
+                    (change[j] - expected[j]).abs() < 1e-4 * (0.1 + expected[j].abs()),
+                    "{of} {damping} knot {j}: {} against {}",
+                    change[j],
+                    expected[j]
+                );
             }
             for (moved, expected) in [by.reference, by.on, by.off].into_iter().zip(expected.iter().skip(n)) {
-                assert!((moved - expected).abs() < 1e-4 * (0.01 + expected.abs()), "{of} {damping}: {moved} against {expected}");
+                assert!(
+                    (moved - expected).abs() < 1e-4 * (0.01 + expected.abs()),
+                    "{of} {damping}: {moved} \
+                                                            against {expected}"
+                );
             }
             if damping == 0.0 {
                 for (j, variance) in pixel.judge().1.into_iter().enumerate() {
-                    assert!((variance / covariance[(j, j)] - 1.0).abs() < 1e-3, "{of} knot {j}: {variance} against {}", covariance[(j, j)]);
+                    assert!(
+                        (variance / covariance[(j, j)] - 1.0).abs() < 1e-3,
+                        "{of} knot {j}: {variance} \
+                                                            against {}",
+                        covariance[(j, j)]
+                    );
                 }
             }
         }
@@ -215,7 +254,11 @@ fn the_evidence_is_the_density_of_the_measurements() {
         let dense = Dense::new(&mut pixel, &u, Offsets::default());
         let expected = dense.log_evidence(pixel.measured().into_iter().map(|(_, variance, _)| variance));
         let log_evidence = pixel.judge().0;
-        assert!((log_evidence - expected).abs() < 1e-3 * (1.0 + expected.abs()), "{of}: {log_evidence} against {expected}");
+        assert!(
+            (log_evidence - expected).abs() < 1e-3 * (1.0 + expected.abs()),
+            "{of}: {log_evidence} \
+                                                            against {expected}"
+        );
     });
 }
 
@@ -223,8 +266,15 @@ fn the_evidence_is_the_density_of_the_measurements() {
 fn what_pseudo_measurements_count_as_for_the_variance_changes_that_alone() {
     with_pixels(|of, problem, options| {
         let found = |variance: f64, for_sigma: f64| {
-            let hints: Vec<Hint> =
-                problem.hints.iter().map(|hint| Hint { variance: variance * hint.variance, for_sigma: for_sigma * hint.variance, ..*hint }).collect();
+            let hints: Vec<Hint> = problem
+                .hints
+                .iter()
+                .map(|hint| Hint {
+                    variance: variance * hint.variance,
+                    for_sigma: for_sigma * hint.variance,
+                    ..*hint
+                })
+                .collect();
             let mut pixel = Alone::new(MapProblem { hints: &hints, ..problem }, options, 0.05);
             let u = pixel.start();
             pixel.place(&u, Offsets::default());
@@ -250,23 +300,37 @@ fn the_weights_of_both_walks_have_the_gradient_of_students_t() {
     let t_ns: [i64; 5] = [0, 250_000, 400_000, 1_400_000, 1_650_000];
     let at = [4.0, 4.02, 4.3, 4.28, 4.9];
     let seconds = t_ns.map(|t| t as f64 * 1e-9);
-    let walk = |u: &[f64]| -> f64 { (1..5).map(|j| student(u[j] - u[j - 1], 1.0 * (seconds[j] - seconds[j - 1]), 1.0)).sum() };
+    let walk = |u: &[f64]| -> f64 {
+        (1..5).map(|j| student(u[j] - u[j - 1], 1.0 * (seconds[j] - seconds[j - 1]), 1.0)).sum()
+    };
     let integrated_walk = |u: &[f64]| -> f64 {
         let slope = |j: usize| (u[j] - u[j - 1]) / (seconds[j] - seconds[j - 1]);
         let middle = |j: usize| 0.5 * (seconds[j] + seconds[j - 1]);
         let first = slope(1) * slope(1) / FIRST_SLOPE_VARIANCE;
-        first + (2..5).map(|j| student(slope(j) - slope(j - 1), 3e6 * (middle(j) - middle(j - 1)), 3.0)).sum::<f64>()
+        first
+            + (2..5)
+                .map(|j| student(slope(j) - slope(j - 1), 3e6 * (middle(j) - middle(j - 1)), 3.0))
+                .sum::<f64>()
     };
     type Cost<'a> = &'a dyn Fn(&[f64]) -> f64;
     // Knots stand where pseudo-measurements are.
-    let hints = [1, 2, 3].map(|j| Hint { t_ns: t_ns[j], log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 });
+    let hints =
+        [1, 2, 3].map(|j| Hint { t_ns: t_ns[j], log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 });
     for (prior, cost) in [(FAMILIES[1], &walk as Cost<'_>), (FAMILIES[2], &integrated_walk)] {
         let (sensor, noise): (MapSensor, Noise) = (sensor(Reset::Resample), Noise::default());
         let (stamp_sigma_s, no_event_sigma) = (0.0, 0.0);
         let (events, frames, lost_before, beyond) = (&[], &[], &[], &[]);
-        let problem =
-            MapProblem { hints: &hints, noise, stamp_sigma_s, no_event_sigma, lost_before, beyond, ..MapProblem::new(sensor, events, frames, (0, t_ns[4])) };
-        let mut pixel = Alone::new(problem, MapOptions { prior, spacing_ns: 10_000_000, ..MapOptions::default() }, 0.0);
+        let problem = MapProblem {
+            hints: &hints,
+            noise,
+            stamp_sigma_s,
+            no_event_sigma,
+            lost_before,
+            beyond,
+            ..MapProblem::new(sensor, events, frames, (0, t_ns[4]))
+        };
+        let mut pixel =
+            Alone::new(problem, MapOptions { prior, spacing_ns: 10_000_000, ..MapOptions::default() }, 0.0);
         pixel.place(&at, Offsets::default());
         pixel.adapt();
         for j in 0..5 {
@@ -276,9 +340,14 @@ fn the_weights_of_both_walks_have_the_gradient_of_students_t() {
                 below[j] -= 1e-6;
                 (of(&above) - of(&below)) / 2e-6
             };
-            let (expected, found) = (slope(&mut |u| cost(u)), slope(&mut |u| pixel.place(u, Offsets::default())));
+            let (expected, found) =
+                (slope(&mut |u| cost(u)), slope(&mut |u| pixel.place(u, Offsets::default())));
             // Rounding of second-order terms over differences of a millionth.
-            assert!((found - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{prior:?} at {j}: {found} against {expected}");
+            assert!(
+                (found - expected).abs() < 1e-4 * (1.0 + expected.abs()),
+                "{prior:?} at {j}: {found} \
+                                                            against {expected}"
+            );
         }
     }
 }

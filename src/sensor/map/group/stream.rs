@@ -1,8 +1,8 @@
 //! A pixel as a stream of uniform steps, so that eight pixels can go in step.
 //!
-//! A step is a segment, then at most one measurement, then at most a new exposure and a new reference. A knot where more happens becomes several
-//! steps, of which all but the first have no segment: nothing moves there. Pixels with fewer steps than their neighbours end with steps
-//! at which nothing happens.
+//! A step is a segment, then at most one measurement, then at most a new exposure and a new reference. A knot
+//! where more happens becomes several steps, of which all but the first have no segment: nothing moves there.
+//! Pixels with fewer steps than their neighbours end with steps at which nothing happens.
 
 use super::super::knots::{Knots, Op};
 use super::super::problem::MapProblem;
@@ -93,7 +93,11 @@ impl Stream {
                         let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
                         let rises = if polarity > 0 { RISE } else { 0 };
                         if armed {
-                            self.measure(EVENT | rises, problem.beyond_of(event), noise.event_variance(threshold));
+                            self.measure(
+                                EVENT | rises,
+                                problem.beyond_of(event),
+                                noise.event_variance(threshold),
+                            );
                         } else if sensor.reset != Reset::Resample {
                             self.measure(MOVE | rises, problem.beyond_of(event), 1.0);
                         }
@@ -108,7 +112,8 @@ impl Stream {
         }
     }
 
-    /// Of the values of a lane at each step, those at each knot: all steps of a knot have one light, and its last what is known after all that happens there.
+    /// Of the values of a lane at each step, those at each knot: all steps of a knot have one light, and its
+    /// last what is known after all that happens there.
     pub(super) fn of_knots(&self, steps: &[Wide], lane: usize, knots: &mut Vec<f64>) {
         let ends = self.first_step.iter().skip(1).map(|first| *first as usize).chain([self.steps.len()]);
         knots.clear();
@@ -118,12 +123,20 @@ impl Stream {
     /// A lane of the values at each step becomes those at the knots; behind the pixel's end the last.
     pub(super) fn spread(&self, knots: &[f64], lane: usize, steps: &mut [Wide]) {
         for (s, value) in steps.iter_mut().enumerate() {
-            value.0[lane] = self.steps.get(s).map_or(knots[knots.len() - 1], |step| knots[step.knot as usize]);
+            value.0[lane] =
+                self.steps.get(s).map_or(knots[knots.len() - 1], |step| knots[step.knot as usize]);
         }
     }
 
     fn begin(&mut self, knot: usize, what: u64, exposure: f64) {
-        self.steps.push(Step { knot: knot as u32, what, target: 0.0, variance: 1.0, for_sigma: 1.0, exposure });
+        self.steps.push(Step {
+            knot: knot as u32,
+            what,
+            target: 0.0,
+            variance: 1.0,
+            for_sigma: 1.0,
+            exposure,
+        });
     }
 
     fn last(&mut self) -> &mut Step {

@@ -2,7 +2,10 @@
 
 use super::super::knots::Knots;
 use super::super::tests::recorded;
-use super::super::{Hint, Local, LoneEvents, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Prior, solve};
+use super::super::{
+    Hint, Local, LoneEvents, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Prior,
+    solve,
+};
 use super::stream::Stream;
 use photocurrent_core::sensor::Reset;
 
@@ -14,15 +17,17 @@ struct Cut {
     end_ns: i64,
 }
 
-/// Pixels of all lengths, with and without events, hints and saturated values; some with measurements at one instant, some with thresholds so wrong that
-/// steps are refused.
+/// Pixels of all lengths, with and without events, hints and saturated values; some with measurements at one
+/// instant, some with thresholds so wrong that steps are refused.
 fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
     let whole = recorded(reset);
     let cut: Vec<Cut> = (0..21_i64)
         .map(|n| {
             let end_ns = 40_000_000 - 1_700_000 * n;
-            let mut events: Vec<MapEvent> = whole.events.iter().filter(|event| event.t_in_ns <= end_ns).copied().collect();
-            let mut frames: Vec<MapFrame> = whole.frames.iter().filter(|frame| frame.end_ns <= end_ns).copied().collect();
+            let mut events: Vec<MapEvent> =
+                whole.events.iter().filter(|event| event.t_in_ns <= end_ns).copied().collect();
+            let mut frames: Vec<MapFrame> =
+                whole.frames.iter().filter(|frame| frame.end_ns <= end_ns).copied().collect();
             if n % 7 == 3 {
                 // Frames that differ by more than the no-event constraint allows: steps are refused.
                 events.clear();
@@ -41,7 +46,12 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             if n % 6 == 4 && frames.len() > 1 {
                 frames[1].saturated = true;
             }
-            let hint = |k: i64| Hint { t_ns: k * 400_000 + 1, log_photocurrent: 4.0 + 0.01 * k as f64, variance: 0.04, for_sigma: 0.04 * k as f64 };
+            let hint = |k: i64| Hint {
+                t_ns: k * 400_000 + 1,
+                log_photocurrent: 4.0 + 0.01 * k as f64,
+                variance: 0.04,
+                for_sigma: 0.04 * k as f64,
+            };
             let hints = if n % 4 == 1 { (0..end_ns / 400_000).map(hint).collect() } else { Vec::new() };
             Cut { events, frames, hints, end_ns }
         })
@@ -50,7 +60,14 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
         .iter()
         .enumerate()
         .map(|(n, Cut { events, frames, hints, end_ns })| {
-            let mut problem = MapProblem { events, frames, hints, end_ns: *end_ns, no_event_sigma: 0.03, ..whole.problem(reset) };
+            let mut problem = MapProblem {
+                events,
+                frames,
+                hints,
+                end_ns: *end_ns,
+                no_event_sigma: 0.03,
+                ..whole.problem(reset)
+            };
             problem.lost_before = if n % 7 == 1 { &[0, 2, 6] } else { &[] };
             problem.beyond = if n % 5 == 2 { &[0.03, -0.02, 0.0, 0.05, -0.04, 0.01] } else { &[] };
             problem.sensor.threshold_on *= [1.0, 0.3, 2.5, 1.0, 8.0][n % 5];
@@ -59,7 +76,12 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             problem.noise.lone = [LoneEvents::Doubted, LoneEvents::Trusted][n / 4 % 2];
             let mut options = MapOptions::default();
             let busy = Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL });
-            options.prior = [Prior::USUAL, busy, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }][n / 2 % 4];
+            options.prior = [
+                Prior::USUAL,
+                busy,
+                Prior::Walk { per_s: 1.0, nu: 1.0 },
+                Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 },
+            ][n / 2 % 4];
             options.max_iterations = 5 + n % 9;
             options.with_sigma = n % 3 != 1;
             MapTask { problem, options }
@@ -93,17 +115,30 @@ fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
                 counts[n] += 1;
                 failed += usize::from(found.status == MapStatus::Failed);
                 let expected = solve(&tasks[n].problem, &tasks[n].options, &mut alone);
-                assert_eq!((found.status, found.iterations), (expected.status, expected.iterations), "{reset:?} {n}");
+                assert_eq!(
+                    (found.status, found.iterations),
+                    (expected.status, expected.iterations),
+                    "{reset:?} {n}"
+                );
                 assert_eq!((found.t_ns, found.offsets), (expected.t_ns, expected.offsets), "{reset:?} {n}");
                 assert_eq!(found.log_photocurrent, expected.log_photocurrent, "{reset:?} {n}");
                 assert_eq!(found.variance, expected.variance, "{reset:?} {n}");
-                assert_eq!((found.misfit, found.largest_square), (expected.misfit, expected.largest_square), "{reset:?} {n}");
+                assert_eq!(
+                    (found.misfit, found.largest_square),
+                    (expected.misfit, expected.largest_square),
+                    "{reset:?} {n}"
+                );
                 assert_eq!(found.log_evidence, expected.log_evidence, "{reset:?} {n}");
             });
             assert_eq!(counts, vec![1; tasks.len()]);
             assert!(failed > 0, "no pixel falls back to its start");
-            // Steps were refused, or damping would not be looked at. With unknown thresholds and without a blind time none is.
-            assert!(!group.exact.dampings.is_empty() && (!group.free.dampings.is_empty() || reset == Reset::Advance), "{reset:?}");
+            // Steps were refused, or damping would not be looked at. With unknown thresholds and without a
+            // blind time none is.
+            assert!(
+                !group.exact.dampings.is_empty()
+                    && (!group.free.dampings.is_empty() || reset == Reset::Advance),
+                "{reset:?}"
+            );
         });
     }
 }

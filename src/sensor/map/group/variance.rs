@@ -14,7 +14,8 @@ use multiversion::multiversion;
 #[inline(always)]
 fn sight<const N: usize>(ask: &Ask<'_>, line: &Line) -> [Wide; N] {
     let of_event = |value: Wide| line.sight.any(ask.events, value, Wide::ZERO);
-    let of_value = |what: u64| line.sight.any(ask.events, Wide::ZERO, line.sight.choose(what, Wide::ONE, Wide::ZERO));
+    let of_value =
+        |what: u64| line.sight.any(ask.events, Wide::ZERO, line.sight.choose(what, Wide::ONE, Wide::ZERO));
     let mut sight = [Wide::ZERO; N];
     (sight[V], sight[R]) = (of_event(Wide::ONE), of_event(-Wide::ONE));
     (sight[S], sight[U]) = (of_value(FRAME), of_value(LIGHT));
@@ -25,9 +26,14 @@ fn sight<const N: usize>(ask: &Ask<'_>, line: &Line) -> [Wide; N] {
     sight
 }
 
-/// The evidence of each lane, and the posterior variance of log light after each step: that of a knot stands at its last.
+/// The evidence of each lane, and the posterior variance of log light after each step: that of a knot stands
+/// at its last.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn variance<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, variance: &mut Vec<Wide>) -> Evidence {
+pub(super) fn variance<const N: usize>(
+    ask: &Ask<'_>,
+    memory: &mut Memory<N>,
+    variance: &mut Vec<Wide>,
+) -> Evidence {
     let mut evidence = NO_EVIDENCE;
     memory.make_room(ask.lines.len());
     memory.information.resize(ask.lines.len(), Wide::ZERO);
@@ -41,7 +47,8 @@ fn backward<const N: usize>(ask: &Ask<'_>, memory: &Memory<N>, variance: &mut Ve
     let steps = ask.lines.len();
     variance.resize(steps, Wide::ZERO);
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
-    let (kept, information, variance) = (&memory.kept[..steps], &memory.information[..steps], &mut variance[..steps]);
+    let (kept, information, variance) =
+        (&memory.kept[..steps], &memory.information[..steps], &mut variance[..steps]);
     let mut curvature = Curvature::<Wide, N>::new();
     for j in (0..steps).rev() {
         let (line, then, kept) = (&lines[j], what[j], &kept[j]);
@@ -55,7 +62,9 @@ fn backward<const N: usize>(ask: &Ask<'_>, memory: &Memory<N>, variance: &mut Ve
         }
         curvature.untake(&sight(ask, line), &kept.gain, information[j]);
         let prior = &expected[j];
-        curvature.unpredict(&Transition::new(prior.correlation, prior.scale, &line.slopes), |yes, no| then.choose(SEGMENT, yes, no));
+        curvature.unpredict(&Transition::new(prior.correlation, prior.scale, &line.slopes), |yes, no| {
+            then.choose(SEGMENT, yes, no)
+        });
         // Through memory: kept in registers, compilers take lanes out of their vectors.
         std::hint::black_box(&mut curvature);
     }

@@ -1,8 +1,10 @@
-//! Orders of bytes and bits that make numbers easier to compress: shuffle (by byte) and bitshuffle (by bit), undone.
+//! Orders of bytes and bits that make numbers easier to compress: shuffle (by byte) and bitshuffle (by bit),
+//! undone.
 
 use super::{Bytes, Filled, full, lz4_block, zstd_frames};
 
-/// Undoes shuffle: all first bytes stand together, then all second bytes, and so on; what is left of a last number stands at the end.
+/// Undoes shuffle: all first bytes stand together, then all second bytes, and so on; what is left of a last
+/// number stands at the end.
 pub(crate) fn unshuffle(bytes: &[u8], item: usize, out: &mut [u8]) -> Filled {
     full(bytes.len(), out)?;
     match item {
@@ -35,7 +37,8 @@ fn gather<const W: usize>(bytes: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Undoes bitshuffle of numbers whose count is a multiple of 8: row 8 b + k holds bit k of byte b of every number, eight numbers to a byte.
+/// Undoes bitshuffle of numbers whose count is a multiple of 8: row 8 b + k holds bit k of byte b of every
+/// number, eight numbers to a byte.
 pub(crate) fn unshuffle_bits(bytes: &[u8], item: usize, out: &mut [u8]) -> Filled {
     full(bytes.len(), out)?;
     if item == 0 || !bytes.len().is_multiple_of(8 * item) {

@@ -1,12 +1,15 @@
-//! The filter Blosc (32001): a chunk in blocks, each shuffled by byte or bit and packed by one of several codecs.
+//! The filter Blosc (32001): a chunk in blocks, each shuffled by byte or bit and packed by one of several
+//! codecs.
 //!
-//! A chunk begins with 16 bytes: versions, flags, size of a number, bytes in all, bytes in a block, packed bytes. Then the start of every block.
-//! A block may be split into one stream for each byte of a number. Snappy, which nobody builds in, is refused by name.
+//! A chunk begins with 16 bytes: versions, flags, size of a number, bytes in all, bytes in a block, packed
+//! bytes. Then the start of every block. A block may be split into one stream for each byte of a number.
+//! Snappy, which nobody builds in, is refused by name.
 
 use super::bits::{unshuffle, unshuffle_bits};
 use super::{Bytes, Filled, deflate, full, literal, lz4_block, repeat, zstd_frames};
 
-/// A block is split into streams only when each stream would have at least so many bytes, and numbers have at most so many.
+/// A block is split into streams only when each stream would have at least so many bytes, and numbers have at
+/// most so many.
 const LEAST_STREAM: usize = 128;
 const MOST_STREAMS: usize = 16;
 
@@ -40,7 +43,8 @@ pub(crate) fn blosc(bytes: &[u8], out: &mut [u8]) -> Filled {
         let start = starts.u32()? as usize;
         let from = Bytes::new(bytes.get(start..).ok_or("Blosc: a block begins outside its chunk")?);
         let whole = room.len() == block;
-        let streams = if may_split && whole && item <= MOST_STREAMS && block / item >= LEAST_STREAM { item } else { 1 };
+        let streams =
+            if may_split && whole && item <= MOST_STREAMS && block / item >= LEAST_STREAM { item } else { 1 };
         if by_byte || by_bit {
             ordered.resize(room.len(), 0);
             streams_into(from, streams, unpack, &mut ordered)?;
@@ -76,7 +80,8 @@ fn streams_into(mut from: Bytes, streams: usize, unpack: Codec, room: &mut [u8])
     Ok(())
 }
 
-/// Bitshuffle of a block: only when its count of numbers is a multiple of eight, and what is left over stands as it is.
+/// Bitshuffle of a block: only when its count of numbers is a multiple of eight, and what is left over stands
+/// as it is.
 fn bits_into(ordered: &[u8], item: usize, room: &mut [u8]) -> Filled {
     let count = room.len() / item;
     let done = if count.is_multiple_of(8) { count * item } else { 0 };
@@ -85,7 +90,8 @@ fn bits_into(ordered: &[u8], item: usize, room: &mut [u8]) -> Filled {
     Ok(())
 }
 
-/// BloscLZ, a relative of FastLZ: literals and repetitions with 13-bit distances, or 16 more bits beyond those.
+/// BloscLZ, a relative of FastLZ: literals and repetitions with 13-bit distances, or 16 more bits beyond
+/// those.
 fn blosclz(bytes: &[u8], out: &mut [u8]) -> Filled {
     const NEAR: usize = 8191;
     let (mut from, mut at) = (Bytes::new(bytes), 0);
@@ -108,7 +114,8 @@ fn blosclz(bytes: &[u8], out: &mut [u8]) -> Filled {
             }
             let (high, low) = ((control & 31) << 8, usize::from(from.u8()?));
             let far = low == 255 && high == 31 << 8;
-            let distance = if far { usize::from(u16::from_be_bytes(from.array()?)) + NEAR } else { high + low };
+            let distance =
+                if far { usize::from(u16::from_be_bytes(from.array()?)) + NEAR } else { high + low };
             repeat(out, at, distance + 1, length + 3)?;
             at += length + 3;
         } else {

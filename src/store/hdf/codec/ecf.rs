@@ -1,16 +1,18 @@
 //! Prophesee's event codec (filter 0x8ECF): a chunk of at most 65,535 events, column by column.
 //!
-//! Written after the layout of the published codec (`hdf5_ecf`). All numbers are little-endian:
-//! a u32 (count << 2, bit 1: y, x and p packed together, bit 0: x and p packed together), the first stamp as u64, then
+//! Written after the layout of the published codec (`hdf5_ecf`). All numbers are little-endian: a u32 (count
+//! << 2, bit 1: y, x and p packed together, bit 0: x and p packed together), the first stamp as u64, then
 //!
-//! - stamps: a byte is (step << 4 | run); run 15 means that a u16 with the run follows; step 15 means that the byte carries four more bits of a larger
-//!   step, lowest first, until another byte ends it;
+//! - stamps: a byte is (step << 4 | run); run 15 means that a u16 with the run follows; step 15 means that
+//!   the byte carries four more bits of a larger step, lowest first, until another byte ends it;
 //! - y: a u16 is (y << 5 | run), run 31 means that a u16 with the run follows;
 //! - x: a u16 is (x << 5 | mask), bit 4 - j of the mask saying that an event at x + j + 1 follows;
 //! - p: a byte is (p << 7 | run), run 127 means that a u16 with the run follows;
-//! - x and p together: four times 12 bits (x << 1 | p) in three u16; y, x and p together: four times 24 bits (y << 12 | x << 1 | p) in three u32.
+//! - x and p together: four times 12 bits (x << 1 | p) in three u16; y, x and p together: four times 24 bits
+//!   (y << 12 | x << 1 | p) in three u32.
 //!
-//! An event comes out as 16 bytes {x u16, y u16, p i16, two bytes of nothing, t i64}, as the datasets declare it.
+//! An event comes out as 16 bytes {x u16, y u16, p i16, two bytes of nothing, t i64}, as the datasets declare
+//! it.
 
 use super::{Bytes, Filled, full};
 
@@ -54,7 +56,8 @@ fn set(event: &mut Event, at: usize, value: u16) {
     [event[at], event[at + 1]] = value.to_le_bytes();
 }
 
-/// Gives a run of events to `of`, refusing one that is empty (it would never end) or longer than what is left.
+/// Gives a run of events to `of`, refusing one that is empty (it would never end) or longer than what is
+/// left.
 fn run(events: &mut [Event], at: &mut usize, length: usize, mut of: impl FnMut(&mut Event)) -> Filled {
     let left = events.len() - *at;
     if length == 0 || length > left {
@@ -165,21 +168,28 @@ mod tests {
     /// Packed bytes that the published codec's own tests demand, written out by hand.
     #[test]
     fn the_published_examples_are_unpacked() {
-        // One event, everything packed together: count 1 << 2 | 2, first stamp 4, a run of 1 at step 0, 2 << 12 | 1 << 1 | 0 in the upper 24 bits.
+        // One event, everything packed together: count 1 << 2 | 2, first stamp 4, a run of 1 at step 0, 2 <<
+        // 12 | 1 << 1 | 0 in the upper 24 bits.
         let bytes = [&[6, 0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0x01, 0, 0x02, 0x20, 0][..], &[0; 8]].concat();
         let mut out = [0; EVENT];
         ecf(&bytes, &mut out).unwrap();
         assert_eq!(out, event(1, 2, 0, 4));
-        // Two events of one stamp and row, x and p packed together: 0 << 1 | 1 and 10 << 1 | 1 as 12 bits each.
-        let bytes = [9, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x02, 0xe2, 0x02, 0x15, 0x00, 0x00, 0x01, 0, 0];
+        // Two events of one stamp and row, x and p packed together: 0 << 1 | 1 and 10 << 1 | 1 as 12 bits
+        // each.
+        let bytes =
+            [9, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x02, 0xe2, 0x02, 0x15, 0x00, 0x00, 0x01, 0, 0];
         let mut out = [0; 3 * EVENT];
         ecf(&bytes, &mut out).unwrap();
-        assert_eq!(out.as_chunks::<EVENT>().0, [event(0, 23, 1, 10_000), event(10, 23, 1, 10_000), [0; EVENT]]);
+        assert_eq!(
+            out.as_chunks::<EVENT>().0,
+            [event(0, 23, 1, 10_000), event(10, 23, 1, 10_000), [0; EVENT]]
+        );
     }
 
     #[test]
     fn a_chunk_that_is_cut_anywhere_is_refused() {
-        let bytes = [9, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x02, 0xe2, 0x02, 0x15, 0x00, 0x00, 0x01, 0, 0];
+        let bytes =
+            [9, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x02, 0xe2, 0x02, 0x15, 0x00, 0x00, 0x01, 0, 0];
         for length in 0..bytes.len() {
             assert!(ecf(&bytes[..length], &mut [0; 2 * EVENT]).is_err(), "{length} bytes");
         }

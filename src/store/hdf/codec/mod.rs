@@ -1,7 +1,9 @@
-//! Codecs of HDF5 filters that other programs use: each fills an output of a known length, or says in words what is wrong.
+//! Codecs of HDF5 filters that other programs use: each fills an output of a known length, or says in words
+//! what is wrong.
 //!
-//! Nothing here takes memory by what the bytes claim: the caller knows how long a chunk is and gives the room for it.
-//! Sources: the authors' own descriptions (liblzf, c-blosc `README_CHUNK_FORMAT`, bitshuffle, the HDF5 file format, Prophesee's published ECF codec).
+//! Nothing here takes memory by what the bytes claim: the caller knows how long a chunk is and gives the room
+//! for it. Sources: the authors' own descriptions (liblzf, c-blosc `README_CHUNK_FORMAT`, bitshuffle, the
+//! HDF5 file format, Prophesee's published ECF codec).
 
 pub(crate) mod bits;
 pub(crate) mod blosc;
@@ -21,7 +23,10 @@ impl<'a> Bytes<'a> {
     }
 
     pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], String> {
-        let (taken, rest) = self.rest.split_at_checked(count).ok_or_else(|| "it ends in the middle of a field".to_string())?;
+        let (taken, rest) = self
+            .rest
+            .split_at_checked(count)
+            .ok_or_else(|| "it ends in the middle of a field".to_string())?;
         self.rest = rest;
         Ok(taken)
     }
@@ -74,7 +79,9 @@ fn repeat(out: &mut [u8], at: usize, distance: usize, length: usize) -> Filled {
 
 /// Copies bytes as they are.
 fn literal(out: &mut [u8], at: usize, bytes: &[u8]) -> Filled {
-    let room = out.get_mut(at..at + bytes.len()).ok_or_else(|| "there are more bytes than the chunk holds".to_string())?;
+    let room = out
+        .get_mut(at..at + bytes.len())
+        .ok_or_else(|| "there are more bytes than the chunk holds".to_string())?;
     room.copy_from_slice(bytes);
     Ok(())
 }
@@ -112,7 +119,8 @@ pub(crate) fn lz4_block(bytes: &[u8], out: &mut [u8]) -> Filled {
 
 /// One Zstandard frame or several.
 pub(crate) fn zstd_frames(bytes: &[u8], out: &mut [u8]) -> Filled {
-    let written = zstd::bulk::decompress_to_buffer(bytes, out).map_err(|error| format!("Zstandard: {error}"))?;
+    let written =
+        zstd::bulk::decompress_to_buffer(bytes, out).map_err(|error| format!("Zstandard: {error}"))?;
     full(written, out)
 }
 
@@ -148,8 +156,13 @@ pub(crate) fn fletcher32(mut bytes: Vec<u8>) -> Result<Vec<u8>, String> {
     let stored: [u8; 4] = std::array::from_fn(|i| bytes[end + i]);
     bytes.truncate(end);
     let sum = fletcher32_of(&bytes).to_le_bytes();
-    // Versions before 1.6.3 swapped the bytes of both halves on little-endian machines; the library accepts both.
-    if stored == sum || stored == [sum[1], sum[0], sum[3], sum[2]] { Ok(bytes) } else { Err("the checksum of a chunk is wrong".into()) }
+    // Versions before 1.6.3 swapped the bytes of both halves on little-endian machines; the library accepts
+    // both.
+    if stored == sum || stored == [sum[1], sum[0], sum[3], sum[2]] {
+        Ok(bytes)
+    } else {
+        Err("the checksum of a chunk is wrong".into())
+    }
 }
 
 fn fletcher32_of(bytes: &[u8]) -> u32 {
