@@ -10,7 +10,7 @@ demo: setup
 	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
 	@echo "recovers sharp frames at 1,000 fps in six ways, scores them against the truth and writes one page to look at. It writes to out/quickstart and .photocurrent only."
 	@echo
-	cargo build --release --locked
+	cargo build --release --locked --package photocurrent
 	$(BIN) run pipelines/quickstart.toml
 	@$(BIN) report pipelines/quickstart.toml --quiet > /dev/null
 	@echo

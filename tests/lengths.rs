@@ -2,7 +2,7 @@
 //! one.
 
 use crate::support::root;
-use crate::tidy::{files, is_test_file};
+use crate::tidy::{files, is_test_file, read, rust_files};
 use std::fs;
 
 /// Most columns of a line.
@@ -10,6 +10,9 @@ const COLUMNS: usize = 110;
 
 /// Most lines of a function outside of tests.
 const LINES: usize = 80;
+
+/// Most lines of a source file: what has more is two files.
+const FILE_LINES: usize = 850;
 
 /// Functions that may be longer: one inner loop each, whose phases share so many locals that parts would only
 /// pass them on.
@@ -85,6 +88,16 @@ fn lines_are_at_most_110_columns() {
         }));
     }
     assert!(faults.is_empty(), "lines of more than {COLUMNS} columns:\n{}", faults.join("\n"));
+}
+
+#[test]
+fn no_source_file_is_too_long_to_read_in_one_sitting() {
+    let long: Vec<String> = rust_files()
+        .map(|name| (read(&name).lines().count(), name))
+        .filter(|(n, _)| *n > FILE_LINES)
+        .map(|(n, name)| format!("{name}: {n}"))
+        .collect();
+    assert!(long.is_empty(), "more than {FILE_LINES} lines, split by what the parts are about: {long:?}");
 }
 
 #[test]

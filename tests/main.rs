@@ -2,6 +2,7 @@
 //!
 //! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
 //! - `circles`: modules that import each other.
+//! - `code_map`: the tables of docs/architecture.md against the tree.
 //! - `commands`: the commands in README.md and docs/ run.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `pages`: the pages of README.md and docs/, their code blocks and links.
@@ -37,6 +38,7 @@
 mod browser;
 mod cache;
 mod circles;
+mod code_map;
 mod colour;
 mod commands;
 mod conformance;

@@ -9,7 +9,7 @@ mod simulated;
 
 use clap::{Parser, ValueEnum};
 use example::{Example, example};
-use fit::{Validation, calibrate as fitted_model, validate};
+use fit::{Validation, calibrate as model_of, validate};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;
 use photocurrent_diagnosis::decide::Decision;
@@ -130,7 +130,7 @@ fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
     }
     let without = kinds.remove("none").map_or(0, |none| none.len());
     let fit = |(kind, of_kind): (String, Vec<Example>)| {
-        let model = fitted_model(&of_kind.iter().collect::<Vec<&Example>>());
+        let model = model_of(&of_kind.iter().collect::<Vec<&Example>>());
         (kind, Fitted { model, validation: validate(&of_kind, options.folds as usize, &Decision::default()) })
     };
     let models: BTreeMap<String, Fitted> = kinds.into_iter().map(fit).collect();

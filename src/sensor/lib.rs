@@ -11,7 +11,7 @@
 //! - [`elementary`]: exponential and logarithm that vectorise.
 //! - [`scalar`]: the numbers the equations are written over: `f64`, dual numbers, lanes.
 //! - [`lanes`]: sixteen pixels side by side, as a number of the equations; `wide`: eight of them in double
-//! precision.
+//!   precision.
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
 //! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).

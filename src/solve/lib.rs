@@ -67,6 +67,7 @@ pub mod settings;
 pub mod shares;
 mod status;
 mod subset;
+mod track;
 
 /// What [`solve_pixel`] takes, for programs that depend on this crate alone.
 pub use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
@@ -76,7 +77,8 @@ pub use model::Model;
 pub use options::{
     FirstKnot, FrontEndModel, Joint, PaperOptions, Precision, ReadoutModel, SolveOptions, TauChoice,
 };
-pub use pixel::{PixelTrack, solve_pixel};
+pub use pixel::solve_pixel;
 pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
 pub use status::{PLANES, Report, map_meta};
 pub use subset::solve_pixels;
+pub use track::PixelTrack;

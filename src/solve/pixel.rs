@@ -2,25 +2,13 @@
 
 use crate::options::{STEPS, SolveOptions};
 use crate::row_solver::{LEAST_FRAME_SIGMA_DN, NO_EVENT_SIGMA};
+use crate::track::PixelTrack;
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Exposure, NodeError, Sensor};
 use photocurrent_sensor::map::{
     MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, Noise, SecondStart, estimate,
 };
 use photocurrent_sensor::model::Model;
-
-/// The light of a pixel over time, log-linear between instants.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PixelTrack {
-    /// Instants, ns, rising.
-    pub t_ns: Vec<i64>,
-    /// Photocurrent, in units in which `frames.gain` counts.
-    pub photocurrent: Vec<f64>,
-    /// Standard deviation of its natural logarithm.
-    pub log_sigma: Vec<f64>,
-    /// Did the solution converge? Otherwise it is the double-integral estimate.
-    pub has_converged: bool,
-}
 
 /// The MAP estimate of one pixel's light from its events (in-pixel time in ns, polarity; in order) and its
 /// frame values (exposure, DN), with the noise of events and the prior that are usual.

@@ -2,10 +2,10 @@
 
 use crate::model::Model;
 use crate::neighbours::KnownOfRows;
-use crate::pixel::PixelTrack;
 use crate::plausible::Plausible;
 use crate::row::{Recorded, RowData};
 use crate::status::{PLANES, Status, map_meta, planes};
+use crate::track::PixelTrack;
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;

@@ -8,10 +8,10 @@ use crate::host::Host;
 use crate::model::{Model, late_description};
 use crate::neighbours;
 use crate::options::SolveOptions;
-use crate::pixel::PixelTrack;
 use crate::recording::{Reader, Recording};
 use crate::row_solver::RowSolver;
 use crate::settings::{BLOCK_ROWS, COMPANY_ROWS, Settings};
+use crate::track::PixelTrack;
 use photocurrent_core::{NodeError, Rows};
 use rayon::prelude::*;
 
