@@ -543,12 +543,7 @@ impl Seen<'_> {
         // Columns, and the sizes that they were taken at.
         let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
-            let is_near = |at: &Vec<f64>| {
-                at.iter()
-                    .zip(&effect_size)
-                    .all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe))
-            };
-            let is_known = known.as_ref().is_some_and(|(_, at)| is_near(at));
+            let is_known = known.as_ref().is_some_and(|(_, at)| self.is_near(at, &effect_size));
             let mut trials = vec![put(&effect_size)];
             let further: Vec<f64> =
                 free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
@@ -573,8 +568,7 @@ impl Seen<'_> {
             let step = heldout(&Plain::new(&wide(&found.left[0]), rows), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
-                let most = 1.0 + effect_size[i].abs();
-                let next = self.bounded(which[i], effect_size[i] + step.size[n].clamp(-most, most));
+                let next = self.next(which[i], effect_size[i], step.size[n]);
                 is_still &= (next - effect_size[i]).abs()
                     < self.setting.still * f64::max(effect_size[i].abs(), self.setting.probe);
                 (effect_size[i], error[i]) = (next, step.error[n]);
@@ -607,6 +601,19 @@ impl Seen<'_> {
         }
         left.truncate(table.events.pixel.len());
         Ok(Refined { effect_size, error, gain, gain_error, left, gains, by })
+    }
+
+    /// Would columns that were taken at effect sizes be the same now?
+    fn is_near(&self, at: &[f64], now: &[f64]) -> bool {
+        at.iter()
+            .zip(now)
+            .all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe))
+    }
+
+    /// The effect size after a step of a fit, which goes no further than the size itself and 1 more.
+    fn next(&self, candidate: usize, effect_size: f64, step: f64) -> f64 {
+        let most = 1.0 + effect_size.abs();
+        self.bounded(candidate, effect_size + step.clamp(-most, most))
     }
 
     /// Effect sizes that a search may reach, within physics.
