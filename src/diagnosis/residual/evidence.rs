@@ -294,15 +294,7 @@ pub fn evidence(
         control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
     let slope_per_s = median_slope(&table);
     let control_white = control_seen.white(&stated, control_source.as_ref())?;
-    let chance = Chance::new(
-        case,
-        nominal,
-        &control_table,
-        (control_white, source.is_known()),
-        slope_per_s,
-        setting,
-        &scales,
-    );
+    let chance = Chance::new(&seen, nominal, &control_table, control_white, slope_per_s);
     let ranking = Ranking {
         nominal,
         stated: &stated,
@@ -590,14 +582,13 @@ struct Chance<'a> {
 
 impl<'a> Chance<'a> {
     fn new(
-        case: &Case,
+        seen: &Seen<'a>,
         nominal: &'a Nominal,
         control: &Table,
-        (white, is_known): (f64, bool),
+        white: f64,
         slope_per_s: f64,
-        setting: &'a EvidenceSetting,
-        scales: &'a Scales,
     ) -> Chance<'a> {
+        let Seen { case, setting, scales, is_known, .. } = *seen;
         let least = setting.least_noise * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let effect_sizes = OF_PIXELS.map(|(id, parameter)| {

@@ -522,12 +522,7 @@ impl Seen<'_> {
         which: &[usize],
         begin: &[f64],
     ) -> Result<Refined, String> {
-        let put = |effect_sizes: &[f64]| {
-            which
-                .iter()
-                .zip(effect_sizes)
-                .fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales))
-        };
+        let put = |effect_sizes: &[f64]| self.with_effects(trial, which, effect_sizes);
         let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
         let mut effect_size: Vec<f64> = (0..which.len())
             .map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 })
@@ -544,14 +539,10 @@ impl Seen<'_> {
         let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
             let is_known = known.as_ref().is_some_and(|(_, at)| self.is_near(at, &effect_size));
-            let mut trials = vec![put(&effect_size)];
             let further: Vec<f64> =
                 free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
-            for (&i, by) in free.iter().zip(&further).filter(|_| !is_known) {
-                let mut moved = effect_size.clone();
-                moved[i] += by;
-                trials.push(put(&moved));
-            }
+            let to_move = if is_known { &[][..] } else { &free[..] };
+            let trials = self.moved_trials(trial, which, &effect_size, to_move, &further);
             let found = self.evaluate_on(&light, &trials, Some(table))?;
             if !is_known {
                 known = Some((
@@ -601,6 +592,32 @@ impl Seen<'_> {
         }
         left.truncate(table.events.pixel.len());
         Ok(Refined { effect_size, error, gain, gain_error, left, gains, by })
+    }
+
+    /// A sensor with more effects, each of its size.
+    fn with_effects(&self, trial: &Trial, which: &[usize], effect_sizes: &[f64]) -> Trial {
+        which
+            .iter()
+            .zip(effect_sizes)
+            .fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales))
+    }
+
+    /// A sensor whose effects have these sizes, and those with one of the `free` ones moved by `further`.
+    fn moved_trials(
+        &self,
+        trial: &Trial,
+        which: &[usize],
+        effect_size: &[f64],
+        free: &[usize],
+        further: &[f64],
+    ) -> Vec<Trial> {
+        let mut trials = vec![self.with_effects(trial, which, effect_size)];
+        for (&i, by) in free.iter().zip(further) {
+            let mut moved = effect_size.to_vec();
+            moved[i] += by;
+            trials.push(self.with_effects(trial, which, &moved));
+        }
+        trials
     }
 
     /// Would columns that were taken at effect sizes be the same now?
