@@ -112,7 +112,8 @@ fn print_limits(stages: &[(&str, f64, limits::Packing)]) {
     for (stage, seconds, packing) in stages {
         let (moved, mb) = (packing.reading + packing.packing, |bytes: u64| bytes as f64 * 1e-6);
         println!(
-            "| {stage} | {:.0}, {:.0} MB | {:.0} MB | {seconds:.1} s | {:.2} s | {:.2} s | {:.2} s | {:.0} % |",
+            "| {stage} | {:.0}, {:.0} MB | {:.0} MB | {seconds:.1} s | {:.2} s | {:.2} s | {:.2} s | {:.0} % \
+             |",
             mb(packing.bytes_in),
             mb(packing.bytes_out),
             mb(packing.unpacked),

@@ -42,7 +42,8 @@ impl Browser {
         let profile = tempfile::tempdir().expect("a folder for the profile");
         // The protocol is spoken on descriptors 3 and 4, which the shell makes of its own input and output.
         let script = format!(
-            "exec {program} --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars --no-first-run --disable-extensions --force-device-scale-factor=1 \
+            "exec {program} --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars \
+             --no-first-run --disable-extensions --force-device-scale-factor=1 \
              --user-data-dir=\"$1\" --window-size={width},{height} --remote-debugging-pipe about:blank 3<&0 \
                                4>&1 0</dev/null 1>/dev/null 2>/dev/null"
         );
@@ -120,7 +121,12 @@ impl Browser {
 
     /// The value of an expression; promises are waited for.
     fn js(&mut self, expression: &str) -> Value {
-        let answer = self.ask("Runtime.evaluate", json!({ "expression": expression, "awaitPromise": true, "returnByValue": true, "userGesture": true }));
+        let answer = self.ask(
+            "Runtime.evaluate",
+            json!({
+                "expression": expression, "awaitPromise": true, "returnByValue": true, "userGesture": true,
+            }),
+        );
         assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
         answer["result"]["value"].clone()
     }
@@ -128,7 +134,8 @@ impl Browser {
     /// Waits until an expression is true; the page's own clock paces it.
     fn wait(&mut self, condition: &str) {
         let looped = format!(
-            "(async () => {{ for (let k = 0; k < 2000; k++) {{ if ({condition}) return true; await new Promise((done) => setTimeout(done, 15)); }} return false; }})()"
+            "(async () => {{ for (let k = 0; k < 2000; k++) {{ if ({condition}) return true; await new \
+             Promise((done) => setTimeout(done, 15)); }} return false; }})()"
         );
         assert_eq!(self.js(&looped), json!(true), "never came true: {condition}");
     }
@@ -221,10 +228,12 @@ impl Browser {
         // From the top: where the page stands in the middle of a scroll, controls that pass under the fixed
         // list of parts would count as too small.
         self.js("window.scrollTo({ top: 0, behavior: 'instant' })");
-        let found = self.js(
-            "axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'], resultTypes: ['violations'] }).then((found) => ({ passes: found.passes.length,
-             bad: found.violations.map((one) => `${one.id}: ${one.help}: ${one.nodes.slice(0, 5).map((node) => `${node.target.join(' ')} ${node.html.slice(0, 120)}`).join('; ')}`) }))",
-        );
+        let found =
+            self.js("axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', \
+             'best-practice'], resultTypes: ['violations'] }).then((found) => ({ passes: found.passes.length,
+             bad: found.violations.map((one) => `${one.id}: ${one.help}: \
+             ${one.nodes.slice(0, 5).map((node) => `${node.target.join(' ')} ${node.html.slice(0, \
+             120)}`).join('; ')}`) }))");
         assert!(
             found["passes"].as_u64().is_some_and(|passes| passes > 10),
             "axe-core has looked at the \
@@ -335,7 +344,8 @@ const CODES: &str = "const c = document.querySelector('[data-part=canvas]'); con
 /// One number that changes with what the picture shows.
 fn shown() -> String {
     format!(
-        "(() => {{ {CODES} let sum = 0; for (let k = 0; k < codes.length; k += 97) sum = (sum * 31 + codes[k]) % 1000003; return sum; }})()"
+        "(() => {{ {CODES} let sum = 0; for (let k = 0; k < codes.length; k += 97) sum = (sum * 31 + \
+         codes[k]) % 1000003; return sum; }})()"
     )
 }
 
@@ -354,16 +364,20 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
 
     // The slider: the divider moves, and with it what is seen.
     let before = browser.js(&shown());
-    browser.js("(() => { const d = document.querySelector('[data-part=divider]'); d.value = 10; d.dispatchEvent(new Event('input')); })()");
+    browser.js("(() => { const d = document.querySelector('[data-part=divider]'); d.value = 10; \
+                d.dispatchEvent(new Event('input')); })()");
     assert_ne!(browser.js(&shown()), before, "another part of each picture is seen");
     // Another method on the right.
     let captioned = browser.js("document.querySelector('[data-part=caption]').textContent");
-    browser.js("(() => { const s = document.querySelector('[data-part=right]'); s.value = [...s.options].find((o) => o.text === 'EDI').value; s.dispatchEvent(new Event('input')); })()");
+    browser.js("(() => { const s = document.querySelector('[data-part=right]'); s.value = \
+                [...s.options].find((o) => o.text === 'EDI').value; s.dispatchEvent(new Event('input')); \
+                })()");
     browser.wait("document.querySelector('[data-part=caption]').textContent.includes('EDI')");
     assert_ne!(browser.js("document.querySelector('[data-part=caption]').textContent"), captioned);
     // Frames: both sequences move on, and the cursor of the curves with them.
     let cursor = browser.js("document.querySelector('#time .cursor').getAttribute('x1')");
-    browser.js("(() => { const s = document.querySelector('[data-part=scrub]'); s.value = 7; s.dispatchEvent(new Event('input')); })()");
+    browser.js("(() => { const s = document.querySelector('[data-part=scrub]'); s.value = 7; \
+                s.dispatchEvent(new Event('input')); })()");
     browser.wait("document.querySelector('[data-part=caption]').textContent.includes('EDI: frame 7,')");
     assert_ne!(browser.js("document.querySelector('#time .cursor').getAttribute('x1')"), cursor);
     // Modes, each another picture; a method against itself differs nowhere.
@@ -375,27 +389,36 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     }
     seen.dedup();
     assert_eq!(seen.len(), 3);
-    browser.js("(() => { const [l, r] = ['left', 'right'].map((p) => document.querySelector(`[data-part=${p}]`)); l.value = r.value; l.dispatchEvent(new Event('input')); })()");
+    browser.js("(() => { const [l, r] = ['left', 'right'].map((p) => \
+                document.querySelector(`[data-part=${p}]`)); l.value = r.value; l.dispatchEvent(new \
+                Event('input')); })()");
     browser.wait("document.querySelector('[data-part=caption]').textContent.startsWith('EDI')");
     // Grey is neither more nor less; yellow, in a dark line, is the frame of the picked pixel.
     let most = format!(
-        "(() => {{ {CODES} const at = (k) => [k / 4 % c.width, Math.floor(k / 4 / c.width)]; const box = [1e9, 1e9, -1e9, -1e9];
-        for (let k = 0; k < codes.length; k += 4) if (codes[k] >= 200 && codes[k + 2] < codes[k] - 60) {{ const [x, y] = at(k); box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }}
+        "(() => {{ {CODES} const at = (k) => [k / 4 % c.width, Math.floor(k / 4 / c.width)]; const box = \
+         [1e9, 1e9, -1e9, -1e9];
+        for (let k = 0; k < codes.length; k += 4) if (codes[k] >= 200 && codes[k + 2] < codes[k] - 60) {{ \
+        const [x, y] = at(k); box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = \
+        Math.max(box[2], x); box[3] = Math.max(box[3], y); }}
         if (box[2] - box[0] > 60 || box[3] - box[1] > 60) return 999;
-        let most = 0; for (let k = 0; k < codes.length; k += 4) {{ const [x, y] = at(k); if (x > box[0] - 5 && x < box[2] + 5 && y > box[1] - 5 && y < box[3] + 5) continue; most = Math.max(most, codes[k] === codes[k + 2] ? Math.abs(codes[k] - 120) % 120 : 999); }} return most; }})()"
+        let most = 0; for (let k = 0; k < codes.length; k += 4) {{ const [x, y] = at(k); if (x > box[0] - 5 \
+        && x < box[2] + 5 && y > box[1] - 5 && y < box[3] + 5) continue; most = Math.max(most, codes[k] === \
+        codes[k + 2] ? Math.abs(codes[k] - 120) % 120 : 999); }} return most; }})()"
     );
     // The caption is there before the picture is drawn.
     browser.wait(&format!("{most} === 0"));
     browser.js("document.querySelector('[data-mode=flicker]').click()");
     let first = browser.js(&shown());
-    browser.js("(() => { const s = document.querySelector('[data-part=left]'); s.value = 0; s.dispatchEvent(new Event('input')); })()");
+    browser.js("(() => { const s = document.querySelector('[data-part=left]'); s.value = 0; \
+                s.dispatchEvent(new Event('input')); })()");
     browser.wait(&format!("{} !== {first}", shown()));
     browser.js("document.querySelector('[data-mode=slider]').click()");
 
     // A press on the picture probes that pixel, and the values are those of every sequence.
     browser.js("document.querySelector('[data-part=canvas]').scrollIntoView({ block: 'center' })");
-    let box_ =
-        browser.js("(() => { const b = document.querySelector('[data-part=canvas]').getBoundingClientRect(); return [b.left, b.top, b.width, b.height]; })()");
+    let box_ = browser
+        .js("(() => { const b = document.querySelector('[data-part=canvas]').getBoundingClientRect(); \
+                    return [b.left, b.top, b.width, b.height]; })()");
     let [left, top, width, height] = [0, 1, 2, 3].map(|k| box_[k].as_f64().expect("a number"));
     browser.press(left + width * 100.5 / 128.0, top + height * 30.5 / 96.0);
     browser.wait(
@@ -409,7 +432,8 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
         "only pictures are known of this pixel, and how to get more is said"
     );
     // One of the pixels of which all is known.
-    browser.js("(() => { const s = document.querySelector('[data-part=pixel]'); s.value = 0; s.dispatchEvent(new Event('input')); })()");
+    browser.js("(() => { const s = document.querySelector('[data-part=pixel]'); s.value = 0; \
+                s.dispatchEvent(new Event('input')); })()");
     browser.wait("document.querySelectorAll('#probe-tool svg.chart').length === 4");
     assert!(
         browser

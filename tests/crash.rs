@@ -345,7 +345,7 @@ fn an_input_file_that_goes_away_midway_fails_its_reader_alone() {
     );
     let given = "[nodes.given]\nkind = \"read/recording\"\nparams = { path = \"rec.h5\" }\n\
         [nodes.repeated]\nkind = \"baseline/repeat\"\nin = \
-                                   { frames = \"given.frames\", sensor = \"sensor\", at = \"given.frames\" }\n";
+        { frames = \"given.frames\", sensor = \"sensor\", at = \"given.frames\" }\n";
     bench.write("m.toml", &format!("{scene}{given}"));
     let mut child = start(&bench, &["--threads", "1"]);
     assert!(wait_for_start(&mut child, "scene"));

@@ -382,9 +382,12 @@ fn hidden_refractory(more: &str) -> String {
         sensor("stated", "700 us"),
         sensor("actual", "50 us"),
         "[nodes.scene]\nkind = \"simulate/scene\"\nin = { sensor = \"stated\" }\n".into(),
-        "params = { scene = \"texture\", width = 40, height = 30, duration = \"60 ms\", illuminance = \"800 lx\", texture = { speed = 8.0 } }\n".into(),
+        "params = { scene = \"texture\", width = 40, height = 30, duration = \"60 ms\", illuminance = \"800 \
+         lx\", texture = { speed = 8.0 } }\n"
+            .into(),
         "[nodes.recording]\nkind = \"simulate/sensor\"\nin = \
-         { light = \"scene.light\", sensor = \"actual\" }\n".into(),
+         { light = \"scene.light\", sensor = \"actual\" }\n"
+            .into(),
         more.into(),
     ];
     parts.concat()
@@ -396,7 +399,8 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     let streams = "events = \"recording.events\", frames = \"recording.frames\"";
     let diagnosis = format!(
         "[nodes.integrity]\nkind = \"diagnose/integrity\"\nin = {{ {streams}, sensor = \"stated\" }}\n\
-         [nodes.confirm]\nkind = \"diagnose/confirm\"\nin = {{ {streams}, sensor = \"stated\", integrity = \"integrity.findings\" }}\n\
+         [nodes.confirm]\nkind = \"diagnose/confirm\"\nin = {{ {streams}, sensor = \"stated\", integrity = \
+         \"integrity.findings\" }}\n\
          [nodes.answer]\nkind = \"write/diagnosis\"\nin = \
                                   {{ report = \"confirm.report\", page = \"confirm.page\", sensor = \
                                                 \"confirm.sensor\" }}\n"
@@ -415,13 +419,16 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     let solved = |name: &str| {
         format!(
             "[nodes.solve_{name}]\nkind = \"solve/map\"\nin = {{ {streams}, sensor = \"{name}\" }}\n\
-             [nodes.render_{name}]\nkind = \"render/rows\"\nin = {{ tracks = \"solve_{name}.tracks\", sensor = \"stated\" }}\n\
+             [nodes.render_{name}]\nkind = \"render/rows\"\nin = {{ tracks = \"solve_{name}.tracks\", sensor \
+             = \"stated\" }}\n\
              params = {{ rate = \"1 kHz\", exposure = \"100 us\", end = \"56 ms\" }}\n\
-             [nodes.psnr_{name}]\nkind = \"score/psnr\"\nin = {{ frames = \"render_{name}\", truth = \"scene.truth\", sensor = \"stated\" }}\n\
+             [nodes.psnr_{name}]\nkind = \"score/psnr\"\nin = {{ frames = \"render_{name}\", truth = \
+             \"scene.truth\", sensor = \"stated\" }}\n\
              params = {{ region = \"moving\" }}\n"
         )
     };
-    let again = "[nodes.fitted]\nkind = \"read/sensor\"\nparams = { path = \"out/diagnosis/answer/sensor.fitted.toml\" }\n\
+    let again = "[nodes.fitted]\nkind = \"read/sensor\"\nparams = \
+                 { path = \"out/diagnosis/answer/sensor.fitted.toml\" }\n\
                  [nodes.again]\nkind = \"simulate/sensor\"\nin = \
                                          { light = \"scene.light\", sensor = \"fitted\" }\n";
     let proof = [again, &solved("stated"), &solved("fitted")].concat();

@@ -16,7 +16,7 @@ const FILE_LINES: usize = 850;
 
 /// Functions that may be longer: one inner loop each, whose phases share so many locals that parts would only
 /// pass them on.
-const LONGER: [(&str, &str); 0] = [];
+const LONGER: [(&str, &str); 1] = [("src/sensor/map/group/columns.rs", "run")];
 
 /// Raw strings that are open at the end of a line, as their closing quote; comments hold none.
 fn raw_string_end(line: &str) -> Option<String> {
@@ -80,12 +80,9 @@ fn lines_are_at_most_110_columns() {
     let mut faults = Vec::new();
     for name in files().into_iter().filter(|name| name.ends_with(".rs")) {
         let text = fs::read_to_string(root().join(&name)).expect("a source");
-        faults.extend(too_long(&text).into_iter().map(|(line, columns)| {
-            format!(
-                "{name}:{line}: {columns} \
-                                                            columns"
-            )
-        }));
+        faults.extend(
+            too_long(&text).into_iter().map(|(line, columns)| format!("{name}:{line}: {columns} columns")),
+        );
     }
     assert!(faults.is_empty(), "lines of more than {COLUMNS} columns:\n{}", faults.join("\n"));
 }

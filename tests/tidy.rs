@@ -611,7 +611,11 @@ fn no_file_names_a_place_on_one_machine() {
         let Ok(text) = fs::read_to_string(root().join(&name)) else { continue };
         for (at, line) in text.lines().enumerate() {
             // `target/tmp/` and `https://example.org/home/` are no absolute paths.
-            let begins = |at: usize| !matches!(line[..at].chars().next_back(), Some(c) if c.is_alphanumeric() || "._-~$}*".contains(c));
+            let begins = |at: usize| {
+                !matches!(
+                    line[..at].chars().next_back(), Some(c) if c.is_alphanumeric() || "._-~$}*".contains(c),
+                )
+            };
             if folders.iter().any(|folder| line.match_indices(folder.as_str()).any(|(at, _)| begins(at))) {
                 found.push(format!("{name}:{}: {}", at + 1, line.trim()));
             }

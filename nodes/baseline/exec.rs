@@ -249,7 +249,10 @@ mod tests {
     }
 
     /// A picture of two 8-bit pixels, 65 ("A") and 66 ("B"), as a shell can write it.
-    const PICTURE: &str = r#"printf "\223NUMPY\001\000\071\000{'descr': '|u1', 'fortran_order': False, 'shape': (1, 2)}AB" > pictures/0.npy"#;
+    const PICTURE: &str = concat!(
+        r#"printf "\223NUMPY\001\000\071\000{'descr': '|u1', 'fortran_order': False, "#,
+        r#"'shape': (1, 2)}AB" > pictures/0.npy"#
+    );
 
     #[test]
     fn a_command_finds_its_inputs_and_gives_its_pictures() {

@@ -330,7 +330,8 @@ fn matched(asked: &[i64], given: &[i64], tolerance_ns: i64) -> Vec<Match> {
 impl Node for BaselineExternal {
     const DECL: Decl = Decl {
         kind: "baseline/external",
-        about: "Frames that another program made, from a folder of pictures with their times, matched by time.",
+        about: "Frames that another program made, from a folder of pictures with their times, matched by \
+                time.",
         revision: 1,
         grain: Grain::Whole,
         draws: false,

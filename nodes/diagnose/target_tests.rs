@@ -40,9 +40,15 @@ fn built(params: &Value) -> Result<DiagnoseTarget, NodeError> {
 #[test]
 fn a_star_is_found_by_its_speed_and_light() {
     let sensor = sensor();
-    let star = json!({ "scene": "siemens_disk", "width": 40, "height": 30, "duration": "60 ms", "illuminance": "300 lx", "siemens_disk": { "speed": "292 rpm" } });
+    let star = json!({
+        "scene": "siemens_disk", "width": 40, "height": 30, "duration": "60 ms", "illuminance": "300 lx",
+        "siemens_disk": { "speed": "292 rpm" },
+    });
     let (events, frames) = recording(star, &sensor);
-    let free = json!({ "siemens_disk.speed": ["270 rpm", "310 rpm"], "illuminance": ["150 lx", "500 lx"], "start": ["-2 ms", "2 ms"] });
+    let free = json!({
+        "siemens_disk.speed": ["270 rpm", "310 rpm"], "illuminance": ["150 lx", "500 lx"],
+        "start": ["-2 ms", "2 ms"],
+    });
     let node =
         built(&json!({ "scene": "siemens_disk", "free": free, "tries": 2000, "values": 4000 })).unwrap();
     let input = In { events: Some(events), frames, sensor };

@@ -59,13 +59,15 @@ pub(super) fn of(
     estimate::exposure(panel, thresholds, late_ns).map_err(|why| match why {
         Unclear::NoChange => "nothing moves in bright pixels while frames are exposed".into(),
         Unclear::Flat { from_shortest, from_longest } => format!(
-            "no length explains the frames much better than others: the residual is {:.0} % below that of the shortest and {:.0} % below that of the longest, and noise of events alone \
+            "no length explains the frames much better than others: the residual is {:.0} % below that of \
+             the shortest and {:.0} % below that of the longest, and noise of events alone \
              makes a fifth; the light bends too little within an exposure, or the exposure is short",
             100.0 * from_shortest,
             100.0 * from_longest
         ),
         Unclear::AtAnEnd => "the best length goes to an end within what is known of the thresholds and of \
-                             how late events are".into(),
+                             how late events are"
+            .into(),
     })
 }
 

@@ -145,7 +145,11 @@ mod tests {
             let params = Params { path: InputPath::new(&path), change: change.as_object().unwrap().clone() };
             ReadSensor::build(params).unwrap().read()
         };
-        let sensor = with(serde_json::json!({ "comparator": { "threshold_on": 0.25 }, "effects": { "clock_offset": { "offset": "4 ms" } } })).unwrap();
+        let change = serde_json::json!({
+            "comparator": { "threshold_on": 0.25 },
+            "effects": { "clock_offset": { "offset": "4 ms" } },
+        });
+        let sensor = with(change).unwrap();
         assert_eq!(
             (sensor.comparator.threshold_on, sensor.comparator.threshold_off),
             (Some(0.25), Some(0.3))

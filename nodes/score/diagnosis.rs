@@ -340,13 +340,28 @@ mod tests {
     use serde_json::json;
 
     fn answers() -> Value {
-        let offset = json!({ "id": "clock_offset", "parameters": { "offset_s": { "actual": 0.0005, "nominal": 0.0, "unit": "s" } } });
-        let leak = json!({ "id": "leak_events", "parameters": { "rate_hz": { "actual": [1.0, 2.0], "nominal": [0.0, 0.0], "unit": "Hz" } } });
+        let offset = json!({
+            "id": "clock_offset",
+            "parameters": { "offset_s": { "actual": 0.0005, "nominal": 0.0, "unit": "s" } },
+        });
+        let leak = json!({
+            "id": "leak_events",
+            "parameters": { "rate_hz": { "actual": [1.0, 2.0], "nominal": [0.0, 0.0], "unit": "Hz" } },
+        });
         json!({ "schema": SCHEMA, "recordings": [
             { "file": "recordings/00000000.h5", "kind": "null", "effects": [], "off_catalogue": null },
-            { "file": "recordings/00000001.h5", "kind": "single", "effects": [offset], "off_catalogue": null },
-            { "file": "recordings/00000002.h5", "kind": "pair", "effects": [offset, leak], "off_catalogue": null },
-            { "file": "recordings/00000003.h5", "kind": "off_catalogue", "effects": [], "off_catalogue": { "covariates": ["row", "row_rate"] } },
+            {
+                "file": "recordings/00000001.h5", "kind": "single", "effects": [offset],
+                "off_catalogue": null,
+            },
+            {
+                "file": "recordings/00000002.h5", "kind": "pair", "effects": [offset, leak],
+                "off_catalogue": null,
+            },
+            {
+                "file": "recordings/00000003.h5", "kind": "off_catalogue", "effects": [],
+                "off_catalogue": { "covariates": ["row", "row_rate"] },
+            },
         ] })
     }
 
@@ -396,7 +411,12 @@ mod tests {
 
     #[test]
     fn a_right_name_counts_with_the_error_of_its_number() {
-        let claim = |ci95: Value| json!([{ "id": "clock_offset", "also_possible": ["row_time"], "parameters": { "offset_s": { "estimate": 0.0004, "ci95": ci95 } } }]);
+        let claim = |ci95: Value| {
+            json!([{
+                "id": "clock_offset", "also_possible": ["row_time"],
+                "parameters": { "offset_s": { "estimate": 0.0004, "ci95": ci95 } },
+            }])
+        };
         let expected = |covered: f64| {
             [
                 ("count", 1.0),
@@ -421,7 +441,10 @@ mod tests {
 
     #[test]
     fn of_two_effects_each_counts_and_what_is_not_there_is_surplus() {
-        let claims = json!([{ "id": "blur", "also_possible": [] }, { "id": "parasitic_leak", "also_possible": ["leak_events"] }]);
+        let claims = json!([
+            { "id": "blur", "also_possible": [] },
+            { "id": "parasitic_leak", "also_possible": ["leak_events"] },
+        ]);
         let expected = [
             ("count", 1.0),
             ("first_right", 0.0),

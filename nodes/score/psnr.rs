@@ -182,8 +182,10 @@ mod tests {
     fn the_card_says_what_was_measured() {
         let roi = Some(Roi { x: 1, y: 0, width: 2, height: 3 });
         let (table, _) = run(Params { roi, ..Params::default() }, constant(60.0), constant(50.0));
-        let expected = "psnr.v1: channel = linear DN, 1 channel; range = peak 50.000 DN (largest true value); border = none; \
-            frames = 2 of 2 matched by middle of exposure within 1 us; region = all pixels, in 2 x 3 pixels at (1, 0); weights = none; \
+        let expected = "psnr.v1: channel = linear DN, 1 channel; range = peak 50.000 DN (largest true \
+                        value); border = none; \
+            frames = 2 of 2 matched by middle of exposure within 1 us; region = all pixels, in 2 x 3 pixels \
+            at (1, 0); weights = none; \
             backend = own, f64; pooled = mean over frames; ceiling = 120 dB";
         assert_eq!(table.notes, [("card".to_string(), expected.to_string())]);
     }

@@ -119,9 +119,14 @@ impl Camera {
                 Duration::new(span.length_ns())
             );
             return Err(NodeError::usage(message)
-                .note("a pixel is blind for its refractory period after each event: no second one could be seen")
-                .hint("check the unit of `readout.refractory` in the sensor description, usually 1 us to 10 \
-                       ms, or make the light longer")
+                .note(
+                    "a pixel is blind for its refractory period after each event: no second one could be \
+                       seen",
+                )
+                .hint(
+                    "check the unit of `readout.refractory` in the sensor description, usually 1 us to 10 \
+                       ms, or make the light longer",
+                )
                 .blames(DataType::Sensor));
         }
         let coupling = effects.iter().map(|effect| effect.informed(&[]).is_some()).collect();

@@ -242,7 +242,10 @@ params = { path = "street.png", speed = 2000.0, heading = 20.0, rotation = "30 r
                  can be",
                 1.0 / smallest
             ))
-            .hint("average squares of the photo first (`shrink`), take a larger `scale`, or a `zoom` nearer to 0")
+            .hint(
+                "average squares of the photo first (`shrink`), take a larger `scale`, or a `zoom` nearer \
+                   to 0",
+            )
             .param("zoom"));
         }
         Ok(SimulatePhoto { params, photo: OnceLock::new() })

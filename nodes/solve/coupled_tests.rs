@@ -19,7 +19,8 @@ const END_NS: i64 = 120_000_000;
 
 fn sensor(effects: &str) -> Arc<Sensor> {
     let text = format!(
-        "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"30 us\"\nalpha = \"8 ms\"\n[comparator]\nthreshold_on = 0.1\nthreshold_off = 0.11\n[readout]\nlatency_min = \"10 us\"\n\
+        "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"30 us\"\nalpha = \"8 ms\"\n[comparator]\n\
+         threshold_on = 0.1\nthreshold_off = 0.11\n[readout]\nlatency_min = \"10 us\"\n\
          refractory = \"30 us\"\n[frames]\ngain = 800\nblack_level_dn = 20\nsaturation_dn = 4095\nrow_time \
                         = \"20 us\"\n[effects]\n{effects}\n"
     );

@@ -251,7 +251,8 @@ impl Report {
         for ((label, scores), card) in self.labels.iter().zip(&self.scores).zip(&self.cards) {
             for score in scores.iter().filter(|score| score.frame >= 0 && self.has(score)) {
                 let line = json!({
-                    "variant": label, "node": "", "metric": score.metric, "frame": score.frame, "t_ns": score.t_ns,
+                    "variant": label, "node": "", "metric": score.metric, "frame": score.frame,
+                    "t_ns": score.t_ns,
                     "value": number(score.value), "unit": score.unit, "card": card,
                 });
                 text += &format!("{line}\n");
@@ -266,7 +267,8 @@ impl Report {
         for ((label, cells), card) in self.labels.iter().zip(&self.cells).zip(&self.cards) {
             for (metric, cell) in self.metrics.iter().zip(cells) {
                 let line = json!({
-                    "variant": label, "node": "", "metric": metric.name, "statistic": self.statistic.name(), "frames": cell.frames,
+                    "variant": label, "node": "", "metric": metric.name, "statistic": self.statistic.name(),
+                    "frames": cell.frames,
                     "value": number(cell.value), "unit": metric.unit, "card": card,
                 });
                 text += &format!("{line}\n");
@@ -524,7 +526,10 @@ mod tests {
             let lines: Vec<Value> =
                 file("metrics.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect();
             assert_eq!(lines.len(), 3);
-            let expected = json!({"variant": "ours", "node": "", "metric": "psnr_db", "frame": 0, "t_ns": 0, "value": 30.0, "unit": "dB", "card": "full frame"});
+            let expected = json!({
+                "variant": "ours", "node": "", "metric": "psnr_db", "frame": 0, "t_ns": 0, "value": 30.0,
+                "unit": "dB", "card": "full frame",
+            });
             assert_eq!(lines[0], expected);
             assert_eq!(lines[1]["value"], "Infinity");
             let pooled: Value = serde_json::from_str(file("pooled.jsonl").lines().nth(1).unwrap()).unwrap();

@@ -505,7 +505,8 @@ mod tests {
         };
         write(&red, params, |out, _, folder| {
             out.unwrap();
-            let entries = "stream=codec_name,width,height,pix_fmt,color_range,color_space,color_transfer,color_primaries,r_frame_rate,nb_frames";
+            let entries = "stream=codec_name,width,height,pix_fmt,color_range,color_space,color_transfer,colo\
+                           r_primaries,r_frame_rate,nb_frames";
             let stream =
                 output("ffprobe", &["-v", "error", "-show_entries", entries, "-of", "csv=p=0", MP4], folder)
                     .unwrap();

@@ -122,7 +122,10 @@ pub fn percentile(sorted: &[f64], share: f64) -> f64 {
 ///
 /// ```
 /// use photocurrent_core::table::higher_is_better;
-/// assert_eq!([higher_is_better("psnr_db"), higher_is_better("bew_px"), higher_is_better("count")], [Some(true), Some(false), None]);
+/// assert_eq!(
+///     [higher_is_better("psnr_db"), higher_is_better("bew_px"), higher_is_better("count")],
+///     [Some(true), Some(false), None],
+/// );
 /// ```
 pub fn higher_is_better(metric: &str) -> Option<bool> {
     let name = metric.to_lowercase();

@@ -14,7 +14,7 @@ use crate::report::{
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
 use crate::unstated;
-use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, verdict};
+use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, Unexplained, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::case::Case;
@@ -265,34 +265,7 @@ fn report(
         of_claim(proposed.decided(), claim).into_iter().for_each(|located| located.put(&mut effect.location));
     }
     if let Some(found) = &answer.unexplained {
-        let mut location = everywhere(case, None);
-        of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
-        location.covariate.clone_from(&found.covariate);
-        let is_direct = found
-            .dependence
-            .as_ref()
-            .is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
-        let by = if is_direct {
-            DIRECT
-        } else {
-            proposed.decided().map_or(DIRECT, |decided| decided.name.as_str())
-        };
-        let evidence = Evidence {
-            statistic: found.score,
-            heldout_nats_per_event: Some(found.nats),
-            found_by: vec![by.to_owned()],
-            ..Evidence::default()
-        };
-        effects.push(EffectReport {
-            id: "unnamed".into(),
-            also_possible: Vec::new(),
-            plain: "something that no effect of the catalogue explains".into(),
-            equation: found.equation.clone(),
-            insertion: found.insertion.clone(),
-            parameters: Default::default(),
-            location,
-            evidence,
-        });
+        effects.push(unnamed(case, proposed, found));
     }
     let psnr = predictions
         .0
@@ -343,6 +316,35 @@ fn report(
                 .chain(decided.map(|decided| decided.name.clone()))
                 .collect(),
         },
+    }
+}
+
+/// What no effect of the catalogue explains, as the report has it.
+fn unnamed(case: &Case, proposed: &Proposed, found: &Unexplained) -> EffectReport {
+    let mut location = everywhere(case, None);
+    of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
+    location.covariate.clone_from(&found.covariate);
+    let is_direct = found
+        .dependence
+        .as_ref()
+        .is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
+    let by =
+        if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };
+    let evidence = Evidence {
+        statistic: found.score,
+        heldout_nats_per_event: Some(found.nats),
+        found_by: vec![by.to_owned()],
+        ..Evidence::default()
+    };
+    EffectReport {
+        id: "unnamed".into(),
+        also_possible: Vec::new(),
+        plain: "something that no effect of the catalogue explains".into(),
+        equation: found.equation.clone(),
+        insertion: found.insertion.clone(),
+        parameters: Default::default(),
+        location,
+        evidence,
     }
 }
 

@@ -114,6 +114,199 @@ fn from_line(at: (f64, f64), a: (f64, f64), b: (f64, f64)) -> f64 {
     libm::hypot(at.0 - a.0 - along * dx, at.1 - a.1 - along * dy)
 }
 
+/// What a scene is drawn from, and what is drawn before all else.
+struct Draws {
+    random: Random,
+    /// Which motion it is, 0 to 1.
+    kind: f64,
+    /// Direction, rad.
+    angle: f64,
+    /// Sense, -1 or 1.
+    sign: f64,
+    /// Of the array, pixels.
+    width: f64,
+    height: f64,
+}
+
+impl Draws {
+    fn new(seed: u64, index: u64, extent: Extent) -> Draws {
+        let mut random = Random::new(seed, &[index, 77]);
+        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let kind = between(0.0, 1.0);
+        let angle = between(0.0, std::f64::consts::TAU);
+        let sign = if between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
+        let (width, height) = (f64::from(extent.width), f64::from(extent.height));
+        Draws { random, kind, angle, sign, width, height }
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.random.uniform()
+    }
+
+    /// What moves; `ends` as in [`MadeUp::of`].
+    fn motion(&mut self, ends: [f64; 7]) -> Motion {
+        match ends.iter().position(|end| self.kind < *end) {
+            Some(0) => self.texture(),
+            Some(1) => self.star(),
+            Some(2) => self.photograph(),
+            Some(3) => self.layers(),
+            Some(4) => self.fan(),
+            Some(5) => self.figure(),
+            Some(6) => self.ball(),
+            _ => self.discs(),
+        }
+    }
+
+    /// A texture that drifts and shakes.
+    fn texture(&mut self) -> Motion {
+        let Draws { angle, .. } = *self;
+        let speed = self.between(400.0, 1200.0);
+        Motion::Texture {
+            velocity: (speed * libm::cos(angle), speed * libm::sin(angle)),
+            shake_px: self.between(0.5, 3.0),
+            shake_hz: self.between(5.0, 15.0),
+        }
+    }
+
+    /// A star that turns.
+    fn star(&mut self) -> Motion {
+        let Draws { sign, width, height, .. } = *self;
+        let rate = sign * self.between(1.5, 5.5) * std::f64::consts::TAU;
+        let centre = (0.5 * width + self.between(-5.0, 5.0), 0.5 * height + self.between(-5.0, 5.0));
+        Motion::Star { spokes: self.between(3.0, 6.0).floor(), rate, centre }
+    }
+
+    /// A photograph that shakes, zooms and turns.
+    fn photograph(&mut self) -> Motion {
+        let Draws { angle, sign, .. } = *self;
+        let (share, hz) = (self.between(0.0, 1.0), self.between(3.0, 12.0));
+        let speed = self.between(100.0, 700.0);
+        Motion::Photograph {
+            shake: (self.between(1.0, 8.0), hz),
+            turn: (sign * self.between(0.02, 0.2), self.between(2.0, 8.0)),
+            zoom: (self.between(0.02, 0.12), self.between(2.0, 6.0)),
+            drift: (share * speed * libm::cos(angle), share * speed * libm::sin(angle)),
+        }
+    }
+
+    /// Shapes before a texture.
+    fn layers(&mut self) -> Motion {
+        let Draws { angle, .. } = *self;
+        let (front, back, turn) =
+            (self.between(300.0, 1200.0), self.between(50.0, 500.0), self.between(0.5, 5.0));
+        let along = |speed: f64, angle: f64| (speed * libm::cos(angle), speed * libm::sin(angle));
+        Motion::Layers {
+            size: self.between(12.0, 24.0),
+            front: along(front, angle),
+            back: along(back, angle + turn),
+        }
+    }
+
+    /// A fan.
+    fn fan(&mut self) -> Motion {
+        let Draws { angle, sign, width, height, .. } = *self;
+        let centre = (0.5 * width + self.between(-5.0, 5.0), 0.5 * height + self.between(-5.0, 5.0));
+        let (blades, rate, radius) = (
+            self.between(2.0, 6.0).floor(),
+            sign * self.between(1.0, 9.0) * std::f64::consts::TAU,
+            height * self.between(0.35, 0.6),
+        );
+        Motion::Fan {
+            blades,
+            rate,
+            centre,
+            radius,
+            half: self.between(0.2, 0.45) * std::f64::consts::TAU / blades / 2.0,
+            shade: if angle < 3.0 { 0.0 } else { 0.95 },
+        }
+    }
+
+    /// A walking figure.
+    fn figure(&mut self) -> Motion {
+        let Draws { angle, sign, width, height, .. } = *self;
+        let tall = height * self.between(0.5, 0.9);
+        let begin = (width * self.between(0.2, 0.8), 0.5 * height + self.between(-3.0, 3.0));
+        Motion::Figure {
+            height: tall,
+            speed: sign * self.between(60.0, 400.0),
+            steps_hz: self.between(1.5, 5.0),
+            begin,
+            shade: if angle < 4.0 { 0.0 } else { 0.95 },
+        }
+    }
+
+    /// A thrown ball.
+    fn ball(&mut self) -> Motion {
+        let Draws { sign, width, height, .. } = *self;
+        let (radius, speed) = (height * self.between(0.12, 0.25), self.between(200.0, 900.0));
+        let begin = (0.5 * width - 0.3 * sign * width, height * self.between(0.35, 0.7));
+        Motion::Ball {
+            radius,
+            begin,
+            velocity: (sign * speed, -self.between(0.0, 300.0)),
+            fall: self.between(500.0, 4000.0),
+            rate: sign * self.between(0.0, 25.0),
+        }
+    }
+
+    /// Discs that fly over a texture.
+    fn discs(&mut self) -> Motion {
+        let Draws { angle, sign, .. } = *self;
+        let (speed, drift) = (self.between(700.0, 2300.0), self.between(80.0, 180.0));
+        let shade = if sign > 0.0 { 1.1 } else { -0.05 };
+        let velocity = (speed * libm::cos(angle), speed * libm::sin(angle));
+        Motion::Discs {
+            radius: self.between(2.5, 5.5),
+            shade,
+            velocity,
+            pitch: self.between(60.0, 110.0),
+            drift: (drift * libm::sin(angle), drift * libm::cos(angle)),
+        }
+    }
+
+    /// A description of a sensor and the length of its exposures, ns; `which`: of what kind it is, 0 to 1.
+    fn sensor(&mut self, which: f64) -> (Sensor, i64) {
+        let us = |us: f64| Some(Duration::new((us * 1e3).round() as i64));
+        let mut sensor = Sensor::unknown("made up");
+        let threshold = self.between(0.15, 0.25);
+        sensor.comparator.threshold_on = Some(threshold);
+        sensor.comparator.threshold_off = Some(threshold * self.between(0.92, 1.09));
+        sensor.comparator.reset = if which < 0.4 { Reset::Resample } else { Reset::Advance };
+        sensor.readout.refractory = us(if which < 0.4 { self.between(30.0, 90.0).round() } else { 0.0 });
+        sensor.readout.latency_min = us(1.0);
+        let tau_0 = self.between(8.0, 48.0);
+        sensor.front_end.tau_0 = us(if which < 0.2 { 0.0 } else { tau_0 });
+        sensor.front_end.alpha = us(self.between(7_500.0, 31_000.0));
+        let exposure_ns = (self.between(3.0e6, 4.5e6)).round() as i64;
+        sensor.frames.gain =
+            Some(self.between(600.0, 1200.0) * if self.between(0.0, 1.0) < 0.5 { 0.8 } else { 1.0 });
+        sensor.frames.row_time = us(self.between(25.0, 45.0));
+        sensor.frames.saturation_dn = Some(1023.0);
+        (sensor, exposure_ns)
+    }
+}
+
+/// How far within the outline of a figure of a height a place is, pixels; `swing`: angle of a leg, rad.
+fn within_figure(at: (f64, f64), hip: (f64, f64), height: f64, swing: f64) -> f64 {
+    let leg = 0.5 * height;
+    let foot = |angle: f64, length: f64, from: (f64, f64)| {
+        (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle))
+    };
+    let neck = (hip.0, hip.1 - 0.3 * height);
+    let limb = |from: (f64, f64), angle: f64, length: f64, thick: f64| {
+        thick * height - from_line(at, from, foot(angle, length, from))
+    };
+    let parts = [
+        limb(hip, swing, leg, 0.05),
+        limb(hip, -swing, leg, 0.05),
+        limb(neck, -swing, 0.35 * height, 0.035),
+        limb(neck, swing, 0.35 * height, 0.035),
+        0.09 * height - from_line(at, hip, neck),
+        0.09 * height - libm::hypot(at.0 - neck.0, at.1 - neck.1 + 0.13 * height),
+    ];
+    parts.into_iter().fold(f64::NEG_INFINITY, f64::max)
+}
+
 /// The sharpest edges, pixels on either side.
 const SHARPEST: f64 = 0.35;
 
@@ -138,105 +331,12 @@ impl MadeUp {
     /// `ends`: up to which draw from 0 to 1 a scene is a texture, a star, a photograph, layers, a fan, a
     /// figure, a ball; discs from there on.
     fn of(seed: u64, index: u64, extent: Extent, duration_s: f64, ends: [f64; 7]) -> MadeUp {
-        let mut random = Random::new(seed, &[index, 77]);
-        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
-        let kind = between(0.0, 1.0);
-        let angle = between(0.0, std::f64::consts::TAU);
-        let sign = if between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
-        let (width, height) = (f64::from(extent.width), f64::from(extent.height));
-        let motion = if kind < ends[0] {
-            let speed = between(400.0, 1200.0);
-            Motion::Texture {
-                velocity: (speed * libm::cos(angle), speed * libm::sin(angle)),
-                shake_px: between(0.5, 3.0),
-                shake_hz: between(5.0, 15.0),
-            }
-        } else if kind < ends[1] {
-            let rate = sign * between(1.5, 5.5) * std::f64::consts::TAU;
-            let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
-            Motion::Star { spokes: between(3.0, 6.0).floor(), rate, centre }
-        } else if kind < ends[2] {
-            let (share, hz) = (between(0.0, 1.0), between(3.0, 12.0));
-            let speed = between(100.0, 700.0);
-            Motion::Photograph {
-                shake: (between(1.0, 8.0), hz),
-                turn: (sign * between(0.02, 0.2), between(2.0, 8.0)),
-                zoom: (between(0.02, 0.12), between(2.0, 6.0)),
-                drift: (share * speed * libm::cos(angle), share * speed * libm::sin(angle)),
-            }
-        } else if kind < ends[3] {
-            let (front, back, turn) = (between(300.0, 1200.0), between(50.0, 500.0), between(0.5, 5.0));
-            let along = |speed: f64, angle: f64| (speed * libm::cos(angle), speed * libm::sin(angle));
-            Motion::Layers {
-                size: between(12.0, 24.0),
-                front: along(front, angle),
-                back: along(back, angle + turn),
-            }
-        } else if kind < ends[4] {
-            let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
-            let (blades, rate, radius) = (
-                between(2.0, 6.0).floor(),
-                sign * between(1.0, 9.0) * std::f64::consts::TAU,
-                height * between(0.35, 0.6),
-            );
-            Motion::Fan {
-                blades,
-                rate,
-                centre,
-                radius,
-                half: between(0.2, 0.45) * std::f64::consts::TAU / blades / 2.0,
-                shade: if angle < 3.0 { 0.0 } else { 0.95 },
-            }
-        } else if kind < ends[5] {
-            let tall = height * between(0.5, 0.9);
-            let begin = (width * between(0.2, 0.8), 0.5 * height + between(-3.0, 3.0));
-            Motion::Figure {
-                height: tall,
-                speed: sign * between(60.0, 400.0),
-                steps_hz: between(1.5, 5.0),
-                begin,
-                shade: if angle < 4.0 { 0.0 } else { 0.95 },
-            }
-        } else if kind < ends[6] {
-            let (radius, speed) = (height * between(0.12, 0.25), between(200.0, 900.0));
-            let begin = (0.5 * width - 0.3 * sign * width, height * between(0.35, 0.7));
-            Motion::Ball {
-                radius,
-                begin,
-                velocity: (sign * speed, -between(0.0, 300.0)),
-                fall: between(500.0, 4000.0),
-                rate: sign * between(0.0, 25.0),
-            }
-        } else {
-            let (speed, drift) = (between(700.0, 2300.0), between(80.0, 180.0));
-            let shade = if sign > 0.0 { 1.1 } else { -0.05 };
-            let velocity = (speed * libm::cos(angle), speed * libm::sin(angle));
-            Motion::Discs {
-                radius: between(2.5, 5.5),
-                shade,
-                velocity,
-                pitch: between(60.0, 110.0),
-                drift: (drift * libm::sin(angle), drift * libm::cos(angle)),
-            }
-        };
-        let (low, high) = (between(26.0, 38.0), between(150.0, 205.0));
-        let us = |us: f64| Some(Duration::new((us * 1e3).round() as i64));
-        let mut sensor = Sensor::unknown("made up");
-        let which = between(0.0, 1.0);
-        let threshold = between(0.15, 0.25);
-        sensor.comparator.threshold_on = Some(threshold);
-        sensor.comparator.threshold_off = Some(threshold * between(0.92, 1.09));
-        sensor.comparator.reset = if which < 0.4 { Reset::Resample } else { Reset::Advance };
-        sensor.readout.refractory = us(if which < 0.4 { between(30.0, 90.0).round() } else { 0.0 });
-        sensor.readout.latency_min = us(1.0);
-        let tau_0 = between(8.0, 48.0);
-        sensor.front_end.tau_0 = us(if which < 0.2 { 0.0 } else { tau_0 });
-        sensor.front_end.alpha = us(between(7_500.0, 31_000.0));
-        let exposure_ns = (between(3.0e6, 4.5e6)).round() as i64;
-        sensor.frames.gain = Some(between(600.0, 1200.0) * if between(0.0, 1.0) < 0.5 { 0.8 } else { 1.0 });
-        sensor.frames.row_time = us(between(25.0, 45.0));
-        sensor.frames.saturation_dn = Some(1023.0);
-        let first_ns = between(1e5, 6e5).round() as i64;
+        let mut draws = Draws::new(seed, index, extent);
+        let motion = draws.motion(ends);
+        let (low, high) = (draws.between(26.0, 38.0), draws.between(150.0, 205.0));
+        let which = draws.between(0.0, 1.0);
+        let (sensor, exposure_ns) = draws.sensor(which);
+        let first_ns = draws.between(1e5, 6e5).round() as i64;
         let span = (0, (duration_s * 1e9) as i64);
         let period_ns = 8_333_333;
         let rows_ns = sensor.frames.row_time.map_or(0, Duration::ns) * i64::from(extent.height);
@@ -251,10 +351,10 @@ impl MadeUp {
         } else {
             20_000
         };
-        let contrast = between(0.8, 1.6);
+        let contrast = draws.between(0.8, 1.6);
         // Pixels are not points and lenses are not perfect: no edge is sharper than about a third of a pixel
         // on either side.
-        let edge = f64::max(between(0.1, 0.9), SHARPEST);
+        let edge = f64::max(draws.between(0.1, 0.9), SHARPEST);
         MadeUp {
             motion,
             low,
@@ -389,20 +489,7 @@ impl MadeUp {
                 ground + (shade - ground) * inside
             }
             Motion::Photograph { shake, turn, zoom, drift } => {
-                let swing =
-                    |of: &(f64, f64), phase: f64| of.0 * libm::sin(std::f64::consts::TAU * of.1 * t + phase);
-                let (angle, scale) = (swing(turn, 0.3), libm::exp(swing(zoom, 1.1)));
-                let (c, s) = (scale * libm::cos(angle), scale * libm::sin(angle));
-                let (dx, dy) =
-                    (x - 0.5 * f64::from(self.extent.width), y - 0.5 * f64::from(self.extent.height));
-                let (u, v) = (
-                    c * dx - s * dy - drift.0 * t - swing(shake, 0.0),
-                    s * dx + c * dy - drift.1 * t - swing(shake, 1.9),
-                );
-                let shape = 0.5
-                    + 0.5
-                        * ((surface(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0 / self.edge).clamp(-1.0, 1.0);
-                0.5 + self.contrast * (0.6 * texture(self.seed, u, v) + 0.4 * shape - 0.5)
+                self.photograph_shade((x, y), t, [*shake, *turn, *zoom], *drift)
             }
             Motion::Layers { size, front, back } => {
                 let (u, v) = (x - front.0 * t, y - front.1 * t);
@@ -424,23 +511,8 @@ impl MadeUp {
             }
             Motion::Figure { height, speed, steps_hz, begin, shade } => {
                 let hip = (begin.0 + speed * t, begin.1);
-                let (leg, swing) = (0.5 * height, 0.5 * libm::sin(std::f64::consts::TAU * steps_hz * t));
-                let foot = |angle: f64, length: f64, from: (f64, f64)| {
-                    (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle))
-                };
-                let neck = (hip.0, hip.1 - 0.3 * height);
-                let limb = |from: (f64, f64), angle: f64, length: f64, thick: f64| {
-                    thick * height - from_line((x, y), from, foot(angle, length, from))
-                };
-                let parts = [
-                    limb(hip, swing, leg, 0.05),
-                    limb(hip, -swing, leg, 0.05),
-                    limb(neck, -swing, 0.35 * height, 0.035),
-                    limb(neck, swing, 0.35 * height, 0.035),
-                    0.09 * height - from_line((x, y), hip, neck),
-                    0.09 * height - libm::hypot(x - neck.0, y - neck.1 + 0.13 * height),
-                ];
-                self.before_ground(x, y, parts.into_iter().fold(f64::NEG_INFINITY, f64::max), *shade)
+                let swing = 0.5 * libm::sin(std::f64::consts::TAU * steps_hz * t);
+                self.before_ground(x, y, within_figure((x, y), hip, *height, swing), *shade)
             }
             Motion::Ball { radius, begin, velocity, fall, rate } => {
                 let (dx, dy) =
@@ -452,6 +524,23 @@ impl MadeUp {
             }
         };
         libm::log(f64::max(self.low + (self.high - self.low) * shade.clamp(-0.1, 1.1), 2.0))
+    }
+
+    /// Shade of a photograph at a place and time; amplitudes and frequencies of its shaking, turning and
+    /// zooming.
+    fn photograph_shade(&self, at: (f64, f64), t: f64, swings: [(f64, f64); 3], drift: (f64, f64)) -> f64 {
+        let ((x, y), [shake, turn, zoom]) = (at, swings);
+        let swing = |of: (f64, f64), phase: f64| of.0 * libm::sin(std::f64::consts::TAU * of.1 * t + phase);
+        let (angle, scale) = (swing(turn, 0.3), libm::exp(swing(zoom, 1.1)));
+        let (c, s) = (scale * libm::cos(angle), scale * libm::sin(angle));
+        let (dx, dy) = (x - 0.5 * f64::from(self.extent.width), y - 0.5 * f64::from(self.extent.height));
+        let (u, v) = (
+            c * dx - s * dy - drift.0 * t - swing(shake, 0.0),
+            s * dx + c * dy - drift.1 * t - swing(shake, 1.9),
+        );
+        let shape =
+            0.5 + 0.5 * ((surface(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0 / self.edge).clamp(-1.0, 1.0);
+        0.5 + self.contrast * (0.6 * texture(self.seed, u, v) + 0.4 * shape - 0.5)
     }
 
     /// A shade before a still texture, `depth` pixels within its outline.

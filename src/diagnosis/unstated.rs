@@ -51,11 +51,13 @@ pub fn advice(sensor: &Sensor) -> Vec<String> {
 }
 
 /// Where the front end's numbers are from.
-const HOW: &str = "values are in the maker's sheet (tau = 1 / (2 pi f) of a -3 dB bandwidth f: tau_0 in bright light, alpha = (tau - tau_0) x photocurrent in dim light) or come from a \
+const HOW: &str = "values are in the maker's sheet (tau = 1 / (2 pi f) of a -3 dB bandwidth f: tau_0 in \
+                   bright light, alpha = (tau - tau_0) x photocurrent in dim light) or come from a \
                    recording of a known target (docs/calibrate-sensor.md)";
 
 /// What a constant lateness of events is.
-pub const LATENESS: &str = "events that are late by one time have a clock that is off, or a front end and a readout that are slow; \
+pub const LATENESS: &str = "events that are late by one time have a clock that is off, or a front end and a \
+                            readout that are slow; \
      this recording does not separate the two";
 
 fn not_stated(fields: &[&str]) -> String {

@@ -137,7 +137,11 @@ fn a_file_cut_anywhere_gives_its_whole_records_and_a_loss() {
 
 proptest! {
     #[test]
-    fn random_records_and_flipped_bytes_never_panic(tail in proptest::collection::vec(any::<u8>(), 0..200), at in any::<proptest::sample::Index>(), value in any::<u8>()) {
+    fn random_records_and_flipped_bytes_never_panic(
+        tail in proptest::collection::vec(any::<u8>(), 0..200),
+        at in any::<proptest::sample::Index>(),
+        value in any::<u8>(),
+    ) {
         for head in [DVS128, DAVIS346] {
             let mut bytes = [head.as_bytes(), &tail].concat();
             let at = at.index(bytes.len());

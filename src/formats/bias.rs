@@ -128,7 +128,10 @@ mod tests {
                      bias_hpf\n\n";
         let expected = vec![("bias_diff".to_owned(), 300), ("bias_fo".into(), -5), ("bias_hpf".into(), 16)];
         assert_eq!(of(lines), Ok(expected.clone()));
-        let json = r#"{"ll_biases_state": {"bias": [{"name": "bias_diff", "value": 300}, {"name": "bias_fo", "value": -5}, {"name": "bias_hpf", "value": 16}]}}"#;
+        let json = r#"{"ll_biases_state": {"bias": [
+            {"name": "bias_diff", "value": 300}, {"name": "bias_fo", "value": -5},
+            {"name": "bias_hpf", "value": 16}
+        ]}}"#;
         assert_eq!(of(json), Ok(expected));
     }
 

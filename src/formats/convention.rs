@@ -343,7 +343,8 @@ impl Tally {
             None => self.code(),
         };
         rules.code = code.map_err(|found| {
-            let hint = "state how it is stored: `polarity = \"counts\"` (every value above 0 is ON), \"one_two\" (1 is OFF, 2 is ON), or \"signs\" (1 is ON, 0 and -1 \
+            let hint = "state how it is stored: `polarity = \"counts\"` (every value above 0 is ON), \
+                        \"one_two\" (1 is OFF, 2 is ON), or \"signs\" (1 is ON, 0 and -1 \
                         are OFF, events with other values are left out)";
             FormatError::new(path, found, hint).at("the column of the polarity").undeclared("polarity")
         })?;

@@ -191,19 +191,35 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_nanosecond_survives_being_written_in_any_unit(ns_in in -9_000_000_000_000_000_000_i64..9_000_000_000_000_000_000) {
-            for (unit, places) in [(TimeUnit::S, 9_usize), (TimeUnit::Ms, 6), (TimeUnit::Us, 3), (TimeUnit::Ns, 0)] {
-                let (whole, part) = (ns_in.unsigned_abs() / unit.ns() as u64, ns_in.unsigned_abs() % unit.ns() as u64);
+        fn every_nanosecond_survives_being_written_in_any_unit(
+            ns_in in -9_000_000_000_000_000_000_i64..9_000_000_000_000_000_000,
+        ) {
+            for (unit, places) in [
+                (TimeUnit::S, 9_usize), (TimeUnit::Ms, 6), (TimeUnit::Us, 3), (TimeUnit::Ns, 0),
+            ] {
+                let size = ns_in.unsigned_abs();
+                let (whole, part) = (size / unit.ns() as u64, size % unit.ns() as u64);
                 let sign = if ns_in < 0 { "-" } else { "" };
-                let text = if places == 0 { format!("{sign}{whole}") } else { format!("{sign}{whole}.{part:0places$}") };
+                let text = if places == 0 {
+                    format!("{sign}{whole}")
+                } else {
+                    format!("{sign}{whole}.{part:0places$}")
+                };
                 prop_assert_eq!(ns(&text, unit), Some(ns_in), "{}", text);
             }
         }
 
         #[test]
-        fn no_bytes_panic(bytes in proptest::collection::vec(prop_oneof![Just(b'.'), Just(b'e'), Just(b'-'), b'0'..=b'9', any::<u8>()], 0..40)) {
+        fn no_bytes_panic(
+            bytes in proptest::collection::vec(
+                prop_oneof![Just(b'.'), Just(b'e'), Just(b'-'), b'0'..=b'9', any::<u8>()], 0..40,
+            ),
+        ) {
             if let Some(number) = Decimal::read(&bytes) {
-                let _ = (number.ns(TimeUnit::S), number.pixel(32), number.value(), number.is_whole(), number.places());
+                let _ = (
+                    number.ns(TimeUnit::S), number.pixel(32), number.value(), number.is_whole(),
+                    number.places(),
+                );
             }
         }
     }

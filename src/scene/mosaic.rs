@@ -159,24 +159,7 @@ pub fn scene_where(
     };
     let changes = found.moves.clone();
     let needed = found.needed(case, nominal, &changes);
-    let fit = |list: &[(usize, Range<usize>)]| -> Vec<(usize, Patch)> {
-        let one = |(tile, frames): &(usize, Range<usize>)| {
-            let part = Part::around(&found.tiles[*tile], frames.clone(), case.extent, &setting.patches);
-            Some((
-                *tile,
-                Patch::fit(
-                    case,
-                    nominal,
-                    &changes,
-                    ground.as_deref(),
-                    part,
-                    &setting.patches,
-                    &setting.picture,
-                )?,
-            ))
-        };
-        list.par_iter().filter_map(one).collect()
-    };
+    let fit = |list: &[(usize, Range<usize>)]| found.fit(case, nominal, &changes, ground.as_deref(), list);
     let probes = setting.probes.min(needed.len());
     let mut fitted = fit(&needed[..probes]);
     let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
@@ -268,6 +251,23 @@ impl Mosaic {
         needed.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)).then(a.2.start.cmp(&b.2.start)));
         needed.truncate(self.setting.most_parts);
         needed.into_iter().map(|(_, tile, window)| (tile, window)).collect()
+    }
+
+    /// Pictures of tiles and windows, where they can be fitted; `ground`: the still one behind them.
+    fn fit(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        changes: &[bool],
+        ground: Option<&[f32]>,
+        list: &[(usize, Range<usize>)],
+    ) -> Vec<(usize, Patch)> {
+        let MosaicSetting { patches, picture, .. } = &self.setting;
+        let one = |(tile, frames): &(usize, Range<usize>)| {
+            let part = Part::around(&self.tiles[*tile], frames.clone(), case.extent, patches);
+            Some((*tile, Patch::fit(case, nominal, changes, ground, part, patches, picture)?))
+        };
+        list.par_iter().filter_map(one).collect()
     }
 
     /// Which patches predict enough of the moving values of their tiles, and more than the moving picture.

@@ -192,6 +192,48 @@ enum Mark {
     Fire(usize),
 }
 
+/// What happens in a pixel, in order: when, order at one instant, what.
+fn marks(reset: Reset, impulses: &[Impulse], times: &[Times]) -> Vec<(i64, u8, Mark)> {
+    let mut marks: Vec<(i64, u8, Mark)> =
+        impulses.iter().enumerate().map(|(n, impulse)| (impulse.t_ns, 1, Mark::Impulse(n))).collect();
+    for (k, time) in times.iter().enumerate() {
+        marks.push((time.fired_ns, 3, Mark::Fire(k)));
+        if reset == Reset::Resample {
+            marks.push((time.latch_ns, if time.latch_ns > time.fired_ns { 2 } else { 4 }, Mark::Latch(k)));
+        }
+    }
+    marks.sort_unstable_by_key(|(t, order, mark)| (*t, *order, matches!(mark, Mark::Fire(_))));
+    marks
+}
+
+/// What effects make of the circuits before the comparator.
+struct Analog {
+    front_end: FrontEndModel,
+    leak: Leak,
+    /// Within the light of the pixel.
+    impulses: Vec<Impulse>,
+}
+
+impl Analog {
+    fn of(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>) -> Analog {
+        let (site, track) = (&look.site, look.track);
+        let mut front_end = FrontEndModel::plain(model.pixel.front_end);
+        let stated = Thresholds { on: model.pixel.threshold_on, off: model.pixel.threshold_off };
+        let mut leak = Leak::default();
+        let mut impulses: Vec<Impulse> = Vec::new();
+        let (start_ns, end_ns) = (track.t_ns[0], track.t_ns[track.t_ns.len() - 1]);
+        for effect in effects {
+            effect.front_end(site, &mut front_end);
+            let more = effect.leak(site, &stated);
+            leak.constant_per_s += more.constant_per_s;
+            leak.per_photocurrent_per_s += more.per_photocurrent_per_s;
+            effect.impulses(site, start_ns, end_ns, &mut impulses);
+        }
+        impulses.retain(|impulse| impulse.t_ns >= start_ns && impulse.t_ns < end_ns);
+        Analog { front_end, leak, impulses }
+    }
+}
+
 /// Sees a pixel through a sensor with effects.
 pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, out: &mut Conditional) {
     frame_values(model, effects, look, out);
@@ -199,48 +241,17 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     let changed = seen_light(effects, look);
     let seen: &[f64] = changed.as_deref().or(look.seen).unwrap_or(&track.log_light);
     let mut random = Random::new(0, &[]);
-    let mut front_end = FrontEndModel::plain(model.pixel.front_end);
     let stated = Thresholds { on: model.pixel.threshold_on, off: model.pixel.threshold_off };
-    let mut leak = Leak::default();
-    let mut impulses: Vec<Impulse> = Vec::new();
-    let (start_ns, end_ns) = (track.t_ns[0], track.t_ns[track.t_ns.len() - 1]);
-    for effect in effects {
-        effect.front_end(site, &mut front_end);
-        let more = effect.leak(site, &stated);
-        leak.constant_per_s += more.constant_per_s;
-        leak.per_photocurrent_per_s += more.per_photocurrent_per_s;
-        effect.impulses(site, start_ns, end_ns, &mut impulses);
-    }
-    impulses.retain(|impulse| impulse.t_ns >= start_ns && impulse.t_ns < end_ns);
+    let start_ns = track.t_ns[0];
+    let Analog { front_end, leak, impulses } = Analog::of(model, effects, look);
     let times = times(model, effects, look, seen, &mut random);
-    let mut marks: Vec<(i64, u8, Mark)> =
-        impulses.iter().enumerate().map(|(n, impulse)| (impulse.t_ns, 1, Mark::Impulse(n))).collect();
-    for (k, time) in times.iter().enumerate() {
-        marks.push((time.fired_ns, 3, Mark::Fire(k)));
-        if model.reset == Reset::Resample {
-            marks.push((time.latch_ns, if time.latch_ns > time.fired_ns { 2 } else { 4 }, Mark::Latch(k)));
-        }
-    }
-    marks.sort_unstable_by_key(|(t, order, mark)| (*t, *order, matches!(mark, Mark::Fire(_))));
+    let marks = marks(model.reset, &impulses, &times);
     if look.events.is_empty() {
         out.settling = Settling::default();
     } else {
         out.settling.fill(&front_end.low_pass, &track.t_ns, seen);
     }
-    let mut walk = Walk {
-        model: front_end,
-        settling: &out.settling,
-        leak,
-        track,
-        seen,
-        at: 0,
-        t_ns: start_ns,
-        now: seen[0],
-        low: seen[0],
-        second: seen[0],
-        level: seen[0],
-        drift: 0.0,
-    };
+    let mut walk = Walk::new(front_end, &out.settling, leak, track, seen);
     let count = look.events.len();
     out.excess.clear();
     out.excess.resize(count, 0.0);
@@ -458,7 +469,31 @@ struct Walk<'a> {
     drift: f64,
 }
 
-impl Walk<'_> {
+impl<'a> Walk<'a> {
+    /// At the beginning of the light, settled.
+    fn new(
+        model: FrontEndModel,
+        settling: &'a Settling,
+        leak: Leak,
+        track: &'a Track,
+        seen: &'a [f64],
+    ) -> Walk<'a> {
+        Walk {
+            model,
+            settling,
+            leak,
+            track,
+            seen,
+            at: 0,
+            t_ns: track.t_ns[0],
+            now: seen[0],
+            low: seen[0],
+            second: seen[0],
+            level: seen[0],
+            drift: 0.0,
+        }
+    }
+
     fn go_to(&mut self, t_ns: i64) {
         while self.t_ns < t_ns {
             let Some(&next) = self.track.t_ns.get(self.at + 1) else { return };

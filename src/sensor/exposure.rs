@@ -355,7 +355,9 @@ mod tests {
                 start += advance; // sometimes backwards, often overlapping
                 let exposure = Exposure::new(start, start + length);
                 prop_assert_eq!(cursor.integral(exposure).to_bits(), track.integral(exposure).to_bits());
-                prop_assert_eq!(joined_cursor.integral(exposure).to_bits(), joined.integral(exposure).to_bits());
+                prop_assert_eq!(
+                    joined_cursor.integral(exposure).to_bits(), joined.integral(exposure).to_bits(),
+                );
             }
         }
     }

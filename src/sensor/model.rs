@@ -118,8 +118,10 @@ mod tests {
 
     #[test]
     fn what_is_stated_is_read_and_what_is_not_is_no_number() {
-        let text = "format = \"photocurrent-sensor/1\"\n[front_end]\nalpha = \"2 ms\"\n[comparator]\nthreshold_on = 0.2\n[readout]\nrefractory = \"1 ms\"\n\
-                    [frames]\nblack_level_dn = 10\nsaturation_dn = 1010\nfull_well_e = 2000\nread_noise_dn = 3\n";
+        let text = "format = \"photocurrent-sensor/1\"\n[front_end]\nalpha = \"2 ms\"\n[comparator]\n\
+                    threshold_on = 0.2\n[readout]\nrefractory = \"1 ms\"\n\
+                    [frames]\nblack_level_dn = 10\nsaturation_dn = 1010\nfull_well_e = 2000\n\
+                    read_noise_dn = 3\n";
         let model = Model::of(&Sensor::parse(&Source::new("s.toml", "", text)).unwrap());
         assert_eq!(
             (model.pixel.front_end.tau_0_s, model.pixel.front_end.alpha_s, model.pixel.refractory_ns),

@@ -157,7 +157,10 @@ fn each_effect_that_can_be_undone_is() {
         (json!({"frame_nonlinearity": {"compression": 0.5}}), 0.35),
         (json!({"black_level": {"black_level_dn": 90}}), 0.35),
         (
-            json!({"second_pole": {"tau": "700 us"}, "leak_events": {"rate": "25 Hz"}, "image_lag": {"fraction": 0.2}}),
+            json!({
+                "second_pole": {"tau": "700 us"}, "leak_events": {"rate": "25 Hz"},
+                "image_lag": {"fraction": 0.2},
+            }),
             0.35,
         ),
     ];
@@ -178,8 +181,10 @@ fn each_effect_that_can_be_undone_is() {
 #[test]
 fn what_is_drawn_widens_and_what_mixes_neighbours_is_named() {
     let undo = Undo::new(effects(json!({
-        "threshold_mismatch": {"sigma": 0.03}, "threshold_noise": {"sigma": 0.04}, "timestamp_jitter": {"sigma": "30 us"},
-        "row_skew": {"per_row": "5 us", "sigma": "40 us"}, "blur": {"sigma": 0.7}, "readout_queue": {"service": "1 us"}, "event_loss": {"fraction": 0.1},
+        "threshold_mismatch": {"sigma": 0.03}, "threshold_noise": {"sigma": 0.04},
+        "timestamp_jitter": {"sigma": "30 us"},
+        "row_skew": {"per_row": "5 us", "sigma": "40 us"}, "blur": {"sigma": 0.7},
+        "readout_queue": {"service": "1 us"}, "event_loss": {"fraction": 0.1},
     })));
     assert_eq!(
         (undo.left_out.as_slice(), undo.couples(), undo.mixing().is_some()),

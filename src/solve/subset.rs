@@ -109,7 +109,8 @@ mod tests {
         });
         let text = format!(
             "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"20 us\"\nalpha = \"1 ms\"\n\
-             [comparator]\nthreshold_on = 0.2\nthreshold_off = 0.2\n[readout]\nrefractory = \"10 us\"\n[frames]\ngain = 1000.0\n{sensor}"
+             [comparator]\nthreshold_on = 0.2\nthreshold_off = 0.2\n[readout]\nrefractory = \"10 us\"\n\
+             [frames]\ngain = 1000.0\n{sensor}"
         );
         (testing::stream(extent, events), frames, Sensor::parse(&Source::new("s.toml", "", text)).unwrap())
     }

@@ -21,7 +21,9 @@
 //! let folder = tempfile::tempdir().unwrap();
 //! let events: EventStream = testing::events(8, 6);
 //! let path = folder.path().join("recording.h5");
-//! let content = RecordingContent { events: Some(&events), ..RecordingContent::empty(Extent { width: 8, height: 6 }) };
+//! let content = RecordingContent {
+//!     events: Some(&events), ..RecordingContent::empty(Extent { width: 8, height: 6 })
+//! };
 //! let count = write_recording(&path, &content).unwrap();
 //! let recording = Recording::open(&path).unwrap();
 //! assert_eq!((recording.event_count(), recording.exposures()), (count, None));

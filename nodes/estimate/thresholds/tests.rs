@@ -20,7 +20,8 @@ const RIGHT: Pair = (0.2, 0.21);
 
 fn sensor((on, off): Pair) -> Arc<Sensor> {
     let text = format!(
-        "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"30 us\"\nalpha = \"8 ms\"\n[comparator]\nthreshold_on = {on}\nthreshold_off = {off}\n[readout]\nlatency_min = \"10 us\"\n\
+        "format = \"photocurrent-sensor/1\"\n[front_end]\ntau_0 = \"30 us\"\nalpha = \"8 ms\"\n[comparator]\n\
+         threshold_on = {on}\nthreshold_off = {off}\n[readout]\nlatency_min = \"10 us\"\n\
          refractory = \"30 us\"\n[frames]\ngain = 800\nblack_level_dn = 20\nsaturation_dn = \
                         1023\nread_noise_dn = 3\nrow_time = \"20 us\"\n"
     );

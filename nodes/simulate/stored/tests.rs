@@ -87,7 +87,8 @@ fn pictures_of_every_form_are_relative_light() {
 fn interlaced_pictures_and_palettes_are_read_too() {
     let folder = tempfile::tempdir().unwrap();
     // 5 x 4 pixels of value 10 y + x, interlaced (Adam7), as zlib and the PNG specification make it.
-    let adam7 = "89504e470d0a1a0a0000000d4948445200000005000000040800000001145f9a0a000000244944415478da6360606061606210119360606466101567e0e2e6e1e5\
+    let adam7 = "89504e470d0a1a0a0000000d4948445200000005000000040800000001145f9a0a000000244944415478da636060\
+                 6061606210119360606466101567e0e2e6e1e5\
                  63909357505402000c4c0155cc3cbec10000000049454e44ae426082";
     let bytes: Vec<u8> =
         (0..adam7.len()).step_by(2).map(|at| u8::from_str_radix(&adam7[at..at + 2], 16).unwrap()).collect();

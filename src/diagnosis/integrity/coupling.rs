@@ -177,22 +177,7 @@ fn in_step(
     if !is_regular {
         return None;
     }
-    let width = case.extent.width as usize;
-    let mut phases = Phases { events: Vec::new(), period, height: f64::from(case.extent.height) };
-    for &pixel in pixels {
-        for event in case.events.of(pixel as usize).iter().filter(|event| event.polarity == polarity) {
-            let frame = starts.partition_point(|start| *start <= event.t_off_ns);
-            if (1..frames).contains(&frame) {
-                let since = (event.t_off_ns - starts[frame - 1]) as f64;
-                phases.events.push((
-                    (pixel as usize / width) as f64,
-                    since,
-                    frame - 1,
-                    half(case, pixel as usize),
-                ));
-            }
-        }
-    }
+    let phases = phases_of(case, pixels, polarity, &starts, period);
     if phases.events.len() < FEWEST_EVENTS {
         return None;
     }
@@ -244,6 +229,27 @@ fn in_step(
         heldout: Some(Heldout { nats, events: phases.events.len() }),
         ci95: Vec::new(),
     })
+}
+
+/// Instants of the events of one sign of some pixels since the start of the frame.
+fn phases_of(case: &Case, pixels: &[u32], polarity: i8, starts: &[i64], period: f64) -> Phases {
+    let width = case.extent.width as usize;
+    let mut phases = Phases { events: Vec::new(), period, height: f64::from(case.extent.height) };
+    for &pixel in pixels {
+        for event in case.events.of(pixel as usize).iter().filter(|event| event.polarity == polarity) {
+            let frame = starts.partition_point(|start| *start <= event.t_off_ns);
+            if (1..starts.len()).contains(&frame) {
+                let since = (event.t_off_ns - starts[frame - 1]) as f64;
+                phases.events.push((
+                    (pixel as usize / width) as f64,
+                    since,
+                    frame - 1,
+                    half(case, pixel as usize),
+                ));
+            }
+        }
+    }
+    phases
 }
 
 /// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving

@@ -1,6 +1,6 @@
 //! Recordings that contradict themselves, and those that hold too little.
 
-use photocurrent_scene::case::Case;
+use photocurrent_scene::case::{Case, CaseFrames};
 
 /// With fewer events nothing is said of the event path.
 pub const FEWEST_EVENTS: usize = 300;
@@ -15,92 +15,104 @@ const FASTEST_HZ: f64 = 5_000.0;
 /// What makes the data useless, a sentence each.
 pub fn broken(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
-    let events = &case.events;
-    if events.len() >= FEWEST_EVENTS {
-        let early = events.iter().filter(|event| event.t_off_ns < event.t_in_ns).count();
-        if case.has_t_in && early * 100 > events.len() {
-            why.push(format!(
-                "{early} of {} events leave the array before they fire: t < t_in in /events",
-                events.len()
-            ));
-        }
-        let first = events.iter().next().map_or(0, |event| event.t_off_ns);
-        if events.iter().all(|event| event.t_off_ns == first) {
-            why.push(format!("all {} events have one and the same time, {first} ns", events.len()));
-        }
-        let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
-        let rate_hz = events.len() as f64 / (seconds * case.extent.pixels().max(1) as f64);
-        if seconds > 0.0 && rate_hz > FASTEST_HZ {
-            why.push(format!(
-                "{} events in {seconds:.3e} s, {rate_hz:.0} a pixel and second, are more than any sensor \
-                 gives: the stamps are of a larger unit",
-                events.len()
-            ));
-        }
-        // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly
-        // all.
-        let pairs = events.len()
-            - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();
-        let equal: usize = (0..case.events.pixels())
-            .map(|pixel| {
-                case.events
-                    .of(pixel)
-                    .windows(2)
-                    .filter(|pair| {
-                        pair[0].t_off_ns == pair[1].t_off_ns && pair[0].polarity == pair[1].polarity
-                    })
-                    .count()
-            })
-            .sum();
-        if pairs >= FEWEST_EVENTS && equal * 2 > pairs {
-            why.push(format!(
-                "{equal} of {pairs} events repeat the time and sign of the pixel's event before: the same \
-                 event twice, or stamps that stand still"
-            ));
-        }
+    if case.events.len() >= FEWEST_EVENTS {
+        why.extend(broken_events(case));
     }
     why.extend(apart(case));
     if let Some(frames) = &case.frames {
-        let known: Vec<f32> = frames.values().filter(|dn| dn.is_finite()).collect();
-        let count = frames.len().max(1);
-        if known.len() * 2 < count {
-            why.push(format!("{} of {count} frame values are not numbers", count - known.len()));
-        } else if known.iter().all(|dn| *dn == known[0]) && known.len() > 1 {
-            why.push(format!("every frame value is {}: the frames hold no picture", known[0]));
-        }
-        let infinite = frames.values().filter(|dn| dn.is_infinite()).count();
-        if infinite > 0 {
-            why.push(format!("{infinite} of {count} frame values are infinite"));
-        }
-        let full = case.sensor.frames.saturation_dn.unwrap_or(f64::INFINITY);
-        let saturated = known.iter().filter(|dn| f64::from(**dn) >= full).count();
-        if saturated * 10 > known.len() * 9 {
-            why.push(format!("{saturated} of {} frame values are saturated (>= {full} DN)", known.len()));
-        }
-        let black = case.sensor.frames.black_level_dn.unwrap_or(0.0);
-        let room = if full.is_finite() { full - black } else { 1e4 };
-        // Noise about a black of zero makes half of a dark frame negative, but not on average.
-        let negative = known.iter().filter(|dn| **dn < 0.0).count();
-        let mean = known.iter().map(|dn| f64::from(*dn)).sum::<f64>() / known.len().max(1) as f64;
-        let variance = known.iter().map(|dn| (f64::from(*dn) - mean) * (f64::from(*dn) - mean)).sum::<f64>()
-            / known.len().max(1) as f64;
-        if negative * 2 > known.len() && mean < black.min(0.0) - 0.2 * variance.sqrt() {
-            why.push(format!(
-                "{negative} of {} frame values are negative, {mean:.4} on average: no light is",
-                known.len()
-            ));
-        }
-        let absurd = known
-            .iter()
-            .filter(|dn| f64::from(**dn) < black - room || f64::from(**dn) > black + 10.0 * room)
-            .count();
-        if absurd * 10 > known.len() {
-            why.push(format!(
-                "{absurd} of {} frame values lie outside anything that black level {black} and \
+        why.extend(broken_frames(case, frames));
+    }
+    why
+}
+
+/// What makes the events useless.
+fn broken_events(case: &Case) -> Vec<String> {
+    let mut why = Vec::new();
+    let events = &case.events;
+    let early = events.iter().filter(|event| event.t_off_ns < event.t_in_ns).count();
+    if case.has_t_in && early * 100 > events.len() {
+        why.push(format!(
+            "{early} of {} events leave the array before they fire: t < t_in in /events",
+            events.len()
+        ));
+    }
+    let first = events.iter().next().map_or(0, |event| event.t_off_ns);
+    if events.iter().all(|event| event.t_off_ns == first) {
+        why.push(format!("all {} events have one and the same time, {first} ns", events.len()));
+    }
+    let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
+    let rate_hz = events.len() as f64 / (seconds * case.extent.pixels().max(1) as f64);
+    if seconds > 0.0 && rate_hz > FASTEST_HZ {
+        why.push(format!(
+            "{} events in {seconds:.3e} s, {rate_hz:.0} a pixel and second, are more than any sensor \
+                 gives: the stamps are of a larger unit",
+            events.len()
+        ));
+    }
+    // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly
+    // all.
+    let pairs =
+        events.len() - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();
+    let equal: usize = (0..case.events.pixels())
+        .map(|pixel| {
+            case.events
+                .of(pixel)
+                .windows(2)
+                .filter(|pair| pair[0].t_off_ns == pair[1].t_off_ns && pair[0].polarity == pair[1].polarity)
+                .count()
+        })
+        .sum();
+    if pairs >= FEWEST_EVENTS && equal * 2 > pairs {
+        why.push(format!(
+            "{equal} of {pairs} events repeat the time and sign of the pixel's event before: the same \
+                 event twice, or stamps that stand still"
+        ));
+    }
+    why
+}
+
+/// What makes the frames useless.
+fn broken_frames(case: &Case, frames: &CaseFrames) -> Vec<String> {
+    let mut why = Vec::new();
+    let known: Vec<f32> = frames.values().filter(|dn| dn.is_finite()).collect();
+    let count = frames.len().max(1);
+    if known.len() * 2 < count {
+        why.push(format!("{} of {count} frame values are not numbers", count - known.len()));
+    } else if known.iter().all(|dn| *dn == known[0]) && known.len() > 1 {
+        why.push(format!("every frame value is {}: the frames hold no picture", known[0]));
+    }
+    let infinite = frames.values().filter(|dn| dn.is_infinite()).count();
+    if infinite > 0 {
+        why.push(format!("{infinite} of {count} frame values are infinite"));
+    }
+    let full = case.sensor.frames.saturation_dn.unwrap_or(f64::INFINITY);
+    let saturated = known.iter().filter(|dn| f64::from(**dn) >= full).count();
+    if saturated * 10 > known.len() * 9 {
+        why.push(format!("{saturated} of {} frame values are saturated (>= {full} DN)", known.len()));
+    }
+    let black = case.sensor.frames.black_level_dn.unwrap_or(0.0);
+    let room = if full.is_finite() { full - black } else { 1e4 };
+    // Noise about a black of zero makes half of a dark frame negative, but not on average.
+    let negative = known.iter().filter(|dn| **dn < 0.0).count();
+    let mean = known.iter().map(|dn| f64::from(*dn)).sum::<f64>() / known.len().max(1) as f64;
+    let variance = known.iter().map(|dn| (f64::from(*dn) - mean) * (f64::from(*dn) - mean)).sum::<f64>()
+        / known.len().max(1) as f64;
+    if negative * 2 > known.len() && mean < black.min(0.0) - 0.2 * variance.sqrt() {
+        why.push(format!(
+            "{negative} of {} frame values are negative, {mean:.4} on average: no light is",
+            known.len()
+        ));
+    }
+    let absurd = known
+        .iter()
+        .filter(|dn| f64::from(**dn) < black - room || f64::from(**dn) > black + 10.0 * room)
+        .count();
+    if absurd * 10 > known.len() {
+        why.push(format!(
+            "{absurd} of {} frame values lie outside anything that black level {black} and \
                               saturation {full} allow",
-                known.len()
-            ));
-        }
+            known.len()
+        ));
     }
     why
 }

@@ -29,7 +29,8 @@ pub fn unnamed(html: &mut String, dependence: &Dependence) {
         };
     let _ = writeln!(
         html,
-        "<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_significance}, removes {:.1} % of the squares \
+        "<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} \
+         {unit_of_significance}, removes {:.1} % of the squares \
          and gains {} nats an event on events that it was not fitted to.</p>",
         100.0 * dependence.taken,
         number(dependence.nats_per_event)

@@ -5,6 +5,7 @@ use super::located::grey;
 use super::svg::open;
 use crate::diagnose::Diagnosis;
 use crate::report::Report;
+use crate::sample::Sample;
 use photocurrent_page::escaped;
 use photocurrent_scene::case::Case;
 use std::fmt::Write;
@@ -30,26 +31,8 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     } else {
         "The recording has no frames, so there is no picture of the scene".into()
     }];
-    let place =
-        |pixel: u32| (size * (pixel as usize % width) as f64, TOP + size * (pixel as usize / width) as f64);
     if let Some(sample) = found.and_then(|found| found.sample.as_ref()) {
-        // All pixels of a block are one rectangle.
-        let mut blocks: Vec<[usize; 4]> = vec![[usize::MAX, usize::MAX, 0, 0]; sample.block_count];
-        for (&pixel, &block) in sample.pixels.iter().zip(&sample.block) {
-            let (x, y, of) = (pixel as usize % width, pixel as usize / width, &mut blocks[block as usize]);
-            *of = [of[0].min(x), of[1].min(y), of[2].max(x + 1), of[3].max(y + 1)];
-        }
-        for [left, top, right, bottom] in blocks.into_iter().filter(|block| block[2] > 0) {
-            let _ = write!(
-                svg,
-                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
-                 stroke=\"#ffd84d\" stroke-width=\"1.5\"/>",
-                size * left as f64,
-                TOP + size * top as f64,
-                size * (right - left) as f64,
-                size * (bottom - top) as f64
-            );
-        }
+        blocks(&mut svg, sample, width, size);
         said.push("yellow frames: pixels whose held-out frames are predicted".into());
     }
     let unmarked = said.len();
@@ -57,20 +40,7 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         if finding.pixels.is_empty() {
             continue;
         }
-        for &pixel in finding.pixels.iter().take(MOST_MARKS) {
-            let ((x, y), reach) = (place(pixel), f64::max(size, 5.0));
-            let (x, y) = (x + 0.5 * size, y + 0.5 * size);
-            let _ = write!(
-                svg,
-                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" \
-                                 stroke=\"#000\" stroke-width=\"3\"/>"
-            );
-            let _ = write!(
-                svg,
-                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" \
-                                 stroke=\"#ff9a3c\" stroke-width=\"1.5\"/>"
-            );
-        }
+        circles(&mut svg, &finding.pixels, width, size);
         let cut = if finding.pixels.len() > MOST_MARKS {
             format!(" ({MOST_MARKS} of them are marked)")
         } else {
@@ -86,20 +56,7 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         if (top, left, bottom + 1, right + 1) == (0, 0, height, width) || bottom >= height || right >= width {
             continue;
         }
-        let at = (
-            size * left as f64,
-            TOP + size * top as f64,
-            size * (right + 1 - left) as f64,
-            size * (bottom + 1 - top) as f64,
-        );
-        for (colour, dashes) in [("#000", "none"), ("#fff", "6 4")] {
-            let _ = write!(
-                svg,
-                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
-                 stroke=\"{colour}\" stroke-width=\"2\" stroke-dasharray=\"{dashes}\"/>",
-                at.0, at.1, at.2, at.3
-            );
-        }
+        dashed(&mut svg, [left, top, right, bottom], size);
         said.push(format!(
             "dashed frame: rows {top} to {bottom}, columns {left} to {right}, where {} shows",
             effect.id
@@ -125,4 +82,62 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         "<p>{width} x {height} pixels, {events} events and {frames} frames in {}.</p>",
         escaped(&super::readable(seconds, "s"))
     );
+}
+
+/// Frames around the blocks of a sample: all pixels of a block are one rectangle.
+fn blocks(svg: &mut String, sample: &Sample, width: usize, size: f64) {
+    let mut blocks: Vec<[usize; 4]> = vec![[usize::MAX, usize::MAX, 0, 0]; sample.block_count];
+    for (&pixel, &block) in sample.pixels.iter().zip(&sample.block) {
+        let (x, y, of) = (pixel as usize % width, pixel as usize / width, &mut blocks[block as usize]);
+        *of = [of[0].min(x), of[1].min(y), of[2].max(x + 1), of[3].max(y + 1)];
+    }
+    for [left, top, right, bottom] in blocks.into_iter().filter(|block| block[2] > 0) {
+        let _ = write!(
+            svg,
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
+                 stroke=\"#ffd84d\" stroke-width=\"1.5\"/>",
+            size * left as f64,
+            TOP + size * top as f64,
+            size * (right - left) as f64,
+            size * (bottom - top) as f64
+        );
+    }
+}
+
+/// Circles around pixels, the first ones of many.
+fn circles(svg: &mut String, pixels: &[u32], width: usize, size: f64) {
+    let place =
+        |pixel: u32| (size * (pixel as usize % width) as f64, TOP + size * (pixel as usize / width) as f64);
+    for &pixel in pixels.iter().take(MOST_MARKS) {
+        let ((x, y), reach) = (place(pixel), f64::max(size, 5.0));
+        let (x, y) = (x + 0.5 * size, y + 0.5 * size);
+        let _ = write!(
+            svg,
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" \
+                                 stroke=\"#000\" stroke-width=\"3\"/>"
+        );
+        let _ = write!(
+            svg,
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{reach:.1}\" fill=\"none\" \
+                                 stroke=\"#ff9a3c\" stroke-width=\"1.5\"/>"
+        );
+    }
+}
+
+/// A dashed frame around columns and rows, first and last: left, top, right, bottom.
+fn dashed(svg: &mut String, [left, top, right, bottom]: [usize; 4], size: f64) {
+    let at = (
+        size * left as f64,
+        TOP + size * top as f64,
+        size * (right + 1 - left) as f64,
+        size * (bottom + 1 - top) as f64,
+    );
+    for (colour, dashes) in [("#000", "none"), ("#fff", "6 4")] {
+        let _ = write!(
+            svg,
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" \
+                 stroke=\"{colour}\" stroke-width=\"2\" stroke-dasharray=\"{dashes}\"/>",
+            at.0, at.1, at.2, at.3
+        );
+    }
 }

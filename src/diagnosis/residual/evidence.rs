@@ -15,12 +15,13 @@ use super::components::{Ground, Part, parts, value as part_value};
 use super::control::{Behind, control};
 use super::fit::EventNoise;
 use super::located::{Located, LocatedSetting};
-use super::open::{self, Laid, Open, OpenSetting};
-use super::table::{OF_PIXELS, Places, Seen, Table, by_gain, median_share, on_top};
+use super::open::{self, Open, OpenSetting};
+use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share, on_top};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::rhythm::strongest_period_ns;
 use crate::verdict::is_material;
 use photocurrent_scene::case::Case;
+use photocurrent_scene::gate::Gate;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::{Scene, gate};
 use serde::{Deserialize, Serialize};
@@ -268,7 +269,86 @@ pub fn evidence(
     setting: &EvidenceSetting,
 ) -> Result<Evidence, String> {
     let scales = Scales::of(case, nominal);
-    let least = setting.least_noise * scales.threshold;
+    let (gate, counted, share) = counted_events(case, source, setting)?;
+    let pixels = spread(case, &counted, setting.events, setting.pixels);
+    let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
+    let step_ns =
+        if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
+    let mut seen = on_scene(case, source, setting, &scales, gate, step_ns, [pixels, more]);
+    let stated = Trial::stated(nominal);
+
+    let control_case = control_recording(&seen, nominal)?;
+    let control_source = source.refit(&control_case, nominal)?;
+    let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
+    let pixels = [seen.pixels.clone(), seen.more.clone()];
+    let control_seen =
+        on_scene(&control_case, &*control_source, setting, &scales, control_gate, step_ns, pixels);
+    let mut control_table = control_seen.table(&stated, None, 0.0)?;
+    let softest = setting.softness * control_table.softness();
+    control_table.fit(softest);
+    let table = seen.table(&stated, None, softest)?;
+    enough_left(&table, &control_table, setting)?;
+
+    let period_ns = period_of(case, &table);
+    let control_dependences =
+        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+    let slope_per_s = median_slope(&table);
+    let control_white = control_seen.white(&stated, control_source.as_ref())?;
+    let chance = Chance::new(&seen, nominal, &control_table, control_white, slope_per_s);
+    let ranking = Ranking {
+        nominal,
+        stated: &stated,
+        control_table: &control_table,
+        control_dependences: &control_dependences,
+        chance: &chance,
+        period_ns,
+        step_ns,
+        softest,
+    };
+
+    let base = ranking.round(&seen, &table, &stated, None, setting.refined)?;
+    let base_median = left_of(&seen, &table);
+    let mut noise = [of_noise(&base.random, source.is_known()), 0.0];
+    let first = base.best(noise[0]).cloned();
+    let (mut left, mut after) = ([base_median; 2], Round::default());
+    if let Some(first) = &first {
+        (after, left) = ranking.with_first(&mut seen, &table, &base.parts, first)?;
+        noise[1] = of_noise(&after.random, source.is_known());
+    }
+    let lists = [base.ranked, after.ranked, base.random, after.random];
+    let [ranked, second, random, random_second] = lists.map(|list| marked(case, nominal, list));
+    Ok(Evidence {
+        scene: source.name().to_owned(),
+        span_ns: None,
+        nats_per_event: table.nats_per_event,
+        share,
+        events: table.residual().len(),
+        median: base_median,
+        control_median: left_of(&seen, &control_table),
+        ks: control_table.noise.distance(table.sharp(), &table.events.slope_per_s),
+        left,
+        slope_per_s,
+        white: base.white,
+        softness: [softest, table.softness()],
+        misfit: source.misfit(),
+        noise,
+        ranked,
+        first,
+        second,
+        random,
+        random_second,
+        open: base.open,
+        open_second: after.open,
+    })
+}
+
+/// Where the scene predicts the frames, how many events of each pixel it predicts them around, and their
+/// share of all events; an error when they are too few.
+fn counted_events(
+    case: &Case,
+    source: &dyn Scene,
+    setting: &EvidenceSetting,
+) -> Result<(Gate, Vec<usize>, f64), String> {
     let gate = source.gate(case, setting.least_dn, setting.spread);
     let all = case.events.len();
     let counted: Vec<usize> = (0..case.extent.pixels())
@@ -283,63 +363,56 @@ pub fn evidence(
             100.0 * setting.least_share
         ));
     }
-    let pixels = spread(case, &counted, setting.events, setting.pixels);
-    let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let step_ns =
-        if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
-    let light = source.light(case, step_ns);
-    let by = vec![0.0; source.target().map_or(0, |target| target.free().len())];
+    Ok((gate, counted, share))
+}
+
+/// A recording on its scene, with nothing of the scene moved; `pixels`: those of the residuals, and those of
+/// what needs pairs.
+fn on_scene<'a>(
+    case: &'a Case,
+    source: &'a dyn Scene,
+    setting: &'a EvidenceSetting,
+    scales: &'a Scales,
+    gate: Gate,
+    step_ns: i64,
+    pixels: [Vec<u32>; 2],
+) -> Seen<'a> {
+    let [pixels, more] = pixels;
     let mut seen = Seen {
         case,
-        light,
+        light: source.light(case, step_ns),
         gate,
         pixels,
         more,
         setting,
-        scales: &scales,
-        least,
+        scales,
+        least: setting.least_noise * scales.threshold,
         is_known: source.is_known(),
         source,
-        by,
+        by: vec![0.0; source.target().map_or(0, |target| target.free().len())],
         near: Vec::new(),
         own: Vec::new(),
     };
     seen.near = seen.steps(&seen.by);
-    let stated = Trial::stated(nominal);
+    seen
+}
 
+/// The control of a recording: the stated sensor before a scene that looks like this one.
+fn control_recording(seen: &Seen<'_>, nominal: &Nominal) -> Result<Case, String> {
+    let (setting, source) = (seen.setting, seen.source);
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     simulated.sort_unstable();
     simulated.dedup();
-    let behind = Behind::looking_like(case, nominal, source, &seen.light, setting.seed)?;
-    let control_case = control(case, nominal, source, &behind, &simulated, setting.block, setting.seed)?;
-    let control_source = source.refit(&control_case, nominal)?;
-    let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
-    let control_light = control_source.light(&control_case, step_ns);
-    let (pixels, more) = (seen.pixels.clone(), seen.more.clone());
-    let mut control_seen = Seen {
-        case: &control_case,
-        light: control_light,
-        gate: control_gate,
-        pixels,
-        more,
-        setting,
-        scales: &scales,
-        least,
-        is_known: source.is_known(),
-        source: &*control_source,
-        by: seen.by.clone(),
-        near: Vec::new(),
-        own: Vec::new(),
-    };
-    control_seen.near = control_seen.steps(&control_seen.by);
-    let mut control_table = control_seen.table(&stated, None, 0.0)?;
-    let softest = setting.softness * control_table.softness();
-    control_table.fit(softest);
-    let table = seen.table(&stated, None, softest)?;
-    let seen_events = table.residual().len();
-    if seen_events < setting.least_events / 5 {
+    let behind = Behind::looking_like(seen.case, nominal, source, &seen.light, setting.seed)?;
+    control(seen.case, nominal, source, &behind, &simulated, setting.block, setting.seed)
+}
+
+/// An error when too few events of the recording or of its control have residuals.
+fn enough_left(table: &Table, control_table: &Table, setting: &EvidenceSetting) -> Result<(), String> {
+    let events = table.residual().len();
+    if events < setting.least_events / 5 {
         return Err(format!(
-            "only {seen_events} of the events looked at follow another one that the scene explains as well; \
+            "only {events} of the events looked at follow another one that the scene explains as well; \
              {} are needed",
             setting.least_events / 5
         ));
@@ -347,12 +420,16 @@ pub fn evidence(
     let control_events = control_table.residual().len();
     if control_events < setting.least_events / 5 {
         return Err(format!(
-            "only {control_events} events of the control count, the stated sensor on this \
-                            scene; {} are needed",
+            "only {control_events} events of the control count, the stated sensor on this scene; {} are \
+             needed",
             setting.least_events / 5
         ));
     }
+    Ok(())
+}
 
+/// The period in which residuals swing most, apart from that of the frames, ns.
+fn period_of(case: &Case, table: &Table) -> Option<i64> {
     let swing = table
         .residual()
         .iter()
@@ -360,56 +437,108 @@ pub fn evidence(
         .map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns =
         case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
-    let period_ns = strongest_period_ns(swing, case.span, frame_ns);
-    let control_dependences =
-        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
-    let dependences = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
-        let mut found = seen.dependences(table, laid);
-        open::beyond(&mut found, &control_dependences);
-        found.truncate(setting.dependences);
-        if let Some(best) = found.first_mut() {
-            seen.locate_dependence(table, laid, places, best);
-        }
-        found
-    };
+    strongest_period_ns(swing, case.span, frame_ns)
+}
+
+/// Median slope of the voltage at the events, ln/s.
+fn median_slope(table: &Table) -> f64 {
     let mut slopes: Vec<f64> = table.events.slope_per_s.iter().map(|slope| slope.abs()).collect();
     slopes.sort_by(f64::total_cmp);
-    let slope_per_s = slopes.get(slopes.len() / 2).copied().unwrap_or(0.0);
-    let control_white = control_seen.white(&stated, control_source.as_ref())?;
-    let control_ground = Chance::new(
-        case,
-        nominal,
-        &control_table,
-        (control_white, source.is_known()),
-        slope_per_s,
-        setting,
-        &scales,
-    );
+    slopes.get(slopes.len() / 2).copied().unwrap_or(0.0)
+}
 
-    let laid = seen.lay(&table, nominal, period_ns);
-    let places = seen.places(&table, &laid);
-    let ranked = seen.rank(&stated, &table, &control_table, None, setting.refined, nominal, &places)?;
-    let white = seen.white(&stated, source)?;
-    let (random, of_chance) = control_ground.beyond(&table, white);
-    let open = dependences(&seen, &table, &laid[0], &places);
-    // What a known scene leaves open is no misfit.
-    let left_of = |table: &Table| {
-        median_share(if source.is_known() { table.sharp() } else { table.residual() }, scales.threshold)
-    };
-    let base_median = left_of(&table);
-    let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
-    let mut noise = [of_noise(&random, source.is_known()), 0.0];
-    let best =
-        |a: &&Ranked, b: &&Ranked| b.standing(noise[0]).total_cmp(&a.standing(noise[0])).then(by_gain(a, b));
-    let first = ranked.iter().filter(found).chain(random.iter().filter(found)).min_by(best).cloned();
-    let mut left = [base_median; 2];
-    let (mut second, mut random_second, mut open_second) = (Vec::new(), Vec::new(), Vec::new());
-    if let Some(first) = &first {
+/// Median absolute residual over the threshold; what a known scene leaves open is no misfit.
+fn left_of(seen: &Seen<'_>, table: &Table) -> f64 {
+    median_share(if seen.is_known { table.sharp() } else { table.residual() }, seen.scales.threshold)
+}
+
+/// With those marked whose size is worth a word.
+fn marked(case: &Case, nominal: &Nominal, mut list: Vec<Ranked>) -> Vec<Ranked> {
+    list.iter_mut()
+        .for_each(|one| one.is_material = is_material(case, nominal, &CANDIDATES[one.candidate], one.value));
+    list
+}
+
+/// All effects on top of one sensor.
+#[derive(Default)]
+struct Round {
+    /// With a size, best first.
+    ranked: Vec<Ranked>,
+    /// Random ones, best first.
+    random: Vec<Ranked>,
+    /// And the parts that they are.
+    parts: Vec<Part>,
+    /// What no effect of the catalogue has.
+    open: Vec<Open>,
+    /// Share of the squares of residuals that is noise of pixels.
+    white: f64,
+}
+
+impl Round {
+    /// The best of all, where wider noise of events alone gains `noise`.
+    fn best(&self, noise: f64) -> Option<&Ranked> {
+        let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
+        let best =
+            |a: &&Ranked, b: &&Ranked| b.standing(noise).total_cmp(&a.standing(noise)).then(by_gain(a, b));
+        self.ranked.iter().filter(found).chain(self.random.iter().filter(found)).min_by(best)
+    }
+}
+
+/// What the rounds of effects on one recording share.
+struct Ranking<'a> {
+    nominal: &'a Nominal,
+    /// The sensor as it is described.
+    stated: &'a Trial,
+    control_table: &'a Table,
+    control_dependences: &'a [Open],
+    chance: &'a Chance<'a>,
+    period_ns: Option<i64>,
+    step_ns: i64,
+    softest: f64,
+}
+
+impl Ranking<'_> {
+    /// All effects on top of a sensor and its table; `first`: an effect that the sensor has, and its size.
+    fn round(
+        &self,
+        seen: &Seen<'_>,
+        table: &Table,
+        trial: &Trial,
+        first: Option<(usize, f64)>,
+        refined: usize,
+    ) -> Result<Round, String> {
+        let laid = seen.lay(table, self.nominal, self.period_ns);
+        let places = seen.places(table, &laid);
+        let ranked =
+            seen.rank(self.stated, table, self.control_table, first, refined, self.nominal, &places)?;
+        let white = seen.white(trial, seen.source)?;
+        let (random, parts) = self.chance.beyond(table, white);
+        let mut open = seen.dependences(table, &laid[0]);
+        open::beyond(&mut open, self.control_dependences);
+        open.truncate(seen.setting.dependences);
+        if let Some(best) = open.first_mut() {
+            seen.locate_dependence(table, &laid[0], &places, best);
+        }
+        Ok(Round { ranked, random, parts, open, white })
+    }
+
+    /// All other effects with the first one applied, and what the first one and both leave; `table` and
+    /// `parts` are those without it.
+    fn with_first(
+        &self,
+        seen: &mut Seen<'_>,
+        table: &Table,
+        parts: &[Part],
+        first: &Ranked,
+    ) -> Result<(Round, [f64; 2]), String> {
         let is_random = CANDIDATES[first.candidate].is_random;
         let effect_size = first.effect_size + first.control_effect_size;
-        let with =
-            if is_random { stated.clone() } else { on_top(&stated, first.candidate, effect_size, &scales) };
-        let shifted = of_chance
+        let with = if is_random {
+            self.stated.clone()
+        } else {
+            on_top(self.stated, first.candidate, effect_size, seen.scales)
+        };
+        let shifted = parts
             .iter()
             .find(|part| is_random && part.candidate == first.candidate)
             .and_then(|part| part.left.as_ref());
@@ -419,64 +548,21 @@ pub fn evidence(
         }
         if !is_random
             && let Some(light) =
-                source.target().and_then(|target| target.moved(case, step_ns, None, &first.by))
+                seen.source.target().and_then(|target| target.moved(seen.case, self.step_ns, None, &first.by))
         {
             (seen.by, seen.light) = (first.by.clone(), light);
             seen.near = seen.steps(&seen.by);
         }
-        let table = seen.table(&with, Some(first.candidate), softest)?;
-        left = [left_of(&table); 2];
+        let table = seen.table(&with, Some(first.candidate), self.softest)?;
+        let mut left = [left_of(seen, &table); 2];
         let first_effect = (!is_random).then_some((first.candidate, effect_size));
-        let laid = seen.lay(&table, nominal, period_ns);
-        let places = seen.places(&table, &laid);
-        second = seen.rank(
-            &stated,
-            &table,
-            &control_table,
-            first_effect,
-            setting.refined_second,
-            nominal,
-            &places,
-        )?;
-        let white = seen.white(&with, source)?;
-        random_second = control_ground.beyond(&table, white).0;
-        random_second.retain(|other| other.candidate != first.candidate);
-        noise[1] = of_noise(&random_second, source.is_known());
-        open_second = dependences(&seen, &table, &laid[0], &places);
-        if let Some(other) = second.first().filter(|other| other.is_exact) {
+        let mut round = self.round(seen, &table, &with, first_effect, seen.setting.refined_second)?;
+        round.random.retain(|other| other.candidate != first.candidate);
+        if let Some(other) = round.ranked.first().filter(|other| other.is_exact) {
             left[1] = other.left;
         }
+        Ok((round, left))
     }
-    let mark = |mut list: Vec<Ranked>| {
-        list.iter_mut().for_each(|one| {
-            one.is_material = is_material(case, nominal, &CANDIDATES[one.candidate], one.value)
-        });
-        list
-    };
-    let [ranked, second, random, random_second] = [ranked, second, random, random_second].map(mark);
-    Ok(Evidence {
-        scene: source.name().to_owned(),
-        span_ns: None,
-        nats_per_event: table.nats_per_event,
-        share,
-        events: table.residual().len(),
-        median: base_median,
-        control_median: left_of(&control_table),
-        ks: control_table.noise.distance(table.sharp(), &table.events.slope_per_s),
-        left,
-        slope_per_s,
-        white,
-        softness: [softest, table.softness()],
-        misfit: source.misfit(),
-        noise,
-        ranked,
-        first,
-        second,
-        random,
-        random_second,
-        open,
-        open_second,
-    })
 }
 
 /// Random effects, counted from what the control finds.
@@ -496,14 +582,13 @@ struct Chance<'a> {
 
 impl<'a> Chance<'a> {
     fn new(
-        case: &Case,
+        seen: &Seen<'a>,
         nominal: &'a Nominal,
         control: &Table,
-        (white, is_known): (f64, bool),
+        white: f64,
         slope_per_s: f64,
-        setting: &'a EvidenceSetting,
-        scales: &'a Scales,
     ) -> Chance<'a> {
+        let Seen { case, setting, scales, is_known, .. } = *seen;
         let least = setting.least_noise * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let effect_sizes = OF_PIXELS.map(|(id, parameter)| {

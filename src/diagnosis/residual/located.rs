@@ -305,6 +305,19 @@ impl Bins {
     }
 }
 
+/// Steps of events along the axes that parts are looked for on.
+struct Steps {
+    row: Vec<usize>,
+    column: Vec<usize>,
+    time: Vec<usize>,
+    /// Length of a step of time, ns.
+    step_ns: i64,
+    /// Bin of the log photocurrent.
+    lit: Vec<usize>,
+    /// And how many there are.
+    lights: usize,
+}
+
 impl<'a> Ground<'a> {
     /// Of events or frame values; `laid`: their covariates.
     pub fn new(
@@ -327,21 +340,10 @@ impl<'a> Ground<'a> {
     pub fn locate(&self, gains: &[f64], own: &str) -> Located {
         let gains: Vec<f64> = gains.iter().map(|gain| if gain.is_finite() { *gain } else { 0.0 }).collect();
         let (case, setting) = (self.case, self.setting);
-        let place = |k: usize| case.place(self.pixel[k] as usize);
-        let events = 0..gains.len();
-        let row: Vec<usize> = events.clone().map(|k| place(k).1 as usize).collect();
-        let column: Vec<usize> = events.clone().map(|k| place(k).0 as usize).collect();
+        let Steps { row, column, time: step, step_ns, lit, lights } = &self.steps(gains.len());
         let wide = |values: &[usize]| -> Vec<f64> { values.iter().map(|value| *value as f64).collect() };
         let (start_ns, end_ns) = case.span;
-        let step_ns = ((end_ns - start_ns) / setting.steps.max(1) as i64).max(1);
-        let step: Vec<usize> = self
-            .t_ns
-            .iter()
-            .map(|t| ((t - start_ns) / step_ns).clamp(0, setting.steps as i64 - 1) as usize)
-            .collect();
         let seconds: Vec<f64> = self.t_ns.iter().map(|t| (t - start_ns) as f64 * 1e-9).collect();
-        let light = Bins::new(self.log_light, setting.steps, false);
-        let lit: Vec<usize> = light.of.iter().map(|bin| bin.unwrap_or(0) as usize).collect();
 
         let (all, _) = self.means(&gains, &|_| true);
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
@@ -349,34 +351,20 @@ impl<'a> Ground<'a> {
             found.as_ref().is_none_or(|found| (found.first..=found.last).contains(&at[k]))
         };
         // Each axis on the part of those before it, so that a corner of the array stands out in both.
-        let mut rows = self.part(&gains, &row, height, &|_| true);
-        let columns = self.part(&gains, &column, width, &|k| is_within(&row, &rows, k));
+        let mut rows = self.part(&gains, row, height, &|_| true);
+        let columns = self.part(&gains, column, width, &|k| is_within(row, &rows, k));
         if rows.is_none() && columns.is_some() {
-            rows = self.part(&gains, &row, height, &|k| is_within(&column, &columns, k));
+            rows = self.part(&gains, row, height, &|k| is_within(column, &columns, k));
         }
-        let is_placed = |k: usize| is_within(&row, &rows, k) && is_within(&column, &columns, k);
+        let is_placed = |k: usize| is_within(row, &rows, k) && is_within(column, &columns, k);
         let (placed, _) = self.means(&gains, &is_placed);
-        let time = self.part(&gains, &step, setting.steps, &is_placed);
-        let is_then = |k: usize| is_placed(k) && is_within(&step, &time, k);
-        let lit_part = self.part(&gains, &lit, light.at.len(), &is_then);
-        let ends = events
-            .filter(|&k| is_within(&lit, &lit_part, k))
-            .map(|k| self.log_light[k])
-            .filter(|u| u.is_finite());
-        let ends = ends.fold(None, |ends: Option<[f64; 2]>, u| {
-            Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)]))
-        });
+        let time = self.part(&gains, step, setting.steps, &is_placed);
+        let is_then = |k: usize| is_placed(k) && is_within(step, &time, k);
+        let lit_part = self.part(&gains, lit, *lights, &is_then);
+        let ends = self.light_range((0..gains.len()).filter(|&k| is_within(lit, &lit_part, k)));
         let by_polarity = (!self.polarity.is_empty())
             .then(|| [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.polarity[k] == sign).0));
-        let polarity = by_polarity.map_or("both", |[on, off]| {
-            if self.stands_out(&on, &off) {
-                "on"
-            } else if self.stands_out(&off, &on) {
-                "off"
-            } else {
-                "both"
-            }
-        });
+        let polarity = by_polarity.map_or("both", |[on, off]| self.polarity_of(&on, &off));
         let rows = Part::of(rows, all, |found| {
             found
                 .map_or([0, height.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32])
@@ -414,11 +402,51 @@ impl<'a> Ground<'a> {
             shape: shape.to_owned(),
             curve_of: found.map(|n| self.bins[n].0),
             over,
-            over_rows: curve(&wide(&row)),
+            over_rows: curve(&wide(row)),
             over_time: curve(&seconds),
             over_light: curve(self.log_light),
             map,
             pixels,
+        }
+    }
+
+    /// Steps of each of the first `count` events along every axis.
+    fn steps(&self, count: usize) -> Steps {
+        let (case, setting) = (self.case, self.setting);
+        let place = |k: usize| case.place(self.pixel[k] as usize);
+        let (start_ns, end_ns) = case.span;
+        let step_ns = ((end_ns - start_ns) / setting.steps.max(1) as i64).max(1);
+        let light = Bins::new(self.log_light, setting.steps, false);
+        Steps {
+            row: (0..count).map(|k| place(k).1 as usize).collect(),
+            column: (0..count).map(|k| place(k).0 as usize).collect(),
+            time: self
+                .t_ns
+                .iter()
+                .map(|t| ((t - start_ns) / step_ns).clamp(0, setting.steps as i64 - 1) as usize)
+                .collect(),
+            step_ns,
+            lit: light.of.iter().map(|bin| bin.unwrap_or(0) as usize).collect(),
+            lights: light.at.len(),
+        }
+    }
+
+    /// Least and greatest log photocurrent of events; none where none is known.
+    fn light_range(&self, events: impl Iterator<Item = usize>) -> Option<[f64; 2]> {
+        let light = events.map(|k| self.log_light[k]).filter(|u| u.is_finite());
+        light.fold(None, |ends: Option<[f64; 2]>, u| {
+            Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)]))
+        })
+    }
+
+    /// The sign of events that holds the gain, in a word.
+    fn polarity_of(&self, on: &Mean, off: &Mean) -> &'static str {
+        if self.stands_out(on, off) {
+            "on"
+        } else if self.stands_out(off, on) {
+            "off"
+        } else {
+            "both"
         }
     }
 

@@ -522,12 +522,7 @@ impl Seen<'_> {
         which: &[usize],
         begin: &[f64],
     ) -> Result<Refined, String> {
-        let put = |effect_sizes: &[f64]| {
-            which
-                .iter()
-                .zip(effect_sizes)
-                .fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales))
-        };
+        let put = |effect_sizes: &[f64]| self.with_effects(trial, which, effect_sizes);
         let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
         let mut effect_size: Vec<f64> = (0..which.len())
             .map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 })
@@ -543,20 +538,11 @@ impl Seen<'_> {
         // Columns, and the sizes that they were taken at.
         let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
-            let is_near = |at: &Vec<f64>| {
-                at.iter()
-                    .zip(&effect_size)
-                    .all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe))
-            };
-            let is_known = known.as_ref().is_some_and(|(_, at)| is_near(at));
-            let mut trials = vec![put(&effect_size)];
+            let is_known = known.as_ref().is_some_and(|(_, at)| self.is_near(at, &effect_size));
             let further: Vec<f64> =
                 free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
-            for (&i, by) in free.iter().zip(&further).filter(|_| !is_known) {
-                let mut moved = effect_size.clone();
-                moved[i] += by;
-                trials.push(put(&moved));
-            }
+            let to_move = if is_known { &[][..] } else { &free[..] };
+            let trials = self.moved_trials(trial, which, &effect_size, to_move, &further);
             let found = self.evaluate_on(&light, &trials, Some(table))?;
             if !is_known {
                 known = Some((
@@ -573,8 +559,7 @@ impl Seen<'_> {
             let step = heldout(&Plain::new(&wide(&found.left[0]), rows), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
-                let most = 1.0 + effect_size[i].abs();
-                let next = self.bounded(which[i], effect_size[i] + step.size[n].clamp(-most, most));
+                let next = self.next(which[i], effect_size[i], step.size[n]);
                 is_still &= (next - effect_size[i]).abs()
                     < self.setting.still * f64::max(effect_size[i].abs(), self.setting.probe);
                 (effect_size[i], error[i]) = (next, step.error[n]);
@@ -607,6 +592,45 @@ impl Seen<'_> {
         }
         left.truncate(table.events.pixel.len());
         Ok(Refined { effect_size, error, gain, gain_error, left, gains, by })
+    }
+
+    /// A sensor with more effects, each of its size.
+    fn with_effects(&self, trial: &Trial, which: &[usize], effect_sizes: &[f64]) -> Trial {
+        which
+            .iter()
+            .zip(effect_sizes)
+            .fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales))
+    }
+
+    /// A sensor whose effects have these sizes, and those with one of the `free` ones moved by `further`.
+    fn moved_trials(
+        &self,
+        trial: &Trial,
+        which: &[usize],
+        effect_size: &[f64],
+        free: &[usize],
+        further: &[f64],
+    ) -> Vec<Trial> {
+        let mut trials = vec![self.with_effects(trial, which, effect_size)];
+        for (&i, by) in free.iter().zip(further) {
+            let mut moved = effect_size.to_vec();
+            moved[i] += by;
+            trials.push(self.with_effects(trial, which, &moved));
+        }
+        trials
+    }
+
+    /// Would columns that were taken at effect sizes be the same now?
+    fn is_near(&self, at: &[f64], now: &[f64]) -> bool {
+        at.iter()
+            .zip(now)
+            .all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe))
+    }
+
+    /// The effect size after a step of a fit, which goes no further than the size itself and 1 more.
+    fn next(&self, candidate: usize, effect_size: f64, step: f64) -> f64 {
+        let most = 1.0 + effect_size.abs();
+        self.bounded(candidate, effect_size + step.clamp(-most, most))
     }
 
     /// Effect sizes that a search may reach, within physics.

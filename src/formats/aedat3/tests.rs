@@ -213,13 +213,24 @@ fn a_file_cut_anywhere_gives_its_whole_events_and_a_loss() {
 
 proptest! {
     #[test]
-    fn random_packets_never_panic(tail in proptest::collection::vec(any::<u8>(), 0..400), at in any::<proptest::sample::Index>(), value in any::<u8>()) {
-        let mut bytes = [file(&[polarity(0, &some(4)), frame(0, (1, 0), (5, 9), (8, 6), &[7; 48])]), tail, polarity(0, &some(4))].concat();
+    fn random_packets_never_panic(
+        tail in proptest::collection::vec(any::<u8>(), 0..400),
+        at in any::<proptest::sample::Index>(),
+        value in any::<u8>(),
+    ) {
+        let mut bytes = [
+            file(&[polarity(0, &some(4)), frame(0, (1, 0), (5, 9), (8, 6), &[7; 48])]), tail,
+            polarity(0, &some(4)),
+        ].concat();
         let at = at.index(bytes.len());
         bytes[at] = value;
-        with(&bytes, &Declared { extent: Some(Extent { width: 8, height: 6 }), ..Declared::default() }, |recording| {
+        with(&bytes, &Declared {
+            extent: Some(Extent { width: 8, height: 6 }), ..Declared::default()
+        }, |recording| {
             if let Ok(recording) = recording {
-                let _ = (recording.events().map(|_| read(&recording)), recording.triggers(), recording.facts());
+                let _ = (
+                    recording.events().map(|_| read(&recording)), recording.triggers(), recording.facts(),
+                );
                 if let Some(pictures) = recording.pictures() {
                     let _ = pictures.read(0, &mut Vec::new());
                 }

@@ -483,16 +483,25 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
     #[test]
-    fn random_bytes_behind_a_good_header_never_panic(tail in proptest::collection::vec(any::<u8>(), 0..400), k in 0..3usize, at in 0..500i64) {
+    fn random_bytes_behind_a_good_header_never_panic(
+        tail in proptest::collection::vec(any::<u8>(), 0..400),
+        k in 0..3usize,
+        at in 0..500i64,
+    ) {
         let how = [How::Plain, How::Lz4, How::Zstd][k];
         let bytes = [made::header(how, at, &STREAMS), tail].concat();
         with(&bytes, |recording| {
-            let _ = (read(&recording), recording.triggers(), recording.facts(), recording.pictures().is_some());
+            let _ = (
+                read(&recording), recording.triggers(), recording.facts(), recording.pictures().is_some(),
+            );
         });
     }
 
     #[test]
-    fn several_damaged_bytes_never_panic(places in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..12), k in 0..5usize) {
+    fn several_damaged_bytes_never_panic(
+        places in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..12),
+        k in 0..5usize,
+    ) {
         let mut bytes = made::file(How::ALL[k], &STREAMS, &pieces(), true);
         places.iter().for_each(|(at, value)| { let at = at.index(bytes.len()); bytes[at] = *value; });
         with_path(&bytes, |path| {

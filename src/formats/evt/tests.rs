@@ -266,7 +266,9 @@ fn tuples() -> impl Strategy<Value = Vec<(i64, u16, u16, bool)>> {
 
 proptest! {
     #[test]
-    fn evt3_decodes_as_the_tables_say_whatever_the_words(kinds in proptest::collection::vec((0..16_u16, 0..0x1000_u16), 0..2000)) {
+    fn evt3_decodes_as_the_tables_say_whatever_the_words(
+        kinds in proptest::collection::vec((0..16_u16, 0..0x1000_u16), 0..2000),
+    ) {
         // Upper time words rise slowly, so that no wrap is in doubt.
         let words: Vec<u16> = kinds.iter().enumerate().map(|(n, &(kind, value))| match kind {
             8 => 0x8000 | (n as u16 / 8),
@@ -277,13 +279,20 @@ proptest! {
     }
 
     #[test]
-    fn random_bytes_give_bounded_output_the_same_in_any_pieces(bytes in proptest::collection::vec(any::<u8>(), 0..6000), cut in 0..6000_usize) {
+    fn random_bytes_give_bounded_output_the_same_in_any_pieces(
+        bytes in proptest::collection::vec(any::<u8>(), 0..6000),
+        cut in 0..6000_usize,
+    ) {
         fn check<D: Decoder>(decoder: D, bytes: &[u8], cut: usize, most: usize) {
-            let (mut whole, mut parts) = ((EventChunk::default(), Vec::new(), decoder.clone()), (EventChunk::default(), Vec::new(), decoder));
+            let (mut whole, mut parts) = (
+                (EventChunk::default(), Vec::new(), decoder.clone()),
+                (EventChunk::default(), Vec::new(), decoder),
+            );
             let used = whole.2.decode(bytes, &mut whole.0, &mut whole.1);
             assert_eq!(used, bytes.len() / D::WORD * D::WORD);
             assert!(whole.0.len() <= used / D::WORD * most);
-            assert!(whole.0.x.len() == whole.0.len() && whole.0.y.len() == whole.0.len() && whole.0.on.len() == whole.0.len());
+            let lengths = [whole.0.x.len(), whole.0.y.len(), whole.0.on.len()];
+            assert!(lengths.iter().all(|length| *length == whole.0.len()));
             let first = parts.2.decode(&bytes[..cut.min(bytes.len())], &mut parts.0, &mut parts.1);
             parts.2.decode(&bytes[first..], &mut parts.0, &mut parts.1);
             assert_eq!((&whole.0, &whole.1, whole.2.faults()), (&parts.0, &parts.1, parts.2.faults()));
@@ -316,7 +325,9 @@ proptest! {
             us += step;
             chunk.push(us * 1000 + 999, x, y, on);
         }
-        let mut writer = Writer::new(Vec::new(), Extent { width: 40, height: 4 }, &[("serial_number", "12")]).expect("a header");
+        let mut writer = Writer::new(
+            Vec::new(), Extent { width: 40, height: 4 }, &[("serial_number", "12")],
+        ).expect("a header");
         writer.write(&chunk).expect("events in order");
         let shift = writer.shift_ns();
         let file = writer.finish().expect("a file");

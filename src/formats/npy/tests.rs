@@ -418,7 +418,11 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn damaged_files_do_not_panic(which in 0_usize..3, changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6), cut in any::<prop::sample::Index>()) {
+    fn damaged_files_do_not_panic(
+        which in 0_usize..3,
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        cut in any::<prop::sample::Index>(),
+    ) {
         let mut content = bytes([COMPRESSED, RECORDS, FORTRAN][which]);
         for (at, byte) in changes {
             let at = at.index(content.len());

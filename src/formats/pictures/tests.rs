@@ -518,7 +518,12 @@ fn an_event_camera_dataset_folder_is_read() {
 
 proptest! {
     #[test]
-    fn no_stamps_file_panics(text in proptest::collection::vec(prop_oneof![Just(b'\n'), Just(b','), Just(b' '), Just(b'#'), Just(b'1'), Just(b'.'), any::<u8>()], 0..300)) {
+    fn no_stamps_file_panics(
+        text in proptest::collection::vec(
+            prop_oneof![Just(b'\n'), Just(b','), Just(b' '), Just(b'#'), Just(b'1'), Just(b'.'), any::<u8>()],
+            0..300,
+        ),
+    ) {
         for declared in [Declared::default(), us()] {
             if let Ok(Stamps { rows, .. }) = stamps::parse(Path::new("s.txt"), &text, &declared, None) {
                 for surplus in 0..4 {
@@ -529,7 +534,10 @@ proptest! {
     }
 
     #[test]
-    fn no_damaged_picture_panics(which in 0_usize..4, changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..5)) {
+    fn no_damaged_picture_panics(
+        which in 0_usize..4,
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..5),
+    ) {
         let folder = folder(&["a.png"]);
         let (name, mut content) = match which {
             0 => ("a.png", std::fs::read(folder.path().join("a.png")).unwrap()),
@@ -554,7 +562,9 @@ proptest! {
     }
 
     #[test]
-    fn any_edges_give_exposures_in_order(edges in proptest::collection::vec((any::<i64>(), any::<bool>()), 0..40)) {
+    fn any_edges_give_exposures_in_order(
+        edges in proptest::collection::vec((any::<i64>(), any::<bool>()), 0..40),
+    ) {
         let triggers: Vec<Trigger> = edges.into_iter().map(|(t, rising)| edge(t, rising)).collect();
         let (exposures, _) = exposures_from_triggers(&triggers, 0);
         prop_assert!(exposures.iter().all(|(open, close)| open <= close));

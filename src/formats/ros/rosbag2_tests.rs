@@ -270,7 +270,8 @@ fn a_database_that_is_no_bag_says_what_it_lacks() {
             "no ordinary table",
         ),
         (b"SQLite format 3\0".to_vec(), "cannot be"),
-        (b"SQLite format 3\0 and then text that is no database at all, as long as a header is, which has one hundred bytes".to_vec(), "cannot be"),
+        (b"SQLite format 3\0 and then text that is no database at all, as long as a header is, which has one \
+           hundred bytes".to_vec(), "cannot be"),
     ];
     for (bytes, expected) in cases {
         let bench = Bench::new(&[("a.db3", bytes)]);

@@ -219,8 +219,10 @@ pub fn db3(
     let database = rusqlite::Connection::open(&path)?;
     database.execute_batch(
         "PRAGMA page_size = 1024; PRAGMA journal_mode = OFF; BEGIN;
-         CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL);
-         CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+         CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT \
+         NULL,serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL);
+         CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, \
+         data BLOB NOT NULL);
          CREATE INDEX timestamp_idx ON messages (timestamp ASC);",
     )?;
     for (k, (name, type_name)) in topics.iter().enumerate() {

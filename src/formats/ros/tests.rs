@@ -597,13 +597,19 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn random_bytes_behind_the_magic_are_survived(tail in proptest::collection::vec(any::<u8>(), 0..600), mcap in any::<bool>()) {
+    fn random_bytes_behind_the_magic_are_survived(
+        tail in proptest::collection::vec(any::<u8>(), 0..600),
+        mcap in any::<bool>(),
+    ) {
         let magic: &[u8] = if mcap { b"\x89MCAP0\r\n" } else { b"#ROSBAG V2.0\n" };
         read_all(&[magic, &tail].concat());
     }
 
     #[test]
-    fn several_random_changes_are_survived(changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12), way in 0..13_usize) {
+    fn several_random_changes_are_survived(
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+        way in 0..13_usize,
+    ) {
         let (_, mut bytes) = ways().swap_remove(way);
         for (place, byte) in changes {
             let place = place.index(bytes.len());

@@ -146,7 +146,8 @@ fn other_text_is_no_event_file() {
 
 #[test]
 fn damaged_lines_are_losses_with_their_numbers() {
-    let text = b"t_us,x,y,p\n1,2,3,1\n2,two,3,1\n3,4\n4,5,6,2\n5,999,6,1\n6,-1,6,1\n99999999999999999999,1,1,1\nnan,1,1,1\n9,1,1,1\n10,1,1";
+    let text = b"t_us,x,y,p\n1,2,3,1\n2,two,3,1\n3,4\n4,5,6,2\n5,999,6,1\n6,-1,6,1\n\
+                 99999999999999999999,1,1,1\nnan,1,1,1\n9,1,1,1\n10,1,1";
     let extent = Some(Extent { width: 100, height: 100 });
     let (events, losses, _) = open(text, &Declared { extent, ..Declared::default() }).unwrap();
     assert_eq!(events.t, [1000, 9000]);
@@ -222,7 +223,13 @@ proptest! {
 
     #[test]
     fn what_is_written_is_read_back_without_a_declaration(
-        events in proptest::collection::vec((any::<i64>().prop_map(|t| t / 2), 0_u16..346, 0_u16..260, 0_u8..2, any::<i64>().prop_map(|t| t / 2)), 1..300),
+        events in proptest::collection::vec(
+            (
+                any::<i64>().prop_map(|t| t / 2), 0_u16..346, 0_u16..260, 0_u8..2,
+                any::<i64>().prop_map(|t| t / 2),
+            ),
+            1..300,
+        ),
         unit in prop_oneof![Just(TimeUnit::S), Just(TimeUnit::Ms), Just(TimeUnit::Us), Just(TimeUnit::Ns)],
         has_t_in in any::<bool>(),
         has_extent in any::<bool>(),
@@ -243,7 +250,12 @@ proptest! {
     }
 
     #[test]
-    fn no_text_panics(text in proptest::collection::vec(prop_oneof![Just(b'\n'), Just(b','), Just(b' '), Just(b'#'), Just(b'1'), Just(b'.'), any::<u8>()], 0..600)) {
+    fn no_text_panics(
+        text in proptest::collection::vec(
+            prop_oneof![Just(b'\n'), Just(b','), Just(b' '), Just(b'#'), Just(b'1'), Just(b'.'), any::<u8>()],
+            0..600,
+        ),
+    ) {
         let found = crate::text::sniff::look(&text, &text, text.len() as u64);
         let _ = crate::text::sniff::proposal(&found.sample, found.fields);
         let (_folder, path) = file(&text);

@@ -41,12 +41,14 @@ fn code_spans(text: &str) -> String {
 
 pub(super) fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
     if page.verdicts.is_empty() {
-        return "<p class=\"missing\">The run has no scores: connect a node <code>score/...</code> to what it renders. Without a truth, <code>split/frames</code> and \
+        return "<p class=\"missing\">The run has no scores: connect a node <code>score/...</code> to what it \
+                renders. Without a truth, <code>split/frames</code> and \
                 <code>score/heldout</code> compare with frames that were held out.</p>\n"
             .into();
     }
     let mut html = page.verdicts.iter().map(|verdict| table(verdict, copies)).collect::<String>();
-    html += "<p class=\"note\">\u{25cf} bold: the best; \u{25cb} underlined: the second of three or more; hatched: no number, the reason is in the cell. How each \
+    html += "<p class=\"note\">\u{25cf} bold: the best; \u{25cb} underlined: the second of three or more; \
+             hatched: no number, the reason is in the cell. How each \
              number was measured is under <a href=\"#cards\">metric cards</a>.</p>\n";
     html
 }
@@ -145,10 +147,14 @@ pub(super) fn pictures(page: &RunPage) -> String {
     }
     html += &notes(&page.picture_notes);
     if !page.groups.is_empty() {
-        html += "<details><summary>How to look</summary><p class=\"note\">Drag the divider or, when zoomed, the picture; two fingers or Ctrl and the wheel zoom; a press picks the pixel \
-                 that is shown below. With the picture in focus: arrows move, <kbd>+</kbd> <kbd>-</kbd> <kbd>0</kbd> zoom, <kbd>,</kbd> <kbd>.</kbd> change the frame, <kbd>s</kbd> \
-                 <kbd>f</kbd> <kbd>b</kbd> <kbd>d</kbd> choose slider, flicker, side by side, difference, <kbd>x</kbd> swaps, Shift and arrows move the picked pixel. One black and one \
-                 white hold for all pictures of a scene; every sequence shows the frame whose exposure is nearest in time, and captured frames are shown as if they had been exposed \
+        html += "<details><summary>How to look</summary><p class=\"note\">Drag the divider or, when zoomed, \
+                 the picture; two fingers or Ctrl and the wheel zoom; a press picks the pixel \
+                 that is shown below. With the picture in focus: arrows move, <kbd>+</kbd> <kbd>-</kbd> \
+                 <kbd>0</kbd> zoom, <kbd>,</kbd> <kbd>.</kbd> change the frame, <kbd>s</kbd> \
+                 <kbd>f</kbd> <kbd>b</kbd> <kbd>d</kbd> choose slider, flicker, side by side, difference, \
+                 <kbd>x</kbd> swaps, Shift and arrows move the picked pixel. One black and one \
+                 white hold for all pictures of a scene; every sequence shows the frame whose exposure is \
+                 nearest in time, and captured frames are shown as if they had been exposed \
                  as long as the others.</p></details>\n";
     }
     html
@@ -194,10 +200,14 @@ pub(super) fn pixel(page: &RunPage) -> String {
 "#
     );
     html += &notes(&page.pixel_notes);
-    html += "<details><summary>What is shown</summary><p class=\"note\">DN are read from the pictures above (8 bits, clipped at white); bars are captured exposures at what they read, as if exposed \
-             as long as the others. V_DC = ln i is the log photocurrent of a solver, V_FE what the front end makes of it, Eqs. (1) and (2); triangles are events, ON above and OFF below, at \
-             their in-pixel time where it was recorded, else off-pixel; the band is 95 % of the posterior. A frame's residual is captured minus predicted DN of its own exposure. An \
-             event's residual is the step of V_FE since the end of the refractory period after the event before, minus the signed threshold: 0 where the solver agrees with the event.</p></details>\n";
+    html += "<details><summary>What is shown</summary><p class=\"note\">DN are read from the pictures above \
+             (8 bits, clipped at white); bars are captured exposures at what they read, as if exposed \
+             as long as the others. V_DC = ln i is the log photocurrent of a solver, V_FE what the front end \
+             makes of it, Eqs. (1) and (2); triangles are events, ON above and OFF below, at \
+             their in-pixel time where it was recorded, else off-pixel; the band is 95 % of the posterior. A \
+             frame's residual is captured minus predicted DN of its own exposure. An \
+             event's residual is the step of V_FE since the end of the refractory period after the event \
+             before, minus the signed threshold: 0 where the solver agrees with the event.</p></details>\n";
     html
 }
 

@@ -306,6 +306,61 @@ struct Moment {
     share: f64,
 }
 
+/// How a row of a frame is exposed.
+struct RowExposure {
+    instants: [Moment; 6],
+    /// The first knot of the motion that it depends on.
+    knot: usize,
+    /// So many knots from there on.
+    touched: u8,
+    /// Digital numbers of a photocurrent of 1.
+    factor: f64,
+}
+
+/// Intervals of the grid in which the place of a pixel stands at the instants of its exposure.
+type Located = [(usize, usize, f64, f64); 6];
+
+/// The part of the grid that a pixel sees during its exposure.
+struct Footprint {
+    /// First column and line.
+    low: (usize, usize),
+    columns: usize,
+    lines: usize,
+}
+
+impl Footprint {
+    fn of(located: &Located, grid: &Grid) -> Footprint {
+        let low = (
+            located.iter().map(|at| at.0).min().unwrap_or(0),
+            located.iter().map(|at| at.1).min().unwrap_or(0),
+        );
+        let high = (
+            located.iter().map(|at| at.0).max().unwrap_or(0),
+            located.iter().map(|at| at.1).max().unwrap_or(0),
+        );
+        let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
+        // Padding stands within the grid.
+        Footprint { low: (low.0.min(grid.width - columns), low.1), columns, lines }
+    }
+
+    /// Shares of the coefficients of a signal in which a photocurrent of 1 is `scale`.
+    fn fill(&self, stencil: &mut Vec<f32>, located: &Located, instants: &[Moment; 6], scale: f64) {
+        stencil.clear();
+        stencil.resize(self.columns * self.lines, 0.0);
+        for ((i, j, f, g), instant) in located.iter().zip(instants) {
+            stamp(
+                stencil,
+                self.columns,
+                self.low,
+                (*i, *j),
+                &weights(*f),
+                &weights(*g),
+                scale * instant.share,
+            );
+        }
+    }
+}
+
 struct Fit<'a> {
     case: &'a Case,
     nominal: &'a Nominal,
@@ -670,10 +725,9 @@ impl<'a> Fit<'a> {
         rows
     }
 
-    fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
-        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } =
-            &self.picture;
-        let (surface, hidden) = surface.split_at(grid.coefficients());
+    /// How row `y` of frame `l` is exposed.
+    fn row_exposure(&self, l: usize, y: usize) -> RowExposure {
+        let motion = &self.picture.motion;
         let times = &self.case.frames.as_ref().expect("frames are there").times;
         let exposure = times.exposure(l, y as u32);
         let (start, end) = (exposure.start.0, exposure.end.0);
@@ -685,13 +739,54 @@ impl<'a> Fit<'a> {
             Moment { map: map_of(&pose, motion.half), pose, knot, weights, share }
         });
         let knot = instants[0].knot;
-        let number = self.nominal.number;
-        let factor = number.gain * seconds;
         let touched = instants
             .iter()
             .map(|instant| (instant.knot - knot + ORDER).min(TOUCHED))
             .max()
             .unwrap_or(TOUCHED) as u8;
+        RowExposure { instants, knot, touched, factor: self.nominal.number.gain * seconds }
+    }
+
+    /// What the knots of the motion change of a frame value at a place; `scale`: of the signal, `behind`: the
+    /// ground there.
+    fn by_motion(
+        &self,
+        row: &RowExposure,
+        place: (f64, f64),
+        scale: f64,
+        behind: Option<f64>,
+    ) -> [f32; REST] {
+        let Picture { grid, surface, unit: of_hidden, motion, .. } = &self.picture;
+        let (surface, hidden) = surface.split_at(grid.coefficients());
+        let mut by_rest = [0.0_f32; REST];
+        for instant in &row.instants {
+            let (px, py) = apply(&instant.map, place.0, place.1);
+            let (mut gx, mut gy) = grid.gradient(surface, px, py);
+            if let Some(ground) = behind {
+                let (hx, hy) = grid.gradient(hidden, px, py);
+                (gx, gy) = (gx - ground / of_hidden * hx, gy - ground / of_hidden * hy);
+            }
+            let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1)
+                .map(|(dx, dy)| gx * dx + gy * dy);
+            for (n, weight) in instant.weights.iter().enumerate() {
+                let at = (instant.knot - row.knot + n).min(TOUCHED - 1);
+                let share = scale * instant.share * weight;
+                by_rest[POSES + at * DEGREES..][..DEGREES]
+                    .iter_mut()
+                    .zip(by)
+                    .for_each(|(sum, by)| *sum += (share * by) as f32);
+            }
+        }
+        by_rest
+    }
+
+    fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
+        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } =
+            &self.picture;
+        let (surface, hidden) = surface.split_at(grid.coefficients());
+        let row = self.row_exposure(l, y);
+        let RowExposure { instants, knot, touched, factor } = &row;
+        let number = self.nominal.number;
         let mut rows = Rows { first: vec![0], ..Rows::default() };
         let mut stencil: Vec<f32> = Vec::new();
         for x in 0..self.case.extent.width as usize {
@@ -716,30 +811,9 @@ impl<'a> Fit<'a> {
                 continue;
             }
             let located = located.map(Option::unwrap_or_default);
-            let low = (
-                located.iter().map(|at| at.0).min().unwrap_or(0),
-                located.iter().map(|at| at.1).min().unwrap_or(0),
-            );
-            let high = (
-                located.iter().map(|at| at.0).max().unwrap_or(0),
-                located.iter().map(|at| at.1).max().unwrap_or(0),
-            );
-            let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
-            // Padding stands within the grid.
-            let low = (low.0.min(grid.width - columns), low.1);
-            stencil.clear();
-            stencil.resize(columns * lines, 0.0);
-            for ((i, j, f, g), instant) in located.iter().zip(&instants) {
-                stamp(
-                    &mut stencil,
-                    columns,
-                    low,
-                    (*i, *j),
-                    &weights(*f),
-                    &weights(*g),
-                    scale * instant.share,
-                );
-            }
+            let footprint = Footprint::of(&located, grid);
+            footprint.fill(&mut stencil, &located, instants, scale);
+            let Footprint { low, columns, .. } = footprint;
             let corner = low.1 * grid.width + low.0;
             let along = |surface: &[f32]| -> f32 {
                 stencil
@@ -764,36 +838,17 @@ impl<'a> Fit<'a> {
                 // At least that much.
                 residual = f64::max(residual, 0.0);
             }
-            let mut by_rest = [0.0_f32; REST];
-            if with_rest {
-                for instant in &instants {
-                    let (px, py) = apply(&instant.map, place.0, place.1);
-                    let (mut gx, mut gy) = grid.gradient(surface, px, py);
-                    if let Some(ground) = behind {
-                        let (hx, hy) = grid.gradient(hidden, px, py);
-                        (gx, gy) = (gx - ground / of_hidden * hx, gy - ground / of_hidden * hy);
-                    }
-                    let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1)
-                        .map(|(dx, dy)| gx * dx + gy * dy);
-                    for (n, weight) in instant.weights.iter().enumerate() {
-                        let at = (instant.knot - knot + n).min(TOUCHED - 1);
-                        let share = scale * instant.share * weight;
-                        by_rest[POSES + at * DEGREES..][..DEGREES]
-                            .iter_mut()
-                            .zip(by)
-                            .for_each(|(sum, by)| *sum += (share * by) as f32);
-                    }
-                }
-            }
+            let mut by_rest =
+                if with_rest { self.by_motion(&row, place, scale, behind) } else { [0.0; REST] };
             rows.push_stencil(corner as u32, columns as u32, &stencil);
             rows.measured.push((dn - number.black_level - still) as f32);
             rows.is_saturated.push(is_saturated);
-            rows.touched.push(touched);
+            rows.touched.push(*touched);
             rows.residual.push(residual as f32);
             let index = l * self.case.extent.pixels() + pixel;
             let is_fitted = self.counts.is_none_or(|counts| counts[index]);
             rows.weight.push(if is_fitted { (1.0 / self.sigma(signal_dn)) as f32 } else { 0.0 });
-            rows.knot.push(knot as u32);
+            rows.knot.push(*knot as u32);
             by_rest[..TERMS]
                 .iter_mut()
                 .zip(basis)

@@ -40,7 +40,8 @@ pub(super) const KIND: EffectKind = EffectKind {
             },
         ],
         covariate: "pixel",
-        signature: "single pixels fire at a high rate all the time, events of one sign, their neighbours do not",
+        signature: "single pixels fire at a high rate all the time, events of one sign, their neighbours do \
+                    not",
         confused_with: &[
             "hot_rows",
             "background_activity",

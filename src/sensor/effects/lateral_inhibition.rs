@@ -31,7 +31,8 @@ pub const KIND: EffectKind = EffectKind {
             about: "share of the surround's mean voltage that is subtracted",
         }],
         covariate: "laplacian",
-        signature: "a change of the whole field makes too few events; next to an edge events of the other sign",
+        signature: "a change of the whole field makes too few events; next to an edge events of the other \
+                    sign",
         confused_with: &["threshold_scale", "crosstalk", "blur"],
         source: "Delbruck et al. 2022",
         apart: &[],

@@ -29,7 +29,10 @@
 //! use photocurrent_sensor::front_end::FrontEnd;
 //!
 //! let (threshold_on, threshold_off) = (0.2, 0.2);
-//! let pixel = Pixel { front_end: FrontEnd::IDEAL, threshold_on, threshold_off, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP };
+//! let pixel = Pixel {
+//!     front_end: FrontEnd::IDEAL, threshold_on, threshold_off, latency_ns: 0, latency_spread_ns: 0.0,
+//!     refractory_ns: 0, log_step: LOG_STEP,
+//! };
 //! let light = LinearLight::new(&[0, 10_000_000, 30_000_000], &[100.0, 100.0, 200.0]);
 //! let events = simulate_events(&pixel, &light, 0, 30_000_000, &mut Noiseless);
 //! assert!(events.iter().all(|event| event.polarity == 1));

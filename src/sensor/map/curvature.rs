@@ -41,7 +41,8 @@ impl<T: Scalar, const N: usize> Curvature<T, N> {
         each_state!(a in 0, N => both = both + along[a] * gain[a]);
         let both = both + information;
         each_state!(a in 0, N => each_state!(b in 0, N => {
-            self.0[a][b] = self.0[a][b] + (both * sight[a] * sight[b] - along[a] * sight[b] - sight[a] * along[b]);
+            let change = both * sight[a] * sight[b] - along[a] * sight[b] - sight[a] * along[b];
+            self.0[a][b] = self.0[a][b] + change;
         }));
     }
 

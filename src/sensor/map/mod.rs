@@ -24,24 +24,38 @@
 //! use photocurrent_core::sensor::Reset;
 //! use photocurrent_sensor::forward::{LOG_STEP, LinearLight, Noiseless, Pixel, simulate_events};
 //! use photocurrent_sensor::front_end::FrontEnd;
-//! use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, solve};
+//! use photocurrent_sensor::map::{
+//!     MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, solve,
+//! };
 //!
 //! const MS: i64 = 1_000_000;
 //! let (front_end, threshold_on, threshold_off) = (FrontEnd { tau_0_s: 20e-6, alpha_s: 2e-3 }, 0.15, 0.15);
-//! let pixel = Pixel { front_end, threshold_on, threshold_off, latency_ns: 1_000, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP };
+//! let pixel = Pixel {
+//!     front_end, threshold_on, threshold_off, latency_ns: 1_000, latency_spread_ns: 0.0, refractory_ns: 0,
+//!     log_step: LOG_STEP,
+//! };
 //! let light = LinearLight::new(&[0, 10 * MS, 30 * MS, 50 * MS], &[100.0, 100.0, 200.0, 200.0]);
 //! let fired = simulate_events(&pixel, &light, 0, 50 * MS, &mut Noiseless);
-//! let event = |e: &photocurrent_sensor::forward::PixelEvent| MapEvent { t_in_ns: e.t_in_ns, t_off_ns: e.t_off_ns, polarity: e.polarity, is_lone: false };
+//! let event = |e: &photocurrent_sensor::forward::PixelEvent| MapEvent {
+//!     t_in_ns: e.t_in_ns, t_off_ns: e.t_off_ns, polarity: e.polarity, is_lone: false,
+//! };
 //! let events: Vec<MapEvent> = fired.iter().map(event).collect();
 //!
 //! // 100 for 5 ms at 1000 DN per unit and second, and 200.
-//! let frame = |start_ns, dn| MapFrame { start_ns, end_ns: start_ns + 5 * MS, dn, sigma_dn: 2.0, saturated: false };
+//! let frame = |start_ns, dn| MapFrame {
+//!     start_ns, end_ns: start_ns + 5 * MS, dn, sigma_dn: 2.0, saturated: false,
+//! };
 //! let frames = [frame(MS, 500.0), frame(40 * MS, 1000.0)];
 //! let (reset, gain, black_level_dn) = (Reset::Resample, 1000.0, 0.0);
-//! let sensor = MapSensor { front_end, threshold_on, threshold_off, reset, refractory_ns: 0, gain, black_level_dn, saturation_dn: 4095.0 };
+//! let sensor = MapSensor {
+//!     front_end, threshold_on, threshold_off, reset, refractory_ns: 0, gain, black_level_dn,
+//!     saturation_dn: 4095.0,
+//! };
 //!
 //! let mut memory = MapGroup::default();
-//! let solution = solve(&MapProblem::new(sensor, &events, &frames, (0, 50 * MS)), &MapOptions::default(), &mut memory);
+//! let solution = solve(
+//!     &MapProblem::new(sensor, &events, &frames, (0, 50 * MS)), &MapOptions::default(), &mut memory,
+//! );
 //! assert_ne!(solution.status, MapStatus::Failed);
 //! // Between events the light is known to a threshold.
 //! for (t_ns, log) in solution.t_ns.iter().zip(solution.log_photocurrent) {

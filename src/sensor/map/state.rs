@@ -129,7 +129,8 @@ impl<T: Scalar, const N: usize> State<T, N> {
         each_state!(a in 0, MOVING => self.x[a] = x[a] + f.by_new[a] * surprise);
         each_state!(b in MOVING, N => {
             let column = f.apply([self.p[U][b], self.p[Z][b], self.p[V][b], self.p[S][b]]);
-            (self.p[U][b], self.p[Z][b], self.p[V][b], self.p[S][b]) = (column[U], column[Z], column[V], column[S]);
+            (self.p[U][b], self.p[Z][b]) = (column[U], column[Z]);
+            (self.p[V][b], self.p[S][b]) = (column[V], column[S]);
         });
         let mut half = [[T::from_f64(0.0); MOVING]; MOVING];
         each_state!(b in 0, MOVING => {

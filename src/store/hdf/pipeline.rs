@@ -219,7 +219,13 @@ mod tests {
 
         /// Whatever bytes stand in a chunk: numbers or a reason, never a panic.
         #[test]
-        fn any_bytes_give_numbers_or_a_reason(bytes: Vec<u8>, room in 0usize..400, step in 0usize..10, flags: u8, block in 0u32..64) {
+        fn any_bytes_give_numbers_or_a_reason(
+            bytes: Vec<u8>,
+            room in 0usize..400,
+            step in 0usize..10,
+            flags: u8,
+            block in 0u32..64,
+        ) {
             let mut out = vec![0; room];
             let _ = pipeline(&[ALL[step]]).undo(bytes.clone(), 0, &mut out);
             let _ = pipeline(&[Step::Fletcher32, ALL[step]]).undo(bytes.clone(), 1, &mut out);
@@ -229,7 +235,9 @@ mod tests {
             [size, block, bytes.len() as u32 + 16].iter().for_each(|n| blosc.extend(n.to_le_bytes()));
             blosc.extend(&bytes);
             let _ = pipeline(&[Step::Blosc]).undo(blosc, 0, &mut out);
-            let ecf = [&(((room as u32 / 16) << 2) | u32::from(flags & 3)).to_le_bytes()[..], &bytes].concat();
+            let ecf = [
+                &(((room as u32 / 16) << 2) | u32::from(flags & 3)).to_le_bytes()[..], &bytes,
+            ].concat();
             let _ = pipeline(&[Step::Ecf]).undo(ecf, 0, &mut out);
         }
     }

@@ -19,7 +19,9 @@ fn store(cache: &Cache, value: &Value) -> StoredOutput {
 }
 
 fn ingredients() -> Ingredients {
-    let readable = serde_json::json!({ "cis_weight": 1.0, "window": { "start": "1 ms", "end": null }, "many": [1, 2], "big": u64::MAX });
+    let readable = serde_json::json!({
+        "cis_weight": 1.0, "window": { "start": "1 ms", "end": null }, "many": [1, 2], "big": u64::MAX,
+    });
     Ingredients {
         kind: "solve/map".into(),
         revision: 3,

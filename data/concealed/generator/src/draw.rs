@@ -114,8 +114,10 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
         "condition": entry.condition,
         "scene": seen,
         "recording": {
-            "start_s": timing.start, "end_s": timing.end, "array_reset_at_start": timing.reset_at_start, "frame_rate_hz": rate_hz, "exposure_s": exposure,
-            "frames": timing.exposures.len(), "whole_dn": numbers == Numbers::Whole, "t_resolution_ns": resolution, "t_in": has_t_in,
+            "start_s": timing.start, "end_s": timing.end, "array_reset_at_start": timing.reset_at_start,
+            "frame_rate_hz": rate_hz, "exposure_s": exposure,
+            "frames": timing.exposures.len(), "whole_dn": numbers == Numbers::Whole,
+            "t_resolution_ns": resolution, "t_in": has_t_in,
         },
         "effects": effects,
         "off_catalogue": physics.law.as_ref().map(Law::answer),

@@ -156,7 +156,10 @@ impl Law {
                 json!({ "rise_per_tenth": rise }),
             ),
         };
-        json!({ "id": "unnamed", "law": words, "covariates": covariates, "insertion": insertion, "parameters": parameters })
+        json!({
+            "id": "unnamed", "law": words, "covariates": covariates, "insertion": insertion,
+            "parameters": parameters,
+        })
     }
 
     /// Does the factor of the thresholds change while nothing fires?

@@ -38,9 +38,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Part of every seed where none is named: another one gives other recordings.
 const SEED: &str = "sealed physics, second edition";
 
-const USAGE: &str = "usage: concealed-generator --out FOLDER [--plan short|long|target] [--seed TEXT] [--blind] [--threads N] [--only FIRST..LAST]
-  writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of the same plan;
-  --plan long makes recordings of a second, --plan target such of a star that FOLDER/*.target.toml state; answers.json then lies in FOLDER;
+const USAGE: &str = "usage: concealed-generator --out FOLDER [--plan short|long|target] [--seed TEXT] \
+                     [--blind] [--threads N] [--only FIRST..LAST]
+  writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of \
+  the same plan;
+  --plan long makes recordings of a second, --plan target such of a star that FOLDER/*.target.toml state; \
+  answers.json then lies in FOLDER;
   --blind writes half of the answers to FOLDER/answers.json and the other half to FOLDER/answers-blind.json;
   --only makes some of the recordings and no lists";
 
@@ -118,7 +121,10 @@ fn make(index: usize, version: &Version) -> Result<Value, String> {
     }
     let bytes =
         std::fs::read(&path).map_err(|error| format!("{}: cannot be read back: {error}", path.display()))?;
-    let mut answer = json!({ "file": version.file(&name), "sha256": sha256_hex(&bytes), "bytes": bytes.len(), "events": stamped.len() });
+    let mut answer = json!({
+        "file": version.file(&name), "sha256": sha256_hex(&bytes), "bytes": bytes.len(),
+        "events": stamped.len(),
+    });
     if version.plan == Plan::Target {
         answer["width"] = width.into();
         answer["height"] = height.into();

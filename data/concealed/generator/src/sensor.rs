@@ -98,9 +98,12 @@ impl Sensor {
     /// The same numbers for the list of answers, with those that a description keeps to itself.
     pub fn answer(&self) -> Value {
         json!({
-            "tau_0_s": self.tau_0, "alpha_s": self.alpha, "threshold_on": self.on, "threshold_off": self.off, "threshold_noise": self.threshold_noise,
-            "reset": self.reset.name(), "refractory_s": self.refractory, "latency_min_s": self.latency_min, "latency_random_mean_s": self.latency_more,
-            "gain": self.gain, "black_level_dn": self.black, "saturation_dn": self.saturation, "row_time_s": self.row_time, "read_noise_dn": self.read_noise,
+            "tau_0_s": self.tau_0, "alpha_s": self.alpha, "threshold_on": self.on,
+            "threshold_off": self.off, "threshold_noise": self.threshold_noise,
+            "reset": self.reset.name(), "refractory_s": self.refractory, "latency_min_s": self.latency_min,
+            "latency_random_mean_s": self.latency_more,
+            "gain": self.gain, "black_level_dn": self.black, "saturation_dn": self.saturation,
+            "row_time_s": self.row_time, "read_noise_dn": self.read_noise,
             "full_well_e": self.full_well,
         })
     }

@@ -123,9 +123,11 @@ impl Target {
         let darks = [round(0.8 * dark, 3), round(1.25 * dark, 3)];
         let most = round(250.0 * star.period(), 3);
         format!(
-            "# What stood before the sensor: a star that turns. Values in [free] are known to a range; all others are as stated.\n\
+            "# What stood before the sensor: a star that turns. Values in [free] are known to a range; all \
+             others are as stated.\n\
              scene        = \"siemens_disk\"\n\
-             siemens_disk = {{ spokes = {}, radius = {:?}, dark = {dark:?}, bright = {:?}, speed = \"{stated} rpm\" }}\n\
+             siemens_disk = {{ spokes = {}, radius = {:?}, dark = {dark:?}, bright = {:?}, speed = \
+             \"{stated} rpm\" }}\n\
              illuminance  = \"{lux} lx\"\n\n\
              [free]\n\
              \"siemens_disk.speed\" = [\"{} rpm\", \"{} rpm\"]\n\
@@ -142,8 +144,10 @@ impl Target {
     pub fn answer(&self, pace: f64) -> Value {
         let star = &self.star;
         json!({
-            "family": "siemens_disk", "pace": pace, "spokes": star.spokes, "radius": self.share, "dark": star.dark, "bright": star.bright,
-            "speed_rpm": star.omega / RPM, "start_s": star.start, "shift_x": self.shift[0], "shift_y": self.shift[1],
+            "family": "siemens_disk", "pace": pace, "spokes": star.spokes, "radius": self.share,
+            "dark": star.dark, "bright": star.bright,
+            "speed_rpm": star.omega / RPM, "start_s": star.start, "shift_x": self.shift[0],
+            "shift_y": self.shift[1],
             "illuminance_lx": self.illuminance, "per_lux": self.per_lux,
         })
     }

@@ -61,7 +61,8 @@ fn a_jump_fires_along_the_exponential_of_the_low_pass() {
         assert_eq!(events.len(), 4); // 0.9 / 0.2
         for (n, event) in events.iter().enumerate() {
             let expected_s = 1e-3 - tau_s * libm::log(1.0 - 0.2 * (n + 1) as f64 / 0.9);
-            assert!((event.t_in_ns as f64 - expected_s * 1e9).abs() < 3.0); // the jump's own nanosecond, and rounding
+            // The jump's own nanosecond, and rounding.
+            assert!((event.t_in_ns as f64 - expected_s * 1e9).abs() < 3.0);
         }
     }
 }

@@ -117,7 +117,14 @@ made!(Stamps {
 });
 
 made!(Draws {
-    fn thresholds(&self, _: &Site, _: &crate::effects::History, random: &mut Random, _: i64, thresholds: &mut Thresholds) {
+    fn thresholds(
+        &self,
+        _: &Site,
+        _: &crate::effects::History,
+        random: &mut Random,
+        _: i64,
+        thresholds: &mut Thresholds,
+    ) {
         thresholds.on += 0.01 * random.normal();
     }
 });
