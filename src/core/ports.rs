@@ -136,7 +136,9 @@ pub trait Ports: Sized {
 /// ```
 #[macro_export]
 macro_rules! ports {
-    ($(#[$doc:meta])* $vis:vis struct $name:ident { $($(#[doc = $about:literal])+ $port:ident: $type:ty),* $(,)? }) => {
+    ($(#[$doc:meta])* $vis:vis struct $name:ident {
+        $($(#[doc = $about:literal])+ $port:ident: $type:ty),* $(,)?
+    }) => {
         $(#[$doc])*
         $vis struct $name {
             $($(#[doc = $about])+ pub $port: $type,)*
@@ -154,10 +156,16 @@ macro_rules! ports {
             }
             #[allow(unused_mut, unused_variables)]
             fn take(mut values: $crate::ports::PortValues) -> Self {
-                $name { $($port: <$type as $crate::ports::Port>::take(values.remove(stringify!($port)).unwrap_or_default()),)* }
+                $name {
+                    $($port: <$type as $crate::ports::Port>::take(
+                        values.remove(stringify!($port)).unwrap_or_default(),
+                    ),)*
+                }
             }
             fn give(self) -> $crate::ports::PortValues {
-                $crate::ports::PortValues::from([$((stringify!($port), <$type as $crate::ports::Port>::give(self.$port))),*])
+                $crate::ports::PortValues::from([
+                    $((stringify!($port), <$type as $crate::ports::Port>::give(self.$port))),*
+                ])
             }
         }
     };
@@ -175,7 +183,12 @@ macro_rules! meta_of {
         /// When nothing of this type is there; the engine has checked that for required ports, so this is for
         /// optional ones.
         pub fn $one(&self, port: &str) -> Result<&Arc<$meta>, NodeError> {
-            self.0.get(port).and_then(|metas| metas.first()).and_then(|meta| match meta { Meta::$variant(meta) => Some(meta), _ => None })
+            let first = self.0.get(port).and_then(|metas| metas.first());
+            first
+                .and_then(|meta| match meta {
+                    Meta::$variant(meta) => Some(meta),
+                    _ => None,
+                })
                 .ok_or_else(|| NodeError::usage(format!("nothing is connected to `{port}`")))
         }
     };

@@ -132,8 +132,10 @@ impl Dimension {
 
 /// A text that is not the quantity asked for.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{what}; expected a {} such as \"{}\" (units: \
-         {})", dimension.name(), dimension.example(), dimension.unit_list())]
+#[error(
+    "{what}; expected a {} such as \"{}\" (units: {})",
+    dimension.name(), dimension.example(), dimension.unit_list()
+)]
 pub struct QuantityError {
     /// What was found.
     pub what: String,

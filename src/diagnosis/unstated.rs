@@ -58,7 +58,7 @@ const HOW: &str = "values are in the maker's sheet (tau = 1 / (2 pi f) of a -3 d
 /// What a constant lateness of events is.
 pub const LATENESS: &str = "events that are late by one time have a clock that is off, or a front end and a \
                             readout that are slow; \
-     this recording does not separate the two";
+                            this recording does not separate the two";
 
 fn not_stated(fields: &[&str]) -> String {
     format!("{} {} not stated", fields.join(" and "), if fields.len() == 1 { "is" } else { "are" })

@@ -55,9 +55,11 @@ pub enum StoreError {
         hint: String,
     },
     /// Several things in the file are not as its format says; each stands for itself.
-    #[error("{}: {} mistakes\n\
-             {}", path.display(), mistakes.len(),
-             mistakes.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    #[error(
+        "{}: {} mistakes\n{}",
+        path.display(), mistakes.len(),
+        mistakes.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+    )]
     Several {
         /// The file.
         path: PathBuf,
@@ -85,8 +87,10 @@ pub enum StoreError {
     #[error(transparent)]
     Source(DataError),
     /// Somebody else uses the cache.
-    #[error("{}: the cache is in use by another run\n  hint: wait until it has finished, then try \
-             again", path.display())]
+    #[error(
+        "{}: the cache is in use by another run\n  hint: wait until it has finished, then try again",
+        path.display()
+    )]
     Busy {
         /// Root of the cache.
         path: PathBuf,
