@@ -75,7 +75,13 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
             let _ = writeln!(text, "end = \"{end}\"");
         }
     }
-    let exposure = photocurrent_core::quantity::Duration::new((1e9 / facts.rate_hz).round() as i64);
+    pipeline(&mut text, facts.rate_hz, recording, sensor_port);
+    text
+}
+
+/// The nodes behind the readers, from the solver to the files that are written.
+fn pipeline(text: &mut String, rate_hz: f64, recording: &str, sensor_port: &str) {
+    let exposure = photocurrent_core::quantity::Duration::new((1e9 / rate_hz).round() as i64);
     let _ = write!(
         text,
         r#"
@@ -114,9 +120,8 @@ kind   = "write/frames"
 in     = {{ frames = "render", sensor = "{sensor_port}" }}
 params = {{ preview = true }}
 "#,
-        rate = facts.rate_hz,
+        rate = rate_hz,
     );
-    text
 }
 
 /// The sensor description.

@@ -200,6 +200,32 @@ fn impossible(parts: &Parts, all: &All) -> Option<String> {
     })
 }
 
+/// Units of events and frames together, best first; with `is_one_unit` both streams share theirs.
+fn paired(
+    of_events_units: &[Stream],
+    of_frames_units: &[Stream],
+    is_one_unit: bool,
+) -> Vec<(f64, Option<Stream>, Option<Stream>)> {
+    let mut pairs: Vec<(f64, Option<Stream>, Option<Stream>)> = Vec::new();
+    for events in of_events_units {
+        if of_frames_units.is_empty() {
+            pairs.push((events.score, Some(*events), None));
+        }
+        for frames in of_frames_units.iter().filter(|frames| !is_one_unit || frames.unit == events.unit) {
+            pairs.push((
+                events.score + frames.score + together(events, frames),
+                Some(*events),
+                Some(*frames),
+            ));
+        }
+    }
+    if of_events_units.is_empty() {
+        pairs.extend(of_frames_units.iter().map(|frames| (frames.score, None, Some(*frames))));
+    }
+    pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
+    pairs
+}
+
 /// Proposes the units that are neither recorded nor stated, and puts them into `all`.
 pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
     let lacks = |all: &All, frames: bool| {
@@ -254,25 +280,7 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
             of_frames_units.extend(of_frames(&stamps, shown, is_whole(&starts, shown)));
         }
     }
-    let mut pairs: Vec<(f64, Option<Stream>, Option<Stream>)> = Vec::new();
-    for events in &of_events_units {
-        if of_frames_units.is_empty() {
-            pairs.push((events.score, Some(*events), None));
-        }
-        for frames in
-            of_frames_units.iter().filter(|frames| !(of_one_set && events_lack) || frames.unit == events.unit)
-        {
-            pairs.push((
-                events.score + frames.score + together(events, frames),
-                Some(*events),
-                Some(*frames),
-            ));
-        }
-    }
-    if of_events_units.is_empty() {
-        pairs.extend(of_frames_units.iter().map(|frames| (frames.score, None, Some(*frames))));
-    }
-    pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let pairs = paired(&of_events_units, &of_frames_units, of_one_set && events_lack);
     let Some((score, events, frames)) = pairs.first().copied() else { return Vec::new() };
     let known = if recorded.is_empty() {
         "the unit is not recorded".to_owned()
