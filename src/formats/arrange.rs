@@ -97,10 +97,7 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
             notes.extend(about.notes.iter().cloned());
             counts.push((
                 found.disordered,
-                format!(
-                    "events in {name} are stamped earlier than the event \
-                                                    before; sorted by time"
-                ),
+                format!("events in {name} are stamped earlier than the event before; sorted by time"),
             ));
             // What was found damaged while opening is met again by the cursor.
             losses.extend(found.losses.iter().filter(|loss| !recording.losses().contains(loss)).cloned());
@@ -156,9 +153,7 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
     }
     if arranged.drop_duplicates {
         arranged.notes.push(
-            "events that are there twice, of one time, pixel and sign, are read once, as \
-                             stated"
-                .into(),
+            "events that are there twice, of one time, pixel and sign, are read once, as stated".into(),
         );
     }
     if let (Some(pictures), Some(exposures)) = (pictures, frames) {
@@ -316,10 +311,7 @@ impl Arranged {
                 );
                 return Err(FormatError::new(
                     path,
-                    format!(
-                        "the size of the event array is not recorded, and \
-                                                           {reach}"
-                    ),
+                    format!("the size of the event array is not recorded, and {reach}"),
                     hint,
                 )
                 .undeclared("extent"));
@@ -336,8 +328,7 @@ impl Arranged {
                 let hint = "state the sensor's size: `extent = { width = 640, height = 480 }`";
                 return Err(FormatError::new(
                     path,
-                    "there is no event, and the size of the sensor is not \
-                                                   recorded",
+                    "there is no event, and the size of the sensor is not recorded",
                     hint,
                 )
                 .undeclared("extent"));
@@ -348,8 +339,7 @@ impl Arranged {
                 || u32::from(crop.y) + u32::from(crop.height) > extent.height)
         {
             let found = format!(
-                "a part of {} x {} pixels from ({}, {}) reaches beyond the {extent} pixels of the \
-                         sensor",
+                "a part of {} x {} pixels from ({}, {}) reaches beyond the {extent} pixels of the sensor",
                 crop.width, crop.height, crop.x, crop.y
             );
             return Err(FormatError::new(
@@ -407,10 +397,7 @@ impl Arranged {
         let disordered = exposures.windows(2).filter(|pair| pair[1].0 < pair[0].0).count() as u64;
         self.counts.push((
             disordered,
-            format!(
-                "frames in {name} begin earlier than the frame before; sorted \
-                                               by time"
-            ),
+            format!("frames in {name} begin earlier than the frame before; sorted by time"),
         ));
         frames.sort_by_key(|(exposure, _)| exposure.start);
         if frames.is_empty() {
@@ -451,11 +438,7 @@ impl Arranged {
             {
                 return Err(FormatError::new(
                     path,
-                    format!(
-                        "a part of {extent} pixels reaches beyond the \
-                                                           frames' {}",
-                        about.extent
-                    ),
+                    format!("a part of {extent} pixels reaches beyond the frames' {}", about.extent),
                     "give a smaller part",
                 ));
             }
@@ -576,8 +559,7 @@ impl FrameSource for LinearPictures {
             let found = values.len();
             if found != stored_row * about.extent.height as usize {
                 return Err(DataError::new(format!(
-                    "frame {frame} has {found} values, and {} pixels are \
-                                                   needed",
+                    "frame {frame} has {found} values, and {} pixels are needed",
                     about.extent
                 )));
             }

@@ -311,8 +311,7 @@ impl Tally {
         let listed = values.iter().take(8).map(i64::to_string).collect::<Vec<_>>().join(", ");
         let more = if values.len() > 8 || self.odd > 0 { " and others" } else { "" };
         Err(format!(
-            "polarity takes the values {listed}{more}; {:.0} % of the events have others than 0, 1 \
-                     and -1",
+            "polarity takes the values {listed}{more}; {:.0} % of the events have others than 0, 1 and -1",
             100.0 * odd as f64 / self.events as f64
         ))
     }
@@ -430,18 +429,14 @@ impl Tally {
                 (
                     "polarity_counts",
                     format!(
-                        "polarity holds counts {least} to {most}: every value above 0 \
-                                             was read as ON{off}"
+                        "polarity holds counts {least} to {most}: every value above 0 was read as ON{off}"
                     ),
                 )
             }
             Code::OneTwo => ("polarity_one_two", "polarity is 1 or 2: 1 was read as OFF, 2 as ON".into()),
             Code::Unsigned(minus) => (
                 "polarity_unsigned",
-                format!(
-                    "a polarity of {minus} is -1 stored \
-                                                            without a sign: it was read as OFF"
-                ),
+                format!("a polarity of {minus} is -1 stored without a sign: it was read as OFF"),
             ),
         };
         let shares = all

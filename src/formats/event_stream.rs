@@ -86,10 +86,7 @@ impl EventStream {
         let cut = || {
             FormatError::new(
                 path,
-                format!(
-                    "the file ends at byte {size}, inside its header; no \
-                                                     event can be read"
-                ),
+                format!("the file ends at byte {size}, inside its header; no event can be read"),
                 "copy it again",
             )
         };
@@ -118,8 +115,7 @@ impl EventStream {
                 return Err(refuse(
                     "byte 15",
                     format!("{name}, which have no polarity"),
-                    "DVS or ATIS events \
-                                                            (1 or 2)",
+                    "DVS or ATIS events (1 or 2)",
                     "export it as DVS events",
                 ));
             }
@@ -145,8 +141,7 @@ impl EventStream {
         }
         if kind == Kind::Atis {
             notes.push(
-                "events that measure the exposure of a pixel (threshold crossings of an ATIS) are \
-                        left out"
+                "events that measure the exposure of a pixel (threshold crossings of an ATIS) are left out"
                     .into(),
             );
         }
@@ -427,9 +422,11 @@ mod tests {
         assert!(cursor.next(&mut chunk).unwrap() && cursor.losses().is_empty());
         assert_eq!((chunk.x, chunk.y), (vec![1, 3, 4, 1, 3], vec![7, 5, 0, 7, 5]));
         assert!(
-            recording.about.notes.iter().any(|note| note
-                == "the extent is declared as 6 x 8; the file \
-                                                            states 4 x 3"),
+            recording
+                .about
+                .notes
+                .iter()
+                .any(|note| note == "the extent is declared as 6 x 8; the file states 4 x 3"),
             "{:?}",
             recording.about.notes
         );

@@ -137,8 +137,7 @@ impl Frames {
             let head = Table::root_of_start(chain.content(), b"FRME").as_ref().and_then(Head::of);
             let Some(head) = head else {
                 leave_out(
-                    "the packet is damaged and left out: it is not the table of a frame that it \
-                           should be"
+                    "the packet is damaged and left out: it is not the table of a frame that it should be"
                         .into(),
                 );
                 continue;
@@ -147,16 +146,14 @@ impl Frames {
             if head.extent != extent || head.position != (0, 0) {
                 let (x, y) = head.position;
                 leave_out(format!(
-                    "a frame of {} pixels at ({x}, {y}) is left out, because the others have \
-                                   {extent} pixels",
+                    "a frame of {} pixels at ({x}, {y}) is left out, because the others have {extent} pixels",
                     head.extent
                 ));
                 continue;
             }
             let Some(format) = PixelFormat::of_code(head.code) else {
                 leave_out(format!(
-                    "a frame of pixel type {} is left out: it is neither grey nor BGR of 8 or \
-                                   16 bits",
+                    "a frame of pixel type {} is left out: it is neither grey nor BGR of 8 or 16 bits",
                     head.code
                 ));
                 continue;
@@ -239,10 +236,7 @@ impl Pictures for Frames {
         let damaged = |at: String, what: &str| {
             FormatError::new(
                 &self.file.path,
-                format!(
-                    "frame {frame} is damaged: \
-                                                            {what}"
-                ),
+                format!("frame {frame} is damaged: {what}"),
                 "read the recording without it",
             )
             .at(at)

@@ -84,8 +84,7 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
              read in",
             evidence,
             format!(
-                "state the unit of the stamps; one that is {times} times larger would make the rate \
-                     plausible"
+                "state the unit of the stamps; one that is {times} times larger would make the rate plausible"
             ),
         ));
     } else if rate < limits.slowest_pixel_hz {
@@ -343,12 +342,7 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "the size of the pixel array is not recorded",
             format!(
                 "events reach column {x} and row {y}{}",
-                if begins_at_one {
-                    ", and none lies in column \
-                                                            0 or row 0"
-                } else {
-                    ""
-                }
+                if begins_at_one { ", and none lies in column 0 or row 0" } else { "" }
             ),
             if begins_at_one {
                 "state the extent; if coordinates begin at 1, as programs of MATLAB write them, state \
@@ -365,8 +359,7 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             if y >= height && x < height {
                 "columns and rows may be swapped"
             } else {
-                "state the extent, or \
-                                                            the scale of the coordinates"
+                "state the extent, or the scale of the coordinates"
             },
         )),
         Some((width, height)) if events.count >= limits.fewest_events => {

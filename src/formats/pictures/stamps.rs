@@ -121,8 +121,7 @@ pub(crate) fn read(
         return Err(FormatError::new(
             path,
             format!("{bytes} bytes"),
-            "name the text file with the stamps of the \
-                                                            frames",
+            "name the text file with the stamps of the frames",
         )
         .expected("a stamps file of at most 64 MiB"));
     }
@@ -173,8 +172,7 @@ pub(crate) fn parse(
         return Err(FormatError::new(
             path,
             "no stamps",
-            "put one stamp on a line, or a name and a stamp, or \
-                                                        start and end of the exposure",
+            "put one stamp on a line, or a name and a stamp, or start and end of the exposure",
         ));
     }
     let roles = match roles {
@@ -202,10 +200,7 @@ pub(crate) fn parse(
             let evidence = look(&roles, &lines);
             let what = format!("the unit of the frames' stamps is not stated ({})", evidence.text);
             return Err(FormatError::new(path, what, evidence.hint())
-                .expected(
-                    "a unit in the header, such \
-                                                            as `t_us`",
-                )
+                .expected("a unit in the header, such as `t_us`")
                 .undeclared("stamps_unit"));
         }
     };
@@ -380,10 +375,7 @@ fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit)
     }
     row.exposure = match (start, end) {
         (Some(start), Some(end)) if start > end => {
-            return Err(wrong(format!(
-                "the exposure ends before it \
-                                                            begins ({start} ns, {end} ns)"
-            )));
+            return Err(wrong(format!("the exposure ends before it begins ({start} ns, {end} ns)")));
         }
         (Some(start), Some(end)) => Some((start, end)),
         _ => None,

@@ -73,8 +73,7 @@ pub fn pulses(triggers: &[Trigger], line: u16, strobe: Strobe) -> Pulses {
             String::new()
         };
         notes.push(format!(
-            "line {line} has {name} edges only{but}: one for each frame, without the length \
-                            of its exposure"
+            "line {line} has {name} edges only{but}: one for each frame, without the length of its exposure"
         ));
         notes.extend(bounced(&spurious, line, bounce));
         let all = edges
@@ -138,14 +137,12 @@ pub fn pulses(triggers: &[Trigger], line: u16, strobe: Strobe) -> Pulses {
     let place = first_odd.map(|t| format!(" (the first at {t} ns)")).unwrap_or_default();
     if no_close > 0 {
         notes.push(format!(
-            "{no_close} {closing} edges of line {line} are missing{place}; these exposures \
-                            were left out"
+            "{no_close} {closing} edges of line {line} are missing{place}; these exposures were left out"
         ));
     }
     if no_open > 0 {
         notes.push(format!(
-            "{no_open} {opening} edges of line {line} are missing{place}; these exposures \
-                            were left out"
+            "{no_open} {opening} edges of line {line} are missing{place}; these exposures were left out"
         ));
     }
     notes.extend(bounced(&spurious, line, bounce));

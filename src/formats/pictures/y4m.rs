@@ -124,14 +124,7 @@ impl Y4m {
                     let hint = "8 to 16 bits of 4:2:0, 4:2:2, 4:1:1, 4:4:0, 4:4:4 or mono are read: such as \
                                 `ffmpeg -i in.y4m -pix_fmt yuv420p out.y4m`";
                     sampling = Sampling::named(value).ok_or_else(|| {
-                        wrong(
-                            format!(
-                                "it names the colour \
-                                                            space `{}`",
-                                value.escape_debug()
-                            ),
-                            hint,
-                        )
+                        wrong(format!("it names the colour space `{}`", value.escape_debug()), hint)
                     })?;
                 }
                 Some('X') if value.eq_ignore_ascii_case("COLORRANGE=FULL") => range = Some(Range::Full),
@@ -217,8 +210,7 @@ impl Y4m {
         let range = match (self.range, self.taken()) {
             (Some(Range::Full), _) => "full range, as the header says".to_string(),
             (Some(Range::Limited), _) => format!(
-                "limited range, as the header says: {low} to {high} were \
-                                                  stretched to the whole scale"
+                "limited range, as the header says: {low} to {high} were stretched to the whole scale"
             ),
             (None, Range::Full) => "the header states no range; grey values are taken as they are".into(),
             (None, Range::Limited) => format!(
@@ -289,18 +281,12 @@ impl Y4m {
     /// What was left out.
     pub fn losses(&self) -> Vec<Loss> {
         let loss = self.broken.map(|(at, broken)| match broken {
-            Broken::Other => Loss::new(
-                format!("byte {at}"),
-                "no `FRAME` line stands here; the rest of the \
-                                                            file is lost",
-            ),
+            Broken::Other => {
+                Loss::new(format!("byte {at}"), "no `FRAME` line stands here; the rest of the file is lost")
+            }
             Broken::Head | Broken::Frame(_) => Loss::new(
                 format!("bytes {at} to {}", self.bytes),
-                format!(
-                    "frame {} is cut off; it was \
-                                                            left out",
-                    self.frames.len()
-                ),
+                format!("frame {} is cut off; it was left out", self.frames.len()),
             )
             .by(Cause::Cut),
         });
@@ -317,8 +303,7 @@ impl Y4m {
         let (what, hint) = match broken {
             Broken::Head => (
                 format!(
-                    "it is cut off: it ends at the head of frame {k}, which begins at byte \
-                                      {at} of {bytes}"
+                    "it is cut off: it ends at the head of frame {k}, which begins at byte {at} of {bytes}"
                 ),
                 COPY_AGAIN,
             ),

@@ -125,8 +125,7 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
         return Err(FormatError::new(
             &contents.path,
             found + &lost,
-            "record those topics, or check that the \
-                                                            file is whole",
+            "record those topics, or check that the file is whole",
         )
         .expected(expected));
     }
