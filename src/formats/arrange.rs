@@ -278,16 +278,17 @@ fn exposures(
 }
 
 impl Arranged {
-    fn events_meta(
+    /// The size of the event array: stated, recorded, or what events reach.
+    fn array_extent(
         &mut self,
         path: &Path,
         about: &EventsAbout,
         found: &Scan,
         frames: Option<Extent>,
         declared: &Declared,
-    ) -> Result<EventsMeta, FormatError> {
-        let extent = match (declared.extent.or(about.extent), found.corner) {
-            (Some(extent), _) => extent,
+    ) -> Result<Extent, FormatError> {
+        match (declared.extent.or(about.extent), found.corner) {
+            (Some(extent), _) => Ok(extent),
             // What events reach is no size of an array: where frames state another that holds them, it has to
             // be stated.
             (None, Some(corner))
@@ -309,12 +310,12 @@ impl Arranged {
                     "state it: `extent = {{ width = {}, height = {} }}` fits the frames, and {few}",
                     likely.width, likely.height
                 );
-                return Err(FormatError::new(
+                Err(FormatError::new(
                     path,
                     format!("the size of the event array is not recorded, and {reach}"),
                     hint,
                 )
-                .undeclared("extent"));
+                .undeclared("extent"))
             }
             (None, Some((x, y))) => {
                 let extent = Extent { width: u32::from(x) + 1, height: u32::from(y) + 1 };
@@ -322,18 +323,29 @@ impl Arranged {
                     "the size of the sensor is not recorded: {extent} pixels hold every \
                                          event; state `extent` to be sure"
                 ));
-                extent
+                Ok(extent)
             }
             (None, None) => {
                 let hint = "state the sensor's size: `extent = { width = 640, height = 480 }`";
-                return Err(FormatError::new(
+                Err(FormatError::new(
                     path,
                     "there is no event, and the size of the sensor is not recorded",
                     hint,
                 )
-                .undeclared("extent"));
+                .undeclared("extent"))
             }
-        };
+        }
+    }
+
+    fn events_meta(
+        &mut self,
+        path: &Path,
+        about: &EventsAbout,
+        found: &Scan,
+        frames: Option<Extent>,
+        declared: &Declared,
+    ) -> Result<EventsMeta, FormatError> {
+        let extent = self.array_extent(path, about, found, frames, declared)?;
         if let Some(crop) = self.crop
             && (u32::from(crop.x) + u32::from(crop.width) > extent.width
                 || u32::from(crop.y) + u32::from(crop.height) > extent.height)

@@ -352,19 +352,7 @@ impl Tally {
         let is_one = stated.origin.map_or_else(|| self.begins_at_one(size), |origin| origin == 1);
         if is_one {
             rules.origin = 1;
-            conventions.push(Convention {
-                id: "origin_one",
-                what: "coordinates begin at 1: 1 was subtracted".into(),
-                evidence: format!(
-                    "columns {} to {}, rows {} to {}{}",
-                    self.x.least,
-                    self.x.most,
-                    self.y.least,
-                    self.y.most,
-                    of_pixels(size)
-                ),
-                otherwise: "state `origin = 0` where they begin at 0".into(),
-            });
+            conventions.push(self.origin_one(size));
         }
         let negative = self.x.negative + self.y.negative;
         let is_negative = |side: &Side| side.negative == 0 || side.below < BETWEEN;
@@ -412,6 +400,23 @@ impl Tally {
                 .map(|(counter, share)| (counter.range_ns(), (share * counter.range_ns() as f64) as i64)),
             conventions,
         })
+    }
+
+    /// What is noted of coordinates that begin at 1.
+    fn origin_one(&self, size: Option<Extent>) -> Convention {
+        Convention {
+            id: "origin_one",
+            what: "coordinates begin at 1: 1 was subtracted".into(),
+            evidence: format!(
+                "columns {} to {}, rows {} to {}{}",
+                self.x.least,
+                self.x.most,
+                self.y.least,
+                self.y.most,
+                of_pixels(size)
+            ),
+            otherwise: "state `origin = 0` where they begin at 0".into(),
+        }
     }
 
     /// What is noted of the polarity; nothing of the usual signs.

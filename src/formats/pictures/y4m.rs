@@ -71,36 +71,19 @@ fn line(reader: &mut impl BufRead, into: &mut Vec<u8>) -> std::io::Result<bool> 
     Ok(into.pop_if(|last| *last == b'\n').is_some())
 }
 
-impl Y4m {
-    /// Reads the header, and where the frames begin.
-    ///
-    /// # Errors
-    /// When the file cannot be read, or its header states no size, or a colour space that is not read.
-    pub fn open(path: &Path) -> Result<Y4m, FormatError> {
-        let io = |error: std::io::Error| FormatError::io(path, &error);
-        let file = File::open(path).map_err(io)?;
-        let bytes = file.metadata().map_err(io)?.len();
-        let mut reader = BufReader::new(file);
-        let mut text = Vec::new();
-        let whole = line(&mut reader, &mut text).map_err(io)?;
-        let header = String::from_utf8_lossy(&text).into_owned();
-        if !text.starts_with(MAGIC) {
-            let shown =
-                |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '.' };
-            let found = format!(
-                "it is no Y4M file: it begins with `{}`",
-                text.iter().take(12).map(shown).collect::<String>()
-            );
-            let hint = "name a folder of pictures, or convert it: such as `ffmpeg -i film.mp4 film.y4m`";
-            return Err(FormatError::new(path, found, hint).expected("`YUV4MPEG2 W... H...`"));
-        }
-        if !whole {
-            return Err(FormatError::new(
-                path,
-                format!("it is cut off: its header has no end within {} bytes", text.len()),
-                COPY_AGAIN,
-            ));
-        }
+/// What the words of a header state.
+struct Header {
+    extent: Extent,
+    rate: Option<(u64, u64)>,
+    range: Option<Range>,
+    interlaced: Option<String>,
+    unknown: Vec<String>,
+    sampling: Sampling,
+}
+
+impl Header {
+    /// From the first line of the file.
+    fn of(path: &Path, header: &str) -> Result<Header, FormatError> {
         let wrong = |what: String, hint: &str| FormatError::new(path, what, hint).at("the header");
         let (mut width, mut height, mut rate, mut range, mut interlaced, mut unknown) =
             (None, None, None, None, None, Vec::new());
@@ -141,6 +124,41 @@ impl Y4m {
             return Err(wrong(what, "it has `W` and `H`, such as `YUV4MPEG2 W640 H480 F1000:1`"));
         };
         let (extent, rate) = (Extent { width, height }, rate.filter(|&(a, b)| a > 0 && b > 0));
+        Ok(Header { extent, rate, range, interlaced, unknown, sampling })
+    }
+}
+
+impl Y4m {
+    /// Reads the header, and where the frames begin.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or its header states no size, or a colour space that is not read.
+    pub fn open(path: &Path) -> Result<Y4m, FormatError> {
+        let io = |error: std::io::Error| FormatError::io(path, &error);
+        let file = File::open(path).map_err(io)?;
+        let bytes = file.metadata().map_err(io)?.len();
+        let mut reader = BufReader::new(file);
+        let mut text = Vec::new();
+        let whole = line(&mut reader, &mut text).map_err(io)?;
+        let header = String::from_utf8_lossy(&text).into_owned();
+        if !text.starts_with(MAGIC) {
+            let shown =
+                |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '.' };
+            let found = format!(
+                "it is no Y4M file: it begins with `{}`",
+                text.iter().take(12).map(shown).collect::<String>()
+            );
+            let hint = "name a folder of pictures, or convert it: such as `ffmpeg -i film.mp4 film.y4m`";
+            return Err(FormatError::new(path, found, hint).expected("`YUV4MPEG2 W... H...`"));
+        }
+        if !whole {
+            return Err(FormatError::new(
+                path,
+                format!("it is cut off: its header has no end within {} bytes", text.len()),
+                COPY_AGAIN,
+            ));
+        }
+        let Header { extent, rate, range, interlaced, unknown, sampling } = Header::of(path, &header)?;
         let again = File::open(path).map_err(io)?;
         let mut y4m = Y4m {
             path: path.into(),
