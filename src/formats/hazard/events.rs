@@ -475,7 +475,8 @@ fn lines(what: &str, lines: &LinesSurvey, found: &mut Vec<Finding>) {
             Severity::Fact,
             format!("{} with over three times the events of their neighbours", several(lines.loud)),
             format!("{what} {}", list(&lines.loud_list)),
-            "state `hot_rows` in the description if it is the sensor; a lamp or an edge along it does this too",
+            "state `hot_rows` in the description if it is the sensor; a lamp or an edge along it does this \
+             too",
         ));
     }
     if let Some(pattern) = lines.pattern {

@@ -231,11 +231,15 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         ));
     }
     if usual > 0 && 1e9 / usual as f64 > limits.fastest_frames_hz {
+        let exposures = frames.exposure.map_or_else(String::new, |exposure| {
+            format!(", exposures of {}", time(exposure.median_ns as f64))
+        });
         found.push(Finding::new(
             "frames_too_fast",
             Severity::Hazard,
-            "frames come faster than a camera takes them: stamps may be of a larger unit than they are read in",
-            format!("one every {every}{}", frames.exposure.map_or_else(String::new, |exposure| format!(", exposures of {}", time(exposure.median_ns as f64)))),
+            "frames come faster than a camera takes them: stamps may be of a larger unit than they are read \
+             in",
+            format!("one every {every}{exposures}"),
             "state the unit of the frames' stamps",
         ));
     }

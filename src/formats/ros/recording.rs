@@ -189,7 +189,8 @@ fn event_stream(
             Some(Shift { ns, spread_ns, packets }) => {
                 shift_ns = ns;
                 notes.push(format!(
-                    "{ns} ns added to the sensor's time, which brings events to the clock of ROS: the smallest of `header.stamp` minus time of the first event \
+                    "{ns} ns added to the sensor's time, which brings events to the clock of ROS: the \
+                     smallest of `header.stamp` minus time of the first event \
                      over the first {packets} packets, which spread by {spread_ns} ns"
                 ));
             }
