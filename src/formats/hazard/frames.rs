@@ -243,6 +243,11 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "state the unit of the frames' stamps",
         ));
     }
+    even_periods(frames, &every, found);
+}
+
+/// Frames of one and the same distance.
+fn even_periods(frames: &FramesSurvey, every: &str, found: &mut Vec<Finding>) {
     // A camera that stamps exposures has its own clock, and its periods are even.
     if frames.is_constant_rate && frames.exposures_stamped == 0 {
         found.push(Finding::new(
