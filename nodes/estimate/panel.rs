@@ -83,21 +83,7 @@ pub fn panel(
         all.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
     periods.sort_unstable();
     let Some(period) = periods.get(periods.len() / 2).copied() else { return Ok(panel) };
-    // Which frames, in stretches.
-    let read = chosen(frames.len(), settings.frames);
-    let mut runs: Vec<Vec<usize>> = Vec::new();
-    for &frame in &read {
-        match runs.last_mut() {
-            Some(run)
-                if run.last().is_some_and(|last| {
-                    last + 1 == frame && all[*last] < all[frame] && all[frame] - all[*last] < GAP * period
-                }) =>
-            {
-                run.push(frame)
-            }
-            _ => runs.push(vec![frame]),
-        }
-    }
+    let runs = runs(&chosen(frames.len(), settings.frames), &all, period);
     for run in &runs {
         let mids = run.iter().map(|frame| all[*frame]).collect();
         panel.stretches.push(Stretch::new(
@@ -150,6 +136,24 @@ pub fn panel(
     let rest: Vec<_> = centring.rest().collect();
     rest.into_iter().for_each(|(pixel, t, is_on)| put(&mut panel, pixel, t, is_on));
     Ok(panel)
+}
+
+/// Frames that are read, as runs of neighbours in order of time.
+fn runs(read: &[usize], all: &[i64], period: i64) -> Vec<Vec<usize>> {
+    let mut runs: Vec<Vec<usize>> = Vec::new();
+    for &frame in read {
+        match runs.last_mut() {
+            Some(run)
+                if run.last().is_some_and(|last| {
+                    last + 1 == frame && all[*last] < all[frame] && all[frame] - all[*last] < GAP * period
+                }) =>
+            {
+                run.push(frame)
+            }
+            _ => runs.push(vec![frame]),
+        }
+    }
+    runs
 }
 
 /// What the stated front end delays, where it and what its photocurrent is counted in are stated.

@@ -27,8 +27,9 @@ mod tests;
 use super::again::{In, Out, Row, Solver};
 use super::caution::take_care;
 use super::motion::Neighbours;
-use super::trust::{Trust, TrustParams};
-use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
+use super::trust::{Posed, Trust, TrustParams};
+use photocurrent_core::{Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
+use photocurrent_scene::activity::Activity;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::film::LogTracks;
 use photocurrent_scene::flow::{Flow, MotionParams};
@@ -135,26 +136,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = again.rows.first().map_or((0, 0), |row| row.span());
         let step_ns = 2 * self.params.solver.knot_spacing.ns();
-        let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
-        let setting = PictureSetting {
-            pitch: self.params.pitch,
-            most_values: self.params.most_values as usize,
-            ..PictureSetting::default()
-        };
         let width = extent.width as usize;
-        let asked = |span: (i64, i64)| activity.pixels(span, extent);
-        let pictures = Pictures::fit(
-            &case,
-            &sensor.model,
-            &setting,
-            (self.params.solver.knot_spacing.ns(), self.params.least_exposures),
-            asked,
-        );
-        drop(case);
-        if let Err(why) = &pictures {
-            cx.note(format!("no picture is used: {why}"));
-        }
-        let pictures = pictures.unwrap_or_default();
+        let pictures = self.fitted(&input, &sensor, &activity, extent, cx)?;
         // Only pixels with events get pseudo-measurements.
         let of_row = |row: &Row| {
             let columns: Vec<usize> = (0..width).filter(|x| !row.events_of(*x).is_empty()).collect();
@@ -212,6 +195,38 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                 })?;
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })
+    }
+}
+
+impl RefinePicture {
+    /// The pictures of the frames around pixels with events; none where they cannot be fitted.
+    fn fitted(
+        &self,
+        input: &In,
+        sensor: &Posed,
+        activity: &Activity,
+        extent: Extent,
+        cx: &Context,
+    ) -> Result<Pictures, NodeError> {
+        let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
+        let setting = PictureSetting {
+            pitch: self.params.pitch,
+            most_values: self.params.most_values as usize,
+            ..PictureSetting::default()
+        };
+        let asked = |span: (i64, i64)| activity.pixels(span, extent);
+        let pictures = Pictures::fit(
+            &case,
+            &sensor.model,
+            &setting,
+            (self.params.solver.knot_spacing.ns(), self.params.least_exposures),
+            asked,
+        );
+        drop(case);
+        if let Err(why) = &pictures {
+            cx.note(format!("no picture is used: {why}"));
+        }
+        Ok(pictures.unwrap_or_default())
     }
 }
 

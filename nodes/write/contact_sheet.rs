@@ -19,7 +19,7 @@ mod events;
 mod sheet;
 mod shown;
 
-use self::events::{colour, counted};
+use self::events::{Count, colour, counted};
 use self::sheet::{GAP, Layout, Sheet, displayed, grey_range};
 pub use self::shown::Crop;
 use self::shown::Shown;
@@ -247,6 +247,38 @@ impl WriteContactSheet {
         }
         Ok(())
     }
+
+    /// Draws the row of events: a picture for each instant.
+    fn draw_events(
+        &self,
+        sheet: &mut Sheet,
+        layout: &Layout,
+        events_row: usize,
+        counts: &[Vec<Count>],
+        window_ns: i64,
+        cx: &Context,
+    ) -> Result<(), NodeError> {
+        for (column, counts) in counts.iter().enumerate() {
+            if column == 0 {
+                let ms = window_ns as f64 / 1e6;
+                sheet.begin_row(
+                    layout,
+                    events_row,
+                    &format!(
+                        "events within {ms:.3} ms: ON red, OFF blue, full colour from {}",
+                        self.params.full_colour
+                    ),
+                );
+            }
+            sheet.picture(
+                layout,
+                (column, events_row),
+                counts.iter().map(|&count| colour(count, self.params.full_colour)),
+            );
+            cx.advance(1)?;
+        }
+        Ok(())
+    }
 }
 
 impl Node for WriteContactSheet {
@@ -300,10 +332,7 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
         }
         if params.times.as_ref().is_some_and(|times| !(1..=100).contains(&times.len())) {
             return Err(NodeError::usage("`times` must list 1 to 100 instants")
-                .hint(
-                    "leave it out to get \
-                                                            evenly spaced ones",
-                )
+                .hint("leave it out to get evenly spaced ones")
                 .param("times"));
         }
         if params.times.is_some() && (params.start.is_some() || params.end.is_some()) {
@@ -393,25 +422,8 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
                 sheet.picture(&layout, (column, r), grey_or_colour);
             }
         }
-        for (column, counts) in counts.iter().flatten().enumerate() {
-            if column == 0 {
-                let ms = windows[0].length_ns() as f64 / 1e6;
-                sheet.begin_row(
-                    &layout,
-                    events_row,
-                    &format!(
-                        "events within {ms:.3} ms: ON red, OFF blue, \
-                                                            full colour from {}",
-                        self.params.full_colour
-                    ),
-                );
-            }
-            sheet.picture(
-                &layout,
-                (column, events_row),
-                counts.iter().map(|&count| colour(count, self.params.full_colour)),
-            );
-            cx.advance(1)?;
+        if let Some(counts) = &counts {
+            self.draw_events(&mut sheet, &layout, events_row, counts, windows[0].length_ns(), cx)?;
         }
         let comment = Some(FOR_LOOKING);
         Picture { width, height, channels, depth: BitDepth::Eight, bytes: &sheet.bytes, comment }

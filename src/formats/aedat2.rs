@@ -266,9 +266,7 @@ impl Cursor {
         if left > 0 {
             let at = || format!("bytes {} to {}", self.at - left as u64, self.at);
             self.losses.add_by(Cause::Cut, "records that are cut off", 1, at, || {
-                "the last record is cut \
-                                                            off and left out"
-                    .into()
+                "the last record is cut off and left out".into()
             });
         }
         let mut outside = 0_u64;
@@ -294,8 +292,7 @@ impl Cursor {
         }
         let what = || {
             format!(
-                "{outside} addresses name no pixel of the {} pixels of this camera; they are \
-                               left out",
+                "{outside} addresses name no pixel of the {} pixels of this camera; they are left out",
                 self.camera.extent
             )
         };
@@ -365,9 +362,7 @@ impl Recording for Aedat2 {
         if self.camera.family == Family::Davis {
             facts.push((
                 "frames".into(),
-                "samples of frames and of the inertial sensor, if there are any, \
-                                          are not read"
-                    .into(),
+                "samples of frames and of the inertial sensor, if there are any, are not read".into(),
             ));
         }
         facts

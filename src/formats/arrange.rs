@@ -97,10 +97,7 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
             notes.extend(about.notes.iter().cloned());
             counts.push((
                 found.disordered,
-                format!(
-                    "events in {name} are stamped earlier than the event \
-                                                    before; sorted by time"
-                ),
+                format!("events in {name} are stamped earlier than the event before; sorted by time"),
             ));
             // What was found damaged while opening is met again by the cursor.
             losses.extend(found.losses.iter().filter(|loss| !recording.losses().contains(loss)).cloned());
@@ -156,9 +153,7 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
     }
     if arranged.drop_duplicates {
         arranged.notes.push(
-            "events that are there twice, of one time, pixel and sign, are read once, as \
-                             stated"
-                .into(),
+            "events that are there twice, of one time, pixel and sign, are read once, as stated".into(),
         );
     }
     if let (Some(pictures), Some(exposures)) = (pictures, frames) {
@@ -283,16 +278,17 @@ fn exposures(
 }
 
 impl Arranged {
-    fn events_meta(
+    /// The size of the event array: stated, recorded, or what events reach.
+    fn array_extent(
         &mut self,
         path: &Path,
         about: &EventsAbout,
         found: &Scan,
         frames: Option<Extent>,
         declared: &Declared,
-    ) -> Result<EventsMeta, FormatError> {
-        let extent = match (declared.extent.or(about.extent), found.corner) {
-            (Some(extent), _) => extent,
+    ) -> Result<Extent, FormatError> {
+        match (declared.extent.or(about.extent), found.corner) {
+            (Some(extent), _) => Ok(extent),
             // What events reach is no size of an array: where frames state another that holds them, it has to
             // be stated.
             (None, Some(corner))
@@ -314,15 +310,12 @@ impl Arranged {
                     "state it: `extent = {{ width = {}, height = {} }}` fits the frames, and {few}",
                     likely.width, likely.height
                 );
-                return Err(FormatError::new(
+                Err(FormatError::new(
                     path,
-                    format!(
-                        "the size of the event array is not recorded, and \
-                                                           {reach}"
-                    ),
+                    format!("the size of the event array is not recorded, and {reach}"),
                     hint,
                 )
-                .undeclared("extent"));
+                .undeclared("extent"))
             }
             (None, Some((x, y))) => {
                 let extent = Extent { width: u32::from(x) + 1, height: u32::from(y) + 1 };
@@ -330,26 +323,35 @@ impl Arranged {
                     "the size of the sensor is not recorded: {extent} pixels hold every \
                                          event; state `extent` to be sure"
                 ));
-                extent
+                Ok(extent)
             }
             (None, None) => {
                 let hint = "state the sensor's size: `extent = { width = 640, height = 480 }`";
-                return Err(FormatError::new(
+                Err(FormatError::new(
                     path,
-                    "there is no event, and the size of the sensor is not \
-                                                   recorded",
+                    "there is no event, and the size of the sensor is not recorded",
                     hint,
                 )
-                .undeclared("extent"));
+                .undeclared("extent"))
             }
-        };
+        }
+    }
+
+    fn events_meta(
+        &mut self,
+        path: &Path,
+        about: &EventsAbout,
+        found: &Scan,
+        frames: Option<Extent>,
+        declared: &Declared,
+    ) -> Result<EventsMeta, FormatError> {
+        let extent = self.array_extent(path, about, found, frames, declared)?;
         if let Some(crop) = self.crop
             && (u32::from(crop.x) + u32::from(crop.width) > extent.width
                 || u32::from(crop.y) + u32::from(crop.height) > extent.height)
         {
             let found = format!(
-                "a part of {} x {} pixels from ({}, {}) reaches beyond the {extent} pixels of the \
-                         sensor",
+                "a part of {} x {} pixels from ({}, {}) reaches beyond the {extent} pixels of the sensor",
                 crop.width, crop.height, crop.x, crop.y
             );
             return Err(FormatError::new(
@@ -407,10 +409,7 @@ impl Arranged {
         let disordered = exposures.windows(2).filter(|pair| pair[1].0 < pair[0].0).count() as u64;
         self.counts.push((
             disordered,
-            format!(
-                "frames in {name} begin earlier than the frame before; sorted \
-                                               by time"
-            ),
+            format!("frames in {name} begin earlier than the frame before; sorted by time"),
         ));
         frames.sort_by_key(|(exposure, _)| exposure.start);
         if frames.is_empty() {
@@ -451,11 +450,7 @@ impl Arranged {
             {
                 return Err(FormatError::new(
                     path,
-                    format!(
-                        "a part of {extent} pixels reaches beyond the \
-                                                           frames' {}",
-                        about.extent
-                    ),
+                    format!("a part of {extent} pixels reaches beyond the frames' {}", about.extent),
                     "give a smaller part",
                 ));
             }
@@ -576,8 +571,7 @@ impl FrameSource for LinearPictures {
             let found = values.len();
             if found != stored_row * about.extent.height as usize {
                 return Err(DataError::new(format!(
-                    "frame {frame} has {found} values, and {} pixels are \
-                                                   needed",
+                    "frame {frame} has {found} values, and {} pixels are needed",
                     about.extent
                 )));
             }

@@ -30,8 +30,7 @@ pub fn read(path: &Path) -> Result<Biases, FormatError> {
         return Err(FormatError::new(
             path,
             "more than a megabyte",
-            "name a .bias file or a JSON of camera \
-                                                            settings",
+            "name a .bias file or a JSON of camera settings",
         ));
     }
     parse(path, &text)
@@ -67,8 +66,7 @@ fn parse_lines(path: &Path, text: &str) -> Result<Biases, FormatError> {
             let error = FormatError::new(
                 path,
                 format!("`{found}`"),
-                "remove the line, or write it as the \
-                                                            camera's software does",
+                "remove the line, or write it as the camera's software does",
             );
             return Err(error.at(format!("line {}", at + 1)).expected("`value % name`"));
         };

@@ -88,8 +88,7 @@ pub fn read(path: &Path) -> Result<Calibration, FormatError> {
         return Err(FormatError::new(
             path,
             format!("{bytes} bytes"),
-            "name a kalibr camchain or DSEC's \
-                                                            cam_to_cam.yaml",
+            "name a kalibr camchain or DSEC's cam_to_cam.yaml",
         )
         .expected("a calibration of at most 1 MiB"));
     }
@@ -105,8 +104,7 @@ pub fn parse(path: &Path, text: &str) -> Result<Calibration, FormatError> {
         FormatError::new(
             path,
             what,
-            "name a kalibr camchain (cam0: ...) or DSEC's \
-                                                            cam_to_cam.yaml (intrinsics: cam0: ...)",
+            "name a kalibr camchain (cam0: ...) or DSEC's cam_to_cam.yaml (intrinsics: cam0: ...)",
         )
     };
     // OpenCV writes a line that newer YAML does not know.
@@ -146,10 +144,7 @@ fn facts(name: String, camera: Camera) -> Result<CameraFacts, String> {
             Some(Extent { width: width as u32, height: height as u32 })
         }
         Some(other) => {
-            return Err(format!(
-                "the resolution of {name} is {other:?}, and must be width and \
-                                           height"
-            ));
+            return Err(format!("the resolution of {name} is {other:?}, and must be width and height"));
         }
     };
     for (what, value) in [("timeshift_cam_imu", camera.timeshift_cam_imu), ("line_delay", camera.line_delay)]

@@ -311,8 +311,7 @@ impl Tally {
         let listed = values.iter().take(8).map(i64::to_string).collect::<Vec<_>>().join(", ");
         let more = if values.len() > 8 || self.odd > 0 { " and others" } else { "" };
         Err(format!(
-            "polarity takes the values {listed}{more}; {:.0} % of the events have others than 0, 1 \
-                     and -1",
+            "polarity takes the values {listed}{more}; {:.0} % of the events have others than 0, 1 and -1",
             100.0 * odd as f64 / self.events as f64
         ))
     }
@@ -353,19 +352,7 @@ impl Tally {
         let is_one = stated.origin.map_or_else(|| self.begins_at_one(size), |origin| origin == 1);
         if is_one {
             rules.origin = 1;
-            conventions.push(Convention {
-                id: "origin_one",
-                what: "coordinates begin at 1: 1 was subtracted".into(),
-                evidence: format!(
-                    "columns {} to {}, rows {} to {}{}",
-                    self.x.least,
-                    self.x.most,
-                    self.y.least,
-                    self.y.most,
-                    of_pixels(size)
-                ),
-                otherwise: "state `origin = 0` where they begin at 0".into(),
-            });
+            conventions.push(self.origin_one(size));
         }
         let negative = self.x.negative + self.y.negative;
         let is_negative = |side: &Side| side.negative == 0 || side.below < BETWEEN;
@@ -415,6 +402,23 @@ impl Tally {
         })
     }
 
+    /// What is noted of coordinates that begin at 1.
+    fn origin_one(&self, size: Option<Extent>) -> Convention {
+        Convention {
+            id: "origin_one",
+            what: "coordinates begin at 1: 1 was subtracted".into(),
+            evidence: format!(
+                "columns {} to {}, rows {} to {}{}",
+                self.x.least,
+                self.x.most,
+                self.y.least,
+                self.y.most,
+                of_pixels(size)
+            ),
+            otherwise: "state `origin = 0` where they begin at 0".into(),
+        }
+    }
+
     /// What is noted of the polarity; nothing of the usual signs.
     fn polarity_said(&self, code: Code, is_stated: bool) -> Option<Convention> {
         let all = self.polarities();
@@ -430,18 +434,14 @@ impl Tally {
                 (
                     "polarity_counts",
                     format!(
-                        "polarity holds counts {least} to {most}: every value above 0 \
-                                             was read as ON{off}"
+                        "polarity holds counts {least} to {most}: every value above 0 was read as ON{off}"
                     ),
                 )
             }
             Code::OneTwo => ("polarity_one_two", "polarity is 1 or 2: 1 was read as OFF, 2 as ON".into()),
             Code::Unsigned(minus) => (
                 "polarity_unsigned",
-                format!(
-                    "a polarity of {minus} is -1 stored \
-                                                            without a sign: it was read as OFF"
-                ),
+                format!("a polarity of {minus} is -1 stored without a sign: it was read as OFF"),
             ),
         };
         let shares = all

@@ -204,8 +204,7 @@ fn columns(
         return Err(FormatError::new(
             path,
             format!("{} columns", found.fields),
-            "state one name for every \
-                                                            column, from the left",
+            "state one name for every column, from the left",
         )
         .at(format!("line {}", found.start.1))
         .expected(format!("{}", columns.len()))
@@ -285,8 +284,7 @@ impl<W: Write> CsvWriter<W> {
         if self.has_t_in && chunk.t_in.is_none() && !chunk.is_empty() {
             return Err(std::io::Error::new(
                 std::io::ErrorKind::InvalidInput,
-                "these events have no in-pixel \
-                                                            times, and the header promises them",
+                "these events have no in-pixel times, and the header promises them",
             ));
         }
         for k in 0..chunk.len() {

@@ -41,8 +41,7 @@ impl FormatError {
         FormatError::new(
             path,
             photocurrent_core::error::cannot_read(path, error),
-            "check the path, and \
-                                                            that the file may be read",
+            "check the path, and that the file may be read",
         )
     }
 
@@ -97,8 +96,7 @@ impl From<DataError> for FormatError {
         FormatError::new(
             Path::new(""),
             error.message,
-            "free some memory or room for temporary files, or \
-                                                        read a shorter window",
+            "free some memory or room for temporary files, or read a shorter window",
         )
     }
 }

@@ -42,8 +42,7 @@ fn without_events(path: &Path) -> FormatError {
         None => {
             let frames = "for its frames alone name the folder `images`, with `images.txt` as stamps";
             format!(
-                "it is in the sequence's zip (rpg.ifi.uzh.ch/davis_data.html), with the pictures; \
-                     {frames}"
+                "it is in the sequence's zip (rpg.ifi.uzh.ch/davis_data.html), with the pictures; {frames}"
             )
         }
     };

@@ -86,10 +86,7 @@ impl EventStream {
         let cut = || {
             FormatError::new(
                 path,
-                format!(
-                    "the file ends at byte {size}, inside its header; no \
-                                                     event can be read"
-                ),
+                format!("the file ends at byte {size}, inside its header; no event can be read"),
                 "copy it again",
             )
         };
@@ -105,25 +102,7 @@ impl EventStream {
                 "convert it with the event_stream tools",
             ));
         }
-        let kind = match kind {
-            1 => Kind::Dvs,
-            2 => Kind::Atis,
-            other => {
-                let name = match other {
-                    0 => "generic events".into(),
-                    3 => "AMD events".into(),
-                    4 => "colour events".into(),
-                    _ => format!("events of kind {other}"),
-                };
-                return Err(refuse(
-                    "byte 15",
-                    format!("{name}, which have no polarity"),
-                    "DVS or ATIS events \
-                                                            (1 or 2)",
-                    "export it as DVS events",
-                ));
-            }
-        };
+        let kind = kind_of(path, kind)?;
         let [.., w0, w1, h0, h1] = *head.first_chunk::<20>().ok_or_else(cut)?;
         let recorded = Extent {
             width: u16::from_le_bytes([w0, w1]).into(),
@@ -145,8 +124,7 @@ impl EventStream {
         }
         if kind == Kind::Atis {
             notes.push(
-                "events that measure the exposure of a pixel (threshold crossings of an ATIS) are \
-                        left out"
+                "events that measure the exposure of a pixel (threshold crossings of an ATIS) are left out"
                     .into(),
             );
         }
@@ -159,6 +137,26 @@ impl EventStream {
             notes,
         };
         Ok(EventStream { path: path.into(), size, kind, version: version.1, about, extent })
+    }
+}
+
+/// The kind of events by its number in the header.
+fn kind_of(path: &Path, number: u8) -> Result<Kind, FormatError> {
+    match number {
+        1 => Ok(Kind::Dvs),
+        2 => Ok(Kind::Atis),
+        other => {
+            let name = match other {
+                0 => "generic events".into(),
+                3 => "AMD events".into(),
+                4 => "colour events".into(),
+                _ => format!("events of kind {other}"),
+            };
+            let found = format!("{name}, which have no polarity");
+            Err(FormatError::new(path, found, "export it as DVS events")
+                .at("byte 15")
+                .expected("DVS or ATIS events (1 or 2)"))
+        }
     }
 }
 
@@ -427,9 +425,11 @@ mod tests {
         assert!(cursor.next(&mut chunk).unwrap() && cursor.losses().is_empty());
         assert_eq!((chunk.x, chunk.y), (vec![1, 3, 4, 1, 3], vec![7, 5, 0, 7, 5]));
         assert!(
-            recording.about.notes.iter().any(|note| note
-                == "the extent is declared as 6 x 8; the file \
-                                                            states 4 x 3"),
+            recording
+                .about
+                .notes
+                .iter()
+                .any(|note| note == "the extent is declared as 6 x 8; the file states 4 x 3"),
             "{:?}",
             recording.about.notes
         );

@@ -122,8 +122,7 @@ fn frames(
     if !stamps.is_file() {
         losses.push(Loss::new(
             "images.npy",
-            "there is no images_ts.npy with the stamps of its frames; they \
-                                             were left out",
+            "there is no images_ts.npy with the stamps of its frames; they were left out",
         ));
         return Ok(None);
     }
@@ -149,8 +148,7 @@ fn frames(
         return Err(FormatError::new(
             &stamps,
             "a stamp that is not finite",
-            "correct it, or leave the frame \
-                                                            out of both arrays",
+            "correct it, or leave the frame out of both arrays",
         )
         .at(format!("frame {frame}")));
     }

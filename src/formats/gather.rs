@@ -301,11 +301,7 @@ pub fn gather<E: From<FormatError> + From<DataError>>(
         let bytes: usize = all.groups.iter().map(|group| group.held.bytes()).sum();
         if bytes > wanted.budget {
             all.spill(&mut written).map_err(|error| {
-                DataError::new(format!(
-                    "cannot write a temporary file \
-                                                            for {} events: {error}",
-                    all.count
-                ))
+                DataError::new(format!("cannot write a temporary file for {} events: {error}", all.count))
             })?;
         }
         advance(cursor)?;

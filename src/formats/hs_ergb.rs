@@ -64,10 +64,8 @@ fn without_events(path: &Path) -> FormatError {
     };
     let hint = "they come with the sequence's download (Time Lens: HS-ERGB, Time Lens++: BS-ERGB on \
                 rpg.ifi.uzh.ch); name the folder of one sequence";
-    FormatError::new(path, found, hint).expected(
-        "a folder `events`, `events_aligned` or `events_corrected` \
-                                                  with 000000.npz and so on",
-    )
+    FormatError::new(path, found, hint)
+        .expected("a folder `events`, `events_aligned` or `events_corrected` with 000000.npz and so on")
 }
 
 fn events_folder(path: &Path, has: impl Fn(&str) -> bool) -> Option<PathBuf> {
@@ -116,8 +114,7 @@ impl HsErgb {
         let mut notes = Vec::new();
         if declared.time_unit.is_none() {
             notes.push(
-                "stamps were taken as microseconds, as in the published sequences: their span and \
-                        rate agree"
+                "stamps were taken as microseconds, as in the published sequences: their span and rate agree"
                     .into(),
             );
         }
@@ -296,10 +293,7 @@ impl Sample {
             return if self.is_fractional {
                 Ok(1)
             } else {
-                Err(undeclared(format!(
-                    "{reach}, and there are no \
-                                                            pictures to compare them with"
-                )))
+                Err(undeclared(format!("{reach}, and there are no pictures to compare them with")))
             };
         };
         let (width, height) = (f64::from(width), f64::from(height));

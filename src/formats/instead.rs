@@ -152,8 +152,7 @@ fn pointer(head: &[u8]) -> Option<Instead> {
     text.contains("/annex/objects/").then(|| {
         Instead::new(
             "a pointer of git-annex, not the file itself",
-            "in its repository run `git \
-                                                            annex get` with its name (or `datalad get`)",
+            "in its repository run `git annex get` with its name (or `datalad get`)",
         )
     })
 }
@@ -206,8 +205,7 @@ fn container(probe: &Probe) -> Option<Instead> {
         return Some(Instead::new(
             kind,
             format!(
-                "save it as text: `python3 -c \"import pandas; \
-                                                pandas.{read}('{name}').to_csv('events.csv', \
+                "save it as text: `python3 -c \"import pandas; pandas.{read}('{name}').to_csv('events.csv', \
                                                 index=False)\"`"
             ),
         ));
@@ -244,8 +242,7 @@ fn container(probe: &Probe) -> Option<Instead> {
     if head.starts_with(b"SQLite format 3\0") {
         return Some(Instead::new(
             "an SQLite database",
-            "of a ROS 2 bag name the `.mcap` or convert it: \
-                                                        `ros2 bag convert`",
+            "of a ROS 2 bag name the `.mcap` or convert it: `ros2 bag convert`",
         ));
     }
     // Protocol 2 to 5 of pickle, which ends with a full stop.
@@ -265,8 +262,7 @@ fn our_text(head: &[u8]) -> Option<Instead> {
     if has("format = \"photocurrent-sensor/") || has("format=\"photocurrent-sensor/") {
         return Some(Instead::new(
             "a sensor description",
-            "name the recording; a manifest names the \
-                                                          description with the node read/sensor",
+            "name the recording; a manifest names the description with the node read/sensor",
         ));
     }
     (has("[nodes.") && (has("format = 1") || has("extends")))

@@ -64,13 +64,9 @@ impl Joined {
                 if !triggers.iter().any(|trigger| trigger.line == line) {
                     let found =
                         format!("no exposure on trigger line {line} of the event file ({})", said(&triggers));
-                    let mut error = FormatError::new(
-                        path,
-                        found,
-                        "state another `trigger_line`, or a file \
-                                                            of `stamps`",
-                    )
-                    .expected("rising and falling edges");
+                    let mut error =
+                        FormatError::new(path, found, "state another `trigger_line`, or a file of `stamps`")
+                            .expected("rising and falling edges");
                     error.undeclared = Some("trigger_line");
                     return Err(error);
                 }
@@ -114,10 +110,7 @@ fn said(triggers: &[Trigger]) -> String {
     lines
         .iter()
         .map(|(line, rising, falling)| {
-            format!(
-                "{rising} rising and {falling} falling edges on \
-                                                        trigger line {line}"
-            )
+            format!("{rising} rising and {falling} falling edges on trigger line {line}")
         })
         .collect::<Vec<_>>()
         .join(", ")

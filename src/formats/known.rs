@@ -18,11 +18,8 @@ struct Known {
 }
 
 /// A DAVIS exposes all pixels together, and its converter gives values in proportion to the light.
-const DAVIS: Known = Known {
-    linear: true,
-    why: "frames of a DAVIS: a global shutter (row time 0) and \
-                                                 linear values",
-};
+const DAVIS: Known =
+    Known { linear: true, why: "frames of a DAVIS: a global shutter (row time 0) and linear values" };
 
 /// The pixel arrays of DAVIS cameras: DAVIS240, DAVIS346, DAVIS640, and the DAVIS208.
 const DAVIS_ARRAYS: [(u32, u32); 4] = [(240, 180), (346, 260), (640, 480), (208, 192)];

@@ -140,11 +140,7 @@ mod tests {
         assert_eq!((list.len(), list[19].at.as_str(), list[21].at.as_str()), (22, "line 20", "line 1001"));
         assert_eq!(
             (list[20].at.as_str(), list[20].what.as_str()),
-            (
-                "980 more places",
-                "980 more of this \
-                                                            kind: lines without a number"
-            )
+            ("980 more places", "980 more of this kind: lines without a number")
         );
         assert_eq!(list.iter().map(Loss::places).sum::<u64>(), 1001, "every place is counted once");
     }

@@ -204,8 +204,7 @@ fn undeclared_columns(path: &Path, place: Place, header: &crate::npy::header::He
     }
     let hint = match proposal(&sample, fields) {
         Some(columns) => format!(
-            "state what they hold; from the values, `columns = {}` looks right (x \
-                                  before y is convention)",
+            "state what they hold; from the values, `columns = {}` looks right (x before y is convention)",
             column_names(&columns)
         ),
         None => "state what they hold: `columns = [\"t\", \"x\", \"y\", \"p\"]`".into(),

@@ -32,8 +32,7 @@ pub fn placed(
             let hint = "state the size of the event array too: `extent = { width = 640, height = 480 }`";
             return Err(FormatError::new(
                 path,
-                "a mirrored picture needs the size of the event array, which \
-                                               is not recorded",
+                "a mirrored picture needs the size of the event array, which is not recorded",
                 hint,
             )
             .undeclared("extent"));
@@ -43,10 +42,9 @@ pub fn placed(
                 about.notes.push(format!("events were mirrored, {}", mirror.name()));
             }
             if let Some(Shift { right, down }) = declared.shift {
-                about.notes.push(format!(
-                    "events were moved {right} pixels to the left and {down} up, as \
-                                          stated"
-                ));
+                about
+                    .notes
+                    .push(format!("events were moved {right} pixels to the left and {down} up, as stated"));
             }
         }
         if let Some(about) = about.as_mut().filter(|_| inverts) {
@@ -189,10 +187,7 @@ impl Fewer {
             let hint = "number them from 0 in the order of the file: `skip_frames`";
             return Err(FormatError::new(
                 path,
-                format!(
-                    "frame {absent} is to be left out, and there are \
-                                                       {count}"
-                ),
+                format!("frame {absent} is to be left out, and there are {count}"),
                 hint,
             )
             .undeclared("skip_frames"));

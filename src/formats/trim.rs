@@ -137,8 +137,7 @@ impl InOrder {
                 return Err(FormatError::new(
                     Path::new(""),
                     found,
-                    "take a part of the recording: --start \
-                                                            and --end",
+                    "take a part of the recording: --start and --end",
                 ));
             }
             all.t.extend_from_slice(&chunk.t);

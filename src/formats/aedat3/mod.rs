@@ -109,8 +109,7 @@ impl Header {
             return Err(FormatError::new(
                 path,
                 "the file does not begin as AEDAT files do",
-                "let the program find \
-                                                            the format by itself",
+                "let the program find the format by itself",
             )
             .expected("`#!AER-DAT3.1`"));
         }

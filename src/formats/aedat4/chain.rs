@@ -234,12 +234,7 @@ impl Chain {
         losses.add(
             "packets that are damaged",
             || packet.place(),
-            || {
-                format!(
-                    "the packet is damaged and \
-                                                            left out: {why}"
-                )
-            },
+            || format!("the packet is damaged and left out: {why}"),
         );
     }
 

@@ -166,10 +166,8 @@ impl Plain {
                 return Ok(());
             }
             let size = (length & 0x7fff_ffff) as usize;
-            let (block, after) = after.split_at_checked(size).ok_or(
-                "a compressed block is longer than the \
-                                                            packet",
-            )?;
+            let (block, after) =
+                after.split_at_checked(size).ok_or("a compressed block is longer than the packet")?;
             rest = after;
             if size > most {
                 return Err("a compressed block is longer than the frame allows".into());

@@ -157,8 +157,7 @@ impl EventCursor for Cursor {
             let at = || self.packet.map(|packet| packet.place()).unwrap_or_default();
             self.losses.add_by(
                 Cause::Outside,
-                "events outside the pixels or with impossible stamps were \
-                                                left out",
+                "events outside the pixels or with impossible stamps were left out",
                 outside as u64,
                 at,
                 what,

@@ -137,49 +137,17 @@ impl Frames {
             let head = Table::root_of_start(chain.content(), b"FRME").as_ref().and_then(Head::of);
             let Some(head) = head else {
                 leave_out(
-                    "the packet is damaged and left out: it is not the table of a frame that it \
-                           should be"
+                    "the packet is damaged and left out: it is not the table of a frame that it should be"
                         .into(),
                 );
                 continue;
             };
-            let extent = first.map_or(stated.unwrap_or(head.extent), |(extent, _)| extent);
-            if head.extent != extent || head.position != (0, 0) {
-                let (x, y) = head.position;
-                leave_out(format!(
-                    "a frame of {} pixels at ({x}, {y}) is left out, because the others have \
-                                   {extent} pixels",
-                    head.extent
-                ));
-                continue;
-            }
-            let Some(format) = PixelFormat::of_code(head.code) else {
-                leave_out(format!(
-                    "a frame of pixel type {} is left out: it is neither grey nor BGR of 8 or \
-                                   16 bits",
-                    head.code
-                ));
-                continue;
-            };
-            if let Some((_, others)) = first.filter(|(_, others)| *others != format) {
-                leave_out(format!(
-                    "a frame with {} is left out, because the others have {}",
-                    format.describe(),
-                    others.describe()
-                ));
-                continue;
-            }
-            let needed = extent.pixels() * format.stored * format.bytes;
-            if head.bytes != needed {
-                leave_out(format!(
-                    "a frame with {} bytes of values is left out, because {needed} are needed",
-                    head.bytes
-                ));
-                continue;
-            }
-            let Some(stamp) = head.stamp() else {
-                leave_out("a frame with an impossible stamp is left out".into());
-                continue;
+            let (extent, format, stamp) = match usable(&head, first, stated) {
+                Ok(usable) => usable,
+                Err(why) => {
+                    leave_out(why);
+                    continue;
+                }
             };
             first = Some((extent, format));
             stamps.push(stamp);
@@ -213,6 +181,46 @@ impl Frames {
     }
 }
 
+/// Size, pixel format and stamp of a frame, or why it is left out.
+fn usable(
+    head: &Head,
+    first: Option<(Extent, PixelFormat)>,
+    stated: Option<Extent>,
+) -> Result<(Extent, PixelFormat, FrameStamp), String> {
+    let extent = first.map_or(stated.unwrap_or(head.extent), |(extent, _)| extent);
+    if head.extent != extent || head.position != (0, 0) {
+        let (x, y) = head.position;
+        return Err(format!(
+            "a frame of {} pixels at ({x}, {y}) is left out, because the others have {extent} pixels",
+            head.extent
+        ));
+    }
+    let Some(format) = PixelFormat::of_code(head.code) else {
+        return Err(format!(
+            "a frame of pixel type {} is left out: it is neither grey nor BGR of 8 or 16 bits",
+            head.code
+        ));
+    };
+    if let Some((_, others)) = first.filter(|(_, others)| *others != format) {
+        return Err(format!(
+            "a frame with {} is left out, because the others have {}",
+            format.describe(),
+            others.describe()
+        ));
+    }
+    let needed = extent.pixels() * format.stored * format.bytes;
+    if head.bytes != needed {
+        return Err(format!(
+            "a frame with {} bytes of values is left out, because {needed} are needed",
+            head.bytes
+        ));
+    }
+    let Some(stamp) = head.stamp() else {
+        return Err("a frame with an impossible stamp is left out".into());
+    };
+    Ok((extent, format, stamp))
+}
+
 /// What the plain stamps mean: what they are of every frame that has an exposure, when that is one and the
 /// same. Middles are rounded to a microsecond.
 fn role(stamps: &[FrameStamp]) -> Option<StampRole> {
@@ -239,10 +247,7 @@ impl Pictures for Frames {
         let damaged = |at: String, what: &str| {
             FormatError::new(
                 &self.file.path,
-                format!(
-                    "frame {frame} is damaged: \
-                                                            {what}"
-                ),
+                format!("frame {frame} is damaged: {what}"),
                 "read the recording without it",
             )
             .at(at)

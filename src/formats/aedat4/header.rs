@@ -84,8 +84,7 @@ impl Header {
             return Err(FormatError::new(
                 path,
                 format!("the file begins with `{found}`"),
-                "let the program \
-                                                            find the format by itself, or convert the file",
+                "let the program find the format by itself, or convert the file",
             )
             .at("byte 0")
             .expected("`#!AER-DAT4.0`, as AEDAT4 files begin"));
@@ -94,10 +93,7 @@ impl Header {
             let hint = "copy it again from where it was recorded";
             FormatError::new(
                 path,
-                format!(
-                    "the file ends at byte {size}, inside its header; no packet can \
-                                            be read"
-                ),
+                format!("the file ends at byte {size}, inside its header; no packet can be read"),
                 hint,
             )
         };
@@ -126,20 +122,12 @@ impl Header {
             .ok_or_else(|| damaged("it is not the table that it should be".into()).at("byte 14"))?;
         let compression = Compression::of_code(table.i32(0));
         let compression = compression.ok_or_else(|| {
-            damaged(format!(
-                "compression {} is none that is known \
-                                                            (0 to 4 are)",
-                table.i32(0)
-            ))
+            damaged(format!("compression {} is none that is known (0 to 4 are)", table.i32(0)))
         })?;
         let text =
             table.vector(2, 1).ok_or_else(|| damaged("its list of streams does not fit into it".into()))?;
-        let text = std::str::from_utf8(text).map_err(|error| {
-            damaged(format!(
-                "its list of streams is no \
-                                                            UTF-8 text: {error}"
-            ))
-        })?;
+        let text = std::str::from_utf8(text)
+            .map_err(|error| damaged(format!("its list of streams is no UTF-8 text: {error}")))?;
         let streams = streams(text).map_err(damaged)?;
         let table = if table.has(1) { u64::try_from(table.i64(1)).ok() } else { None };
         Ok(Header { compression, first: 18 + length, table, size, streams })

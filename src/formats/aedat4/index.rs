@@ -96,8 +96,7 @@ impl Index {
             Some(at) => {
                 let what = || {
                     format!(
-                        "the file ends here, and its data table should stand at byte {at}: \
-                                       the end is cut off"
+                        "the file ends here, and its data table should stand at byte {at}: the end is cut off"
                     )
                 };
                 losses.add_by(

@@ -163,8 +163,7 @@ fn the_traffic_clip_is_what_another_decoder_finds_in_it() {
     let signals = recording.facts().into_iter().find(|(name, _)| name == "trigger signals").unwrap().1;
     assert_eq!(
         signals,
-        "59 begins of frames, 59 ends of frames, 59 begins of exposures, 59 ends of \
-                         exposures"
+        "59 begins of frames, 59 ends of frames, 59 begins of exposures, 59 ends of exposures"
     );
 
     // Half of the file: about half of the events, and the same ones.

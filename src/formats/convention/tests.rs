@@ -103,11 +103,7 @@ fn counts_are_read_as_on_above_zero_and_said_once() {
     assert_eq!(found.notes, ["polarity holds counts 0 to 5: every value above 0 was read as ON"]);
     assert_eq!(
         (ids(&found), found.found[0].evidence.as_str()),
-        (
-            vec!["polarity_counts"],
-            "events by value: \
-                                                            0: 225, 1: 75, 2: 75, 3: 75, 4: 75, 5: 75"
-        )
+        (vec!["polarity_counts"], "events by value: 0: 225, 1: 75, 2: 75, 3: 75, 4: 75, 5: 75")
     );
     // sunsean21/Event-Aware-Video-Deraining#1: polarities of a simulator are summed, both signs.
     let signed = both(&events(600, &[-2, 1, 2, -1, -3, 3]), "|i1", &us()).unwrap();
@@ -132,11 +128,7 @@ fn arrays_of_matlab_count_polarity_and_coordinates_from_one() {
     assert_eq!(ids(&found), ["polarity_one_two", "origin_one"]);
     assert_eq!(
         found.notes,
-        [
-            "polarity is 1 or 2: 1 was read as OFF, 2 as ON",
-            "coordinates begin at 1: 1 \
-                                                            was subtracted"
-        ]
+        ["polarity is 1 or 2: 1 was read as OFF, 2 as ON", "coordinates begin at 1: 1 was subtracted"]
     );
     let right = both(&events(600, &[0, 1]), "|u1", &us()).unwrap();
     assert_eq!((found.events, found.losses.len()), (right.events, 0));
@@ -183,8 +175,7 @@ fn what_no_convention_explains_is_refused_by_its_option_or_left_out() {
     assert_eq!(error.undeclared, Some("polarity"));
     assert_eq!(
         error.found,
-        "polarity takes the values 0, 1, 7, 9; 50 % of the events have others than 0, 1 \
-                             and -1"
+        "polarity takes the values 0, 1, 7, 9; 50 % of the events have others than 0, 1 and -1"
     );
     // Stated, it is read.
     let counts =
@@ -229,8 +220,7 @@ fn a_counter_that_begins_again_is_followed_and_late_events_belong_before() {
     let found = both(&all, "|u1", &us()).unwrap();
     assert_eq!(
         found.notes,
-        ["the stamps' counter of 24 bits of microseconds started again 3 times; its \
-                              range was added"]
+        ["the stamps' counter of 24 bits of microseconds started again 3 times; its range was added"]
     );
     let mut stamps = found.events.t.clone();
     assert_eq!((stamps[turn], stamps[turn + 1]), (right[turn + 1], right[turn]));
@@ -325,9 +315,10 @@ fn columns_of_hdf5_are_read_by_the_same_rules() {
     let right = both(&events(5000, &[0, 1, 1, 1]), "|u1", &us()).unwrap();
     assert_eq!((found.events, found.losses.len()), (right.events, 0));
     assert!(
-        found.notes.iter().any(|note| note
-            == "polarity holds counts 0 to 3: every value above 0 was \
-                                                   read as ON"),
+        found
+            .notes
+            .iter()
+            .any(|note| note == "polarity holds counts 0 to 3: every value above 0 was read as ON"),
         "{:?}",
         found.notes
     );

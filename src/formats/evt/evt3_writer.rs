@@ -43,10 +43,8 @@ impl<W: Write> Writer<W> {
         if width > 2048 || height > 2048 || width == 0 || height == 0 {
             return Err(refused(format!("EVT3 has 2048 x 2048 pixels at most, not {extent}: crop first")));
         }
-        let mut header = format!(
-            "% evt 3.0\n% format EVT3;height={height};width={width}\n% geometry \
-                                  {width}x{height}\n"
-        );
+        let mut header =
+            format!("% evt 3.0\n% format EVT3;height={height};width={width}\n% geometry {width}x{height}\n");
         for (key, value) in fields {
             if key.is_empty() || key.contains(char::is_whitespace) || value.contains(char::is_control) {
                 return Err(refused(format!("`{key} {value}` is no line of a RAW header")));

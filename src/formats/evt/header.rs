@@ -235,10 +235,7 @@ mod tests {
             (extent, from.as_deref()),
             (
                 Extent { width: 640, height: 480 },
-                Some(
-                    "size of the sensor that the header names: \
-                                                       plugin_name hal_plugin_gen3_fx3"
-                )
+                Some("size of the sensor that the header names: plugin_name hal_plugin_gen3_fx3")
             )
         );
         assert_eq!(header.get("DATE"), Some("2020-09-25 07:48:31"));

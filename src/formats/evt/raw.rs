@@ -42,8 +42,7 @@ pub(super) fn read_header(path: &Path) -> Result<(Header, u64), FormatError> {
         return Err(FormatError::new(
             path,
             "no header of `% key value` lines",
-            "name a RAW or DAT file as \
-                                                            the camera's software wrote it",
+            "name a RAW or DAT file as the camera's software wrote it",
         )
         .at("byte 0"));
     };

@@ -78,8 +78,7 @@ fn evt3_time_words_that_repeat_or_step_back_are_no_wrap() {
     assert_eq!(
         times,
         [16_773_121, 16_777_217, 16_777_214, 16_777_218, 16_777_218],
-        "a repeated time word \
-                                                            leaves the lower bits"
+        "a repeated time word leaves the lower bits"
     );
     // A step back of the lower bits is a stamp out of order, not a carry.
     let times: Vec<i64> = decode3(&[0x8001, 0x600B, 1, 0x2001, 0x6000, 0x2002, 0x8002, 0x2003])

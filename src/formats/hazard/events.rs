@@ -3,7 +3,8 @@
 use super::{Finding, Limits, Severity, count, percent, time};
 use crate::declared::Counter;
 use crate::survey::EventsSurvey;
-use crate::survey::places::LinesSurvey;
+use crate::survey::places::{LinesSurvey, PlacesSurvey};
+use crate::survey::stamps::StampsSurvey;
 
 /// Adds what there is to say.
 pub fn judge(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<Finding>) {
@@ -84,8 +85,7 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
              read in",
             evidence,
             format!(
-                "state the unit of the stamps; one that is {times} times larger would make the rate \
-                     plausible"
+                "state the unit of the stamps; one that is {times} times larger would make the rate plausible"
             ),
         ));
     } else if rate < limits.slowest_pixel_hz {
@@ -142,6 +142,14 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         ));
         return;
     }
+    shared(stamps, limits, found);
+    coarse(stamps, limits, found);
+    single_precision(events, limits, found);
+    stray(events, limits, found);
+}
+
+/// Stamps that many events have.
+fn shared(stamps: &StampsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     // A clock of that step is reported as such.
     let is_clumped = stamps.equal_share > limits.clump_share
         && stamps.median_step_ns >= limits.clump_step_ns.max(2 * stamps.step_ns);
@@ -174,6 +182,10 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "nothing, if the read-out gives a row one stamp; order within a stamp carries no information",
         ));
     }
+}
+
+/// Stamps on a grid that is wider than the format's.
+fn coarse(stamps: &StampsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     if stamps.step_ns >= limits.coarse_times * stamps.tick_ns {
         let bits = stamps.step_ns / stamps.tick_ns;
         let frozen = if stamps.step_ns % stamps.tick_ns == 0 && bits.count_ones() == 1 {
@@ -195,6 +207,11 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
              drops bits does this too",
         ));
     }
+}
+
+/// Stamps that lost digits as single-precision seconds.
+fn single_precision(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+    let stamps = &events.stamps;
     if stamps.float_tested >= limits.float_fewest
         && stamps.float_hits as f64 >= limits.float_share * stamps.float_tested as f64
         && stamps.step_ns < 1_000_000
@@ -214,6 +231,10 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "convert again from the source with double precision or whole numbers",
         ));
     }
+}
+
+/// Stamps far from all others.
+fn stray(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let rate = &events.rate;
     if rate.counts.len() >= 50 {
         let empty = rate.counts.iter().filter(|n| **n == 0).count();
@@ -334,6 +355,26 @@ fn polarity(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
 
 fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let places = &events.places;
+    extent(events, limits, found);
+    hot_pixels(places, limits, found);
+    lines("row", &places.rows, found);
+    lines("column", &places.columns, found);
+    if events.count >= limits.fewest_events
+        && places.duplicates as f64 > limits.duplicate_share * events.count as f64
+    {
+        found.push(Finding::new(
+            "duplicate_events",
+            Severity::Hazard,
+            "events are there twice: same time, place and sign",
+            format!("{} of {}", places.duplicates, events.count),
+            "look whether parts of the recording overlap; a pixel cannot fire twice at one instant",
+        ));
+    }
+}
+
+/// What events reach, against the stated size of the pixel array.
+fn extent(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+    let places = &events.places;
     let (x, y) = places.largest;
     let begins_at_one = places.smallest == (1, 1) && events.count >= limits.fewest_events;
     match events.extent {
@@ -343,12 +384,7 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "the size of the pixel array is not recorded",
             format!(
                 "events reach column {x} and row {y}{}",
-                if begins_at_one {
-                    ", and none lies in column \
-                                                            0 or row 0"
-                } else {
-                    ""
-                }
+                if begins_at_one { ", and none lies in column 0 or row 0" } else { "" }
             ),
             if begins_at_one {
                 "state the extent; if coordinates begin at 1, as programs of MATLAB write them, state \
@@ -365,8 +401,7 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             if y >= height && x < height {
                 "columns and rows may be swapped"
             } else {
-                "state the extent, or \
-                                                            the scale of the coordinates"
+                "state the extent, or the scale of the coordinates"
             },
         )),
         Some((width, height)) if events.count >= limits.fewest_events => {
@@ -396,6 +431,10 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         }
         Some(_) => {}
     }
+}
+
+/// Pixels that fire far more than others.
+fn hot_pixels(places: &PlacesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     if places.hot_pixels > 0 {
         let first: Vec<String> = places
             .hottest
@@ -414,19 +453,6 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
                 first.join(", ")
             ),
             "state `hot_pixels` in the description or mask them; a lamp that blinks does this too",
-        ));
-    }
-    lines("row", &places.rows, found);
-    lines("column", &places.columns, found);
-    if events.count >= limits.fewest_events
-        && places.duplicates as f64 > limits.duplicate_share * events.count as f64
-    {
-        found.push(Finding::new(
-            "duplicate_events",
-            Severity::Hazard,
-            "events are there twice: same time, place and sign",
-            format!("{} of {}", places.duplicates, events.count),
-            "look whether parts of the recording overlap; a pixel cannot fire twice at one instant",
         ));
     }
 }
@@ -449,7 +475,8 @@ fn lines(what: &str, lines: &LinesSurvey, found: &mut Vec<Finding>) {
             Severity::Fact,
             format!("{} with over three times the events of their neighbours", several(lines.loud)),
             format!("{what} {}", list(&lines.loud_list)),
-            "state `hot_rows` in the description if it is the sensor; a lamp or an edge along it does this too",
+            "state `hot_rows` in the description if it is the sensor; a lamp or an edge along it does this \
+             too",
         ));
     }
     if let Some(pattern) = lines.pattern {

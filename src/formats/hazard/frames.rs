@@ -1,7 +1,7 @@
 //! Hazards of frames by themselves: values that no light has, times that no camera has, what is not recorded.
 
 use super::{Finding, Limits, Severity, count, percent, time};
-use crate::survey::pictures::FramesSurvey;
+use crate::survey::pictures::{FramesSurvey, ValuesSurvey};
 
 /// Adds what there is to say.
 pub fn judge(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
@@ -22,6 +22,17 @@ pub fn judge(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
 
 fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let values = &frames.values;
+    unreadable(values, found);
+    if values.values > 0 {
+        unlikely(values, limits, found);
+        even(values, found);
+        saturated(values, limits, found);
+        repeated(frames, limits, found);
+    }
+}
+
+/// Frames that could not be read.
+fn unreadable(values: &ValuesSurvey, found: &mut Vec<Finding>) {
     if let Some(first) = values.unreadable.first() {
         found.push(Finding::new(
             "unreadable_frames",
@@ -35,9 +46,10 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "copy the file again from where it came, or leave those frames out",
         ));
     }
-    if values.values == 0 {
-        return;
-    }
+}
+
+/// Values that no light has: infinite ones, NaN, negative ones.
+fn unlikely(values: &ValuesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let all = values.values as f64;
     let of = |n: u64| {
         format!("{n} of {} values of {}", values.values, count(values.read.len() as u64, "frame", "frames"))
@@ -86,6 +98,10 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
              subtracted",
         ));
     }
+}
+
+/// Frames that hold one and the same value everywhere.
+fn even(values: &ValuesSurvey, found: &mut Vec<Finding>) {
     let (constant, read) = (values.constant.len(), values.read.len());
     if constant == read && values.nan + values.infinite < values.values {
         let what = if values.max == 0.0 { "every frame is black" } else { "every frame is one even grey" };
@@ -110,6 +126,10 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "leave them out; a camera that starts gives such",
         ));
     }
+}
+
+/// Values at the largest that there is.
+fn saturated(values: &ValuesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     // Black that is clipped at zero counts from the other side; the largest value is the full well.
     if values.clipped_share > limits.clipped_most {
         found.push(Finding::new(
@@ -128,6 +148,11 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "state `frames.saturation_dn`, so that these values are not taken for light",
         ));
     }
+}
+
+/// Frames that are the one before.
+fn repeated(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+    let values = &frames.values;
     let pairs = values.read.windows(2).filter(|pair| pair[1] == pair[0] + 1).count();
     let repeated = values.repeated.iter().filter(|frame| !values.constant.contains(frame)).count();
     if repeated > 0 {
@@ -206,14 +231,23 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         ));
     }
     if usual > 0 && 1e9 / usual as f64 > limits.fastest_frames_hz {
+        let exposures = frames.exposure.map_or_else(String::new, |exposure| {
+            format!(", exposures of {}", time(exposure.median_ns as f64))
+        });
         found.push(Finding::new(
             "frames_too_fast",
             Severity::Hazard,
-            "frames come faster than a camera takes them: stamps may be of a larger unit than they are read in",
-            format!("one every {every}{}", frames.exposure.map_or_else(String::new, |exposure| format!(", exposures of {}", time(exposure.median_ns as f64)))),
+            "frames come faster than a camera takes them: stamps may be of a larger unit than they are read \
+             in",
+            format!("one every {every}{exposures}"),
             "state the unit of the frames' stamps",
         ));
     }
+    even_periods(frames, &every, found);
+}
+
+/// Frames of one and the same distance.
+fn even_periods(frames: &FramesSurvey, every: &str, found: &mut Vec<Finding>) {
     // A camera that stamps exposures has its own clock, and its periods are even.
     if frames.is_constant_rate && frames.exposures_stamped == 0 {
         found.push(Finding::new(

@@ -147,7 +147,8 @@ fn advice(cause: Cause) -> (&'static str, &'static str, &'static str) {
         Cause::Cut => (
             "cut_off",
             "the file ends before its content does; what lies behind is lost",
-            "copy the file again from where it came, or record it again; what stands before the end can be used",
+            "copy the file again from where it came, or record it again; what stands before the end can be \
+             used",
         ),
         Cause::Outside => (
             "events_outside",

@@ -155,8 +155,7 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
             Severity::Hazard,
             format!("events and frames may be mirrored, {how}"),
             format!(
-                "events correlate {r:.2} with the changes of the frames when mirrored, {as_is:.2} as \
-                     they are"
+                "events correlate {r:.2} with the changes of the frames when mirrored, {as_is:.2} as they are"
             ),
             "look at a picture of both; flip one of them",
         ));
@@ -166,13 +165,9 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
     }
     let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= limits.correlation) else { return };
     let interval = format!("{} (95 % {} to {})", time(late.value), time(late.ci95.0), time(late.ci95.1));
-    let explained = lag.front_end_ns.map_or_else(String::new, |ns| {
-        format!(
-            ", and {} more that the stated \
-                                                            front end explains",
-            time(ns)
-        )
-    });
+    let explained = lag
+        .front_end_ns
+        .map_or_else(String::new, |ns| format!(", and {} more that the stated front end explains", time(ns)));
     let of_row =
         if lag.row_time_ns.is_none() { ", of the middle row as the row time is not recorded" } else { "" };
     let evidence = format!(

@@ -70,13 +70,8 @@ fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRec
         optional(&file, "t_offset", &mut lost)?.map(|offset| offset.integers()).transpose().map_err(wrap)?;
     if let Some(&us) = offset.as_ref().and_then(|offset| offset.first()) {
         let wrong = || {
-            FormatError::new(
-                events,
-                format!("an offset of {us} us"),
-                "the file is damaged: copy \
-                                                            it again",
-            )
-            .at("/t_offset")
+            FormatError::new(events, format!("an offset of {us} us"), "the file is damaged: copy it again")
+                .at("/t_offset")
         };
         table.offset_ns = us.checked_mul(table.unit_ns).ok_or_else(wrong)?;
         notes.push(format!("t_offset of {us} us added"));

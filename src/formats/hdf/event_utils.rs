@@ -104,10 +104,7 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
     if odd > 0 {
         losses.push(Loss::new(
             "/images",
-            format!(
-                "{odd} pictures have another shape than the first and were \
-                                                  left out"
-            ),
+            format!("{odd} pictures have another shape than the first and were left out"),
         ));
     }
     let (Some((extent, colour)), Some((_, field))) = (first, kept.first()) else { return Ok((None, losses)) };

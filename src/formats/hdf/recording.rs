@@ -156,12 +156,7 @@ impl Pictures for Frames {
 
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         let wrong = |found: String| {
-            FormatError::new(
-                &self.path,
-                found,
-                "the file changed or is damaged: \
-                                                            copy or record it again",
-            )
+            FormatError::new(&self.path, found, "the file changed or is damaged: copy or record it again")
         };
         if frame >= self.about.stamps.len() {
             return Err(wrong(format!("there is no frame {frame}")));

@@ -82,8 +82,7 @@ impl Stack {
             FormatError::new(
                 path,
                 format!("the shape {:?}", dataset.shape()),
-                "is this the file that you \
-                                                            meant?",
+                "is this the file that you meant?",
             )
             .at(dataset.at())
             .expected(expected)
@@ -98,11 +97,7 @@ impl Stack {
         let lost = (whole < frames).then(|| {
             Loss::new(
                 dataset.at(),
-                format!(
-                    "frames {whole} to {} lie behind the \
-                                                            cut; they are lost",
-                    frames - 1
-                ),
+                format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1),
             )
             .by(Cause::Cut)
         });

@@ -66,8 +66,7 @@ impl EventTable {
                 FormatError::new(
                     path,
                     format!("the shape {:?}", dataset.shape()),
-                    "is this the file \
-                                                            that you meant?",
+                    "is this the file that you meant?",
                 )
                 .at(dataset.at())
                 .expected("a column")
@@ -112,8 +111,7 @@ impl EventTable {
             FormatError::new(
                 file.path(),
                 format!("the shape {:?}", dataset.shape()),
-                "is this the file \
-                                                            that you meant?",
+                "is this the file that you meant?",
             )
             .at(dataset.at())
             .expected("[N, 4]")
@@ -141,8 +139,7 @@ impl EventTable {
             return Err(FormatError::new(
                 path,
                 found,
-                "the writer stopped early or the file is damaged: copy \
-                                                      or record it again",
+                "the writer stopped early or the file is damaged: copy or record it again",
             )
             .at(other.at()));
         }
@@ -269,8 +266,7 @@ fn dataset(file: &ForeignFile, name: &str) -> Result<ForeignDataset, FormatError
         FormatError::new(
             file.path(),
             "there is no such dataset",
-            "the file is cut short, or \
-                                                            has another layout",
+            "the file is cut short, or has another layout",
         )
         .at(format!("/{name}"))
     };

@@ -43,10 +43,7 @@ pub(super) fn archive(probe: &Probe) -> Option<Instead> {
     if probe.extension() == "tar" || unpacked.extension().is_some_and(|extension| extension == "tar") {
         return Some(Instead::new(
             format!("an archive (tar, packed by {kind})"),
-            format!(
-                "unpack it: `tar xf \
-                                                            {name}`, then name what it holds"
-            ),
+            format!("unpack it: `tar xf {name}`, then name what it holds"),
         ));
     }
     let what = if matches!(kind, "7z" | "RAR") {
@@ -85,10 +82,7 @@ fn zip(probe: &Probe) -> Instead {
     };
     Instead::new(
         format!("an archive (zip); {holds}"),
-        format!(
-            "unpack it: `unzip {name}`, then name the \
-                                                            recording that it holds"
-        ),
+        format!("unpack it: `unzip {name}`, then name the recording that it holds"),
     )
 }
 
@@ -135,10 +129,7 @@ fn gzip(probe: &Probe) -> Instead {
     let holds = format.map_or_else(|| stem.clone(), |format| format!("{stem}, {}", format.name));
     Instead::new(
         format!("a file packed by gzip; it holds {holds}"),
-        format!(
-            "unpack it: `gunzip -k \
-                                                            {path}`, then name {stem}"
-        ),
+        format!("unpack it: `gunzip -k {path}`, then name {stem}"),
     )
 }
 

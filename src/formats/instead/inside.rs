@@ -105,8 +105,7 @@ pub(super) fn folder(path: &Path, names: &[String]) -> Option<Instead> {
     if names.is_empty() {
         return Some(Instead::new(
             "an empty folder",
-            "name the recording, or check that the folder was \
-                                                     copied whole",
+            "name the recording, or check that the folder was copied whole",
         ));
     }
     if has("images.txt") && !has("events.txt") {

@@ -15,12 +15,8 @@ fn probe(name: &str, bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
 fn said(name: &str, bytes: &[u8]) -> (String, String) {
     let (_folder, path) = probe(name, bytes);
     assert!(recognise(&path).unwrap().is_none(), "{name}");
-    let instead = what_it_is(&Probe::new(&path).unwrap()).unwrap_or_else(|| {
-        panic!(
-            "{name}: nothing is \
-                                                            known of it"
-        )
-    });
+    let instead =
+        what_it_is(&Probe::new(&path).unwrap()).unwrap_or_else(|| panic!("{name}: nothing is known of it"));
     (instead.what, instead.todo)
 }
 
@@ -69,10 +65,11 @@ fn archives_say_what_they_hold_and_how_to_unpack_them() {
     );
     assert_eq!(what, "an archive (zip); it holds run/events.raw");
     assert!(todo.contains("unzip"), "{todo}");
-    assert!(said("p.zip", &stored(&[("notes.md", b"x".to_vec())])).0.contains(
-        "none of which looks like a \
-                                                            recording"
-    ));
+    assert!(
+        said("p.zip", &stored(&[("notes.md", b"x".to_vec())]))
+            .0
+            .contains("none of which looks like a recording")
+    );
     assert!(said("model.pt", &stored(&[("archive/data.pkl", b"x".to_vec())])).0.contains("PyTorch"));
     assert!(said("cut.zip", &stored(&[("run/events.raw", vec![7; 400])])[..200]).0.contains("broke off"));
     let gzip = |bytes: &[u8]| {

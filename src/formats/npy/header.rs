@@ -217,11 +217,7 @@ fn parse(text: &[u8], start: u64) -> Result<Header, String> {
     let get = |name: &str| pairs.iter().find(|(key, _)| key == name).map(|(_, value)| value);
     let element = element(get("descr").ok_or_else(|| format!("its header names no `descr`: {}", shown()))?)?;
     let Some(Literal::Bool(fortran)) = get("fortran_order") else {
-        return Err(format!(
-            "its header has no \
-                                                            `fortran_order`: {}",
-            shown()
-        ));
+        return Err(format!("its header has no `fortran_order`: {}", shown()));
     };
     let Some(Literal::Several(sides)) = get("shape") else {
         return Err(format!("its header has no `shape`: {}", shown()));
@@ -231,10 +227,7 @@ fn parse(text: &[u8], start: u64) -> Result<Header, String> {
     let header = Header {
         element,
         fortran: *fortran,
-        shape: shape.ok_or(
-            "its shape is not made of whole \
-                                                            numbers",
-        )?,
+        shape: shape.ok_or("its shape is not made of whole numbers")?,
         start,
     };
     header
@@ -267,10 +260,7 @@ fn element(descr: &Literal) -> Result<Element, String> {
                 };
                 let name = name.clone();
                 let Some(Literal::Text(code)) = parts.get(1) else {
-                    return Err(format!(
-                        "the field `{name}` \
-                                                            of its record is a record itself"
-                    ));
+                    return Err(format!("the field `{name}` of its record is a record itself"));
                 };
                 let number = scalar(code)?;
                 let repeat = match parts.get(2) {

@@ -36,8 +36,7 @@ impl NpyPictures {
             FormatError::new(
                 path,
                 format!("an array of shape {:?}", header.shape),
-                "save frames as one \
-                                                            array of n x height x width",
+                "save frames as one array of n x height x width",
             )
             .expected(expected.to_string())
         };
@@ -61,10 +60,7 @@ impl NpyPictures {
             losses.push(
                 Loss::new(
                     place.name(),
-                    format!(
-                        "its header claims {frames} frames and {room} are \
-                                                         there; the rest is lost"
-                    ),
+                    format!("its header claims {frames} frames and {room} are there; the rest is lost"),
                 )
                 .by(Cause::Cut),
             );

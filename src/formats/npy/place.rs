@@ -133,8 +133,7 @@ pub(crate) fn archive(path: &Path) -> Result<Vec<(String, Place)>, FormatError> 
         FormatError::new(
             path,
             format!("the archive cannot be read: {error}"),
-            "a copy that broke off has \
-                                                            no directory at its end; copy it again",
+            "a copy that broke off has no directory at its end; copy it again",
         )
         .expected("an npz file (a zip archive of numpy arrays)")
     };

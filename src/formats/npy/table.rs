@@ -509,10 +509,7 @@ impl EventCursor for TableCursor {
         if got < wanted {
             let (row, rows) = (self.row, self.table.rows);
             let what = || {
-                format!(
-                    "the data end or cannot be unpacked after {row} of {rows} events; the \
-                                   rest is lost"
-                )
+                format!("the data end or cannot be unpacked after {row} of {rows} events; the rest is lost")
             };
             self.losses.add_by(Cause::Cut, "arrays that end early", 1, || format!("event {row}"), what);
             self.row = rows;

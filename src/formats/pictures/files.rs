@@ -293,8 +293,7 @@ impl Found {
             return Err(FormatError::new(
                 path,
                 "the header states no frame rate",
-                "name a file with the \
-                                                            stamps of the frames: `stamps`",
+                "name a file with the stamps of the frames: `stamps`",
             )
             .undeclared("stamps"));
         };
@@ -367,8 +366,7 @@ impl Pictures for PictureFiles {
             return Err(FormatError::new(
                 &path,
                 format!("there is no frame {frame}"),
-                "ask for one of the \
-                                                            frames that have a stamp",
+                "ask for one of the frames that have a stamp",
             ));
         };
         self.source.read(picture, &self.about, values)
@@ -385,8 +383,7 @@ impl Source {
                     values.clear();
                     return Err(FormatError::new(
                         &files[picture],
-                        "the picture was changed since it was \
-                                                            opened",
+                        "the picture was changed since it was opened",
                         "start again",
                     ));
                 }

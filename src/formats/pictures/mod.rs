@@ -68,8 +68,7 @@ impl Recording for PicturesOnly {
         Err(FormatError::new(
             &self.path,
             "pictures have no events",
-            "name an event recording, and these \
-                                                            pictures as its `frames`",
+            "name an event recording, and these pictures as its `frames`",
         ))
     }
 

@@ -299,10 +299,7 @@ pub(crate) fn of_array(
             let field = if best.first == second.first { "pairing" } else { "first_pulse" };
             Err(FormatError::new(
                 path,
-                format!(
-                    "{what}: counts and gaps between the stamps leave open which \
-                                                belong together"
-                ),
+                format!("{what}: counts and gaps between the stamps leave open which belong together"),
                 hint,
             )
             .undeclared(field))

@@ -121,12 +121,56 @@ pub(crate) fn read(
         return Err(FormatError::new(
             path,
             format!("{bytes} bytes"),
-            "name the text file with the stamps of the \
-                                                            frames",
+            "name the text file with the stamps of the frames",
         )
         .expected("a stamps file of at most 64 MiB"));
     }
     parse(path, &std::fs::read(path).map_err(io)?, declared, defined)
+}
+
+/// Lines of a stamps file by what they hold.
+struct Lines<'a> {
+    /// What the header names, with units.
+    roles: Option<Vec<(Role, Option<TimeUnit>)>>,
+    /// Numbers and fields of the lines with stamps.
+    lines: Vec<(u64, Vec<&'a [u8]>)>,
+    /// Numbers of those that hold nothing of use.
+    wrong_lines: Vec<u64>,
+    /// The unit that comments state.
+    stated: Option<TimeUnit>,
+}
+
+impl<'a> Lines<'a> {
+    /// Sorts the lines of a text; what comments say goes to `stamps`.
+    fn of(text: &'a [u8], stamps: &mut Stamps) -> Lines<'a> {
+        let mut roles: Option<Vec<(Role, Option<TimeUnit>)>> = None;
+        let mut lines: Vec<(u64, Vec<&[u8]>)> = Vec::new();
+        let mut wrong_lines = Vec::new();
+        let mut stated = None;
+        let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
+        for (number, line) in (1..).zip(text.split(|&byte| byte == b'\n')) {
+            let separator = Separator::of(line);
+            if is_comment(line) {
+                comment(line, stamps, &mut roles, &mut stated);
+                continue;
+            }
+            let fields: Vec<&[u8]> = separator.fields(line).collect();
+            if fields.iter().any(|field| Decimal::read(field).is_some()) {
+                lines.push((number, fields));
+            } else if lines.is_empty() && roles.is_none() {
+                let named: Vec<_> =
+                    fields.iter().map(|field| role(&String::from_utf8_lossy(field))).collect();
+                if named.iter().any(|(role, _)| !matches!(role, Role::Skip | Role::Index)) {
+                    roles = Some(named)
+                } else {
+                    wrong_lines.push(number)
+                }
+            } else {
+                wrong_lines.push(number);
+            }
+        }
+        Lines { roles, lines, wrong_lines, stated }
+    }
 }
 
 /// As [`read`], of the file's bytes.
@@ -137,31 +181,7 @@ pub(crate) fn parse(
     defined: Option<TimeUnit>,
 ) -> Result<Stamps, FormatError> {
     let mut stamps = Stamps::default();
-    let mut roles: Option<Vec<(Role, Option<TimeUnit>)>> = None;
-    let mut lines: Vec<(u64, Vec<&[u8]>)> = Vec::new();
-    let mut wrong_lines = Vec::new();
-    let mut stated = None;
-    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
-    for (number, line) in (1..).zip(text.split(|&byte| byte == b'\n')) {
-        let separator = Separator::of(line);
-        if is_comment(line) {
-            comment(line, &mut stamps, &mut roles, &mut stated);
-            continue;
-        }
-        let fields: Vec<&[u8]> = separator.fields(line).collect();
-        if fields.iter().any(|field| Decimal::read(field).is_some()) {
-            lines.push((number, fields));
-        } else if lines.is_empty() && roles.is_none() {
-            let named: Vec<_> = fields.iter().map(|field| role(&String::from_utf8_lossy(field))).collect();
-            if named.iter().any(|(role, _)| !matches!(role, Role::Skip | Role::Index)) {
-                roles = Some(named)
-            } else {
-                wrong_lines.push(number)
-            }
-        } else {
-            wrong_lines.push(number);
-        }
-    }
+    let Lines { roles, lines, wrong_lines, mut stated } = Lines::of(text, &mut stamps);
     if !wrong_lines.is_empty() {
         stamps.notes.push(format!(
             "{} of its lines hold no number and were left out (the first is line {})",
@@ -173,8 +193,7 @@ pub(crate) fn parse(
         return Err(FormatError::new(
             path,
             "no stamps",
-            "put one stamp on a line, or a name and a stamp, or \
-                                                        start and end of the exposure",
+            "put one stamp on a line, or a name and a stamp, or start and end of the exposure",
         ));
     }
     let roles = match roles {
@@ -202,10 +221,7 @@ pub(crate) fn parse(
             let evidence = look(&roles, &lines);
             let what = format!("the unit of the frames' stamps is not stated ({})", evidence.text);
             return Err(FormatError::new(path, what, evidence.hint())
-                .expected(
-                    "a unit in the header, such \
-                                                            as `t_us`",
-                )
+                .expected("a unit in the header, such as `t_us`")
                 .undeclared("stamps_unit"));
         }
     };
@@ -380,10 +396,7 @@ fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit)
     }
     row.exposure = match (start, end) {
         (Some(start), Some(end)) if start > end => {
-            return Err(wrong(format!(
-                "the exposure ends before it \
-                                                            begins ({start} ns, {end} ns)"
-            )));
+            return Err(wrong(format!("the exposure ends before it begins ({start} ns, {end} ns)")));
         }
         (Some(start), Some(end)) => Some((start, end)),
         _ => None,

@@ -26,8 +26,7 @@ const GREY_TIFF: &str = "\
 const RGB_TIFF: &str = "\
 49492a0016000000789c6364626661650300003e00160a00000103000100000002000000010103000100000001000000020103000300000094000000030103000100000008000000060103\
 00010000000200000011010400010000000800000015010300010000000300000016010300010000000100000017010400010000000e0000001c0103000100000001000000000000000800\
-08000800\
-";
+08000800";
 
 pub(crate) fn write_png(path: &Path, width: u32, height: u32, values: &[u8], colour: png::ColorType) {
     write_png_of(path, width, height, values, colour, png::BitDepth::Eight);
@@ -123,9 +122,7 @@ fn stamps_are_read_in_every_form() {
     for text in [
         "10 15\n20 25\n30 35\n",
         "1 10 15\n2 20 25\n3 30 35\n",
-        "# exposure_start_timestamp_us, \
-                                                            exposure_end_timestamp_us\n10, 15\n20, 25\n30, \
-                                                            35\n",
+        "# exposure_start_timestamp_us, exposure_end_timestamp_us\n10, 15\n20, 25\n30, 35\n",
     ] {
         assert_eq!(stamp(text, &us()), (vec![10_000, 20_000, 30_000], Some((10_000, 15_000))), "{text}");
     }
@@ -165,10 +162,11 @@ fn counts_that_differ_are_noted_and_a_wrong_first_line_is_found() {
     let pictures = open(&folder, "10\n20\n30\n", &Declared { first_pulse: Some(-1), ..us() }).unwrap();
     assert_eq!((at(&pictures), firsts(&pictures)), (vec![10_000, 20_000, 30_000], vec![1.0, 2.0, 3.0]));
     assert!(
-        pictures.about().notes.iter().any(|note| note.contains(
-            "1 pictures have no stamp and were left \
-                                                            out: a.png"
-        )),
+        pictures
+            .about()
+            .notes
+            .iter()
+            .any(|note| note.contains("1 pictures have no stamp and were left out: a.png")),
         "{:?}",
         pictures.about().notes
     );
@@ -208,8 +206,7 @@ fn damaged_and_odd_pictures_are_losses() {
     assert_eq!(
         (at(&pictures), firsts(&pictures)),
         (vec![1000, 4000], vec![0.0, 3.0]),
-        "the others keep \
-                                                            their stamps"
+        "the others keep their stamps"
     );
     let losses: Vec<&str> = pictures.losses().iter().map(|loss| loss.at.as_str()).collect();
     assert_eq!(losses, ["b.png", "c.png"]);
@@ -325,10 +322,11 @@ fn a_grey_video_has_its_luma_and_the_rate_of_its_header() {
     let pictures = PictureFiles::open(&path, &Declared::default()).unwrap();
     assert_eq!(at(&pictures), [5000, 90_005_000]);
     assert!(
-        pictures.about().notes.iter().any(|note| note.contains(
-            "33366667 ns, the stamps' mostly \
-                                                            90000000 ns"
-        )),
+        pictures
+            .about()
+            .notes
+            .iter()
+            .any(|note| note.contains("33366667 ns, the stamps' mostly 90000000 ns")),
         "{:?}",
         pictures.about().notes
     );
@@ -496,8 +494,7 @@ fn an_event_camera_dataset_folder_is_read() {
     .unwrap();
     std::fs::write(
         folder.path().join("images.txt"),
-        "0.000000 images/frame_00000000.png\n0.043889 \
-                                                      images/frame_00000001.png\n",
+        "0.000000 images/frame_00000000.png\n0.043889 images/frame_00000001.png\n",
     )
     .unwrap();
     std::fs::write(folder.path().join("calib.txt"), "199.0 198.8 132.1 110.7 -0.36 0.15 -0.0003 -0.0004 0\n")

@@ -47,43 +47,48 @@ const RARE: usize = 20;
 /// Edges of the other kind that are fewer than one in twenty are spurious too.
 pub fn pulses(triggers: &[Trigger], line: u16, strobe: Strobe) -> Pulses {
     let edges: Vec<&Trigger> = triggers.iter().filter(|trigger| trigger.line == line).collect();
-    let mut notes = Vec::new();
     if edges.is_empty() {
         let mut lines: Vec<u16> = triggers.iter().map(|trigger| trigger.line).collect();
         lines.sort_unstable();
         lines.dedup();
-        notes.push(format!(
+        let note = format!(
             "trigger line {line} has no edges; lines with edges: {}",
             if lines.is_empty() { "none".into() } else { format!("{lines:?}") }
-        ));
-        return Pulses { notes, ..Pulses::default() };
+        );
+        return Pulses { notes: vec![note], ..Pulses::default() };
     }
     let (edges, bounce, spurious) = without_bounces(edges);
     let rising = edges.iter().filter(|edge| edge.edge == Edge::Rising).count();
     let falling = edges.len() - rising;
-    if rising.min(falling) * RARE < rising.max(falling) {
-        let (kind, name, other) = if rising > falling {
-            (Edge::Rising, "rising", falling)
-        } else {
-            (Edge::Falling, "falling", rising)
-        };
-        let but = if other > 0 {
-            format!(", but for {other} that were left out as spurious")
-        } else {
-            String::new()
-        };
-        notes.push(format!(
-            "line {line} has {name} edges only{but}: one for each frame, without the length \
-                            of its exposure"
-        ));
-        notes.extend(bounced(&spurious, line, bounce));
-        let all = edges
-            .iter()
-            .filter(|edge| edge.edge == kind)
-            .map(|edge| Pulse { at: edge.t, exposure: None, is_whole: true })
-            .collect();
-        return Pulses { all, has_both: false, notes };
-    }
+    let mut pulses = if rising.min(falling) * RARE < rising.max(falling) {
+        of_one_kind(&edges, line, rising, falling)
+    } else {
+        paired(&edges, line, strobe)
+    };
+    pulses.notes.extend(bounced(&spurious, line, bounce));
+    pulses
+}
+
+/// Pulses of a line with edges of one kind: stamps without a length.
+fn of_one_kind(edges: &[&Trigger], line: u16, rising: usize, falling: usize) -> Pulses {
+    let (kind, name, other) =
+        if rising > falling { (Edge::Rising, "rising", falling) } else { (Edge::Falling, "falling", rising) };
+    let but =
+        if other > 0 { format!(", but for {other} that were left out as spurious") } else { String::new() };
+    let note = format!(
+        "line {line} has {name} edges only{but}: one for each frame, without the length of its exposure"
+    );
+    let all = edges
+        .iter()
+        .filter(|edge| edge.edge == kind)
+        .map(|edge| Pulse { at: edge.t, exposure: None, is_whole: true })
+        .collect();
+    Pulses { all, has_both: false, notes: vec![note] }
+}
+
+/// Pulses of a line whose edges open and close the shutter.
+fn paired(edges: &[&Trigger], line: u16, strobe: Strobe) -> Pulses {
+    let mut notes = Vec::new();
     let opens = if strobe == Strobe::ActiveHigh { Edge::Rising } else { Edge::Falling };
     let (opening, closing) =
         if strobe == Strobe::ActiveHigh { ("rising", "falling") } else { ("falling", "rising") };
@@ -138,17 +143,14 @@ pub fn pulses(triggers: &[Trigger], line: u16, strobe: Strobe) -> Pulses {
     let place = first_odd.map(|t| format!(" (the first at {t} ns)")).unwrap_or_default();
     if no_close > 0 {
         notes.push(format!(
-            "{no_close} {closing} edges of line {line} are missing{place}; these exposures \
-                            were left out"
+            "{no_close} {closing} edges of line {line} are missing{place}; these exposures were left out"
         ));
     }
     if no_open > 0 {
         notes.push(format!(
-            "{no_open} {opening} edges of line {line} are missing{place}; these exposures \
-                            were left out"
+            "{no_open} {opening} edges of line {line} are missing{place}; these exposures were left out"
         ));
     }
-    notes.extend(bounced(&spurious, line, bounce));
     Pulses { all, has_both: true, notes }
 }
 

@@ -71,6 +71,63 @@ fn line(reader: &mut impl BufRead, into: &mut Vec<u8>) -> std::io::Result<bool> 
     Ok(into.pop_if(|last| *last == b'\n').is_some())
 }
 
+/// What the words of a header state.
+struct Header {
+    extent: Extent,
+    rate: Option<(u64, u64)>,
+    range: Option<Range>,
+    interlaced: Option<String>,
+    unknown: Vec<String>,
+    sampling: Sampling,
+}
+
+impl Header {
+    /// From the first line of the file.
+    fn of(path: &Path, header: &str) -> Result<Header, FormatError> {
+        let wrong = |what: String, hint: &str| FormatError::new(path, what, hint).at("the header");
+        let (mut width, mut height, mut rate, mut range, mut interlaced, mut unknown) =
+            (None, None, None, None, None, Vec::new());
+        let mut sampling = Sampling { chroma: Some((2, 2)), bits: 8, has_alpha: false };
+        for word in header.split(' ').skip(1).filter(|word| !word.is_empty()) {
+            let mut letters = word.chars();
+            let letter = letters.next();
+            let value = letters.as_str();
+            match letter {
+                Some('W') => width = value.parse().ok(),
+                Some('H') => height = value.parse().ok(),
+                Some('F') => {
+                    rate = value
+                        .split_once(':')
+                        .and_then(|(a, b)| Some((a.parse::<u64>().ok()?, b.parse::<u64>().ok()?)))
+                }
+                Some('I') if !["p", "?"].contains(&value) => {
+                    interlaced = Some(word.escape_debug().to_string())
+                }
+                Some('C') => {
+                    let hint = "8 to 16 bits of 4:2:0, 4:2:2, 4:1:1, 4:4:0, 4:4:4 or mono are read: such as \
+                                `ffmpeg -i in.y4m -pix_fmt yuv420p out.y4m`";
+                    sampling = Sampling::named(value).ok_or_else(|| {
+                        wrong(format!("it names the colour space `{}`", value.escape_debug()), hint)
+                    })?;
+                }
+                Some('X') if value.eq_ignore_ascii_case("COLORRANGE=FULL") => range = Some(Range::Full),
+                Some('X') if value.eq_ignore_ascii_case("COLORRANGE=LIMITED") => range = Some(Range::Limited),
+                Some('X') if value.to_ascii_uppercase().starts_with("COLOR") => {
+                    unknown.push(word.escape_debug().to_string())
+                }
+                _ => {}
+            }
+        }
+        let side = |side: Option<u32>| side.filter(|side| (1..=1 << 16).contains(side));
+        let (Some(width), Some(height)) = (side(width), side(height)) else {
+            let what = format!("it states no size that can be: `{}`", header.escape_debug());
+            return Err(wrong(what, "it has `W` and `H`, such as `YUV4MPEG2 W640 H480 F1000:1`"));
+        };
+        let (extent, rate) = (Extent { width, height }, rate.filter(|&(a, b)| a > 0 && b > 0));
+        Ok(Header { extent, rate, range, interlaced, unknown, sampling })
+    }
+}
+
 impl Y4m {
     /// Reads the header, and where the frames begin.
     ///
@@ -101,53 +158,7 @@ impl Y4m {
                 COPY_AGAIN,
             ));
         }
-        let wrong = |what: String, hint: &str| FormatError::new(path, what, hint).at("the header");
-        let (mut width, mut height, mut rate, mut range, mut interlaced, mut unknown) =
-            (None, None, None, None, None, Vec::new());
-        let mut sampling = Sampling { chroma: Some((2, 2)), bits: 8, has_alpha: false };
-        for word in header.split(' ').skip(1).filter(|word| !word.is_empty()) {
-            let mut letters = word.chars();
-            let letter = letters.next();
-            let value = letters.as_str();
-            match letter {
-                Some('W') => width = value.parse().ok(),
-                Some('H') => height = value.parse().ok(),
-                Some('F') => {
-                    rate = value
-                        .split_once(':')
-                        .and_then(|(a, b)| Some((a.parse::<u64>().ok()?, b.parse::<u64>().ok()?)))
-                }
-                Some('I') if !["p", "?"].contains(&value) => {
-                    interlaced = Some(word.escape_debug().to_string())
-                }
-                Some('C') => {
-                    let hint = "8 to 16 bits of 4:2:0, 4:2:2, 4:1:1, 4:4:0, 4:4:4 or mono are read: such as \
-                                `ffmpeg -i in.y4m -pix_fmt yuv420p out.y4m`";
-                    sampling = Sampling::named(value).ok_or_else(|| {
-                        wrong(
-                            format!(
-                                "it names the colour \
-                                                            space `{}`",
-                                value.escape_debug()
-                            ),
-                            hint,
-                        )
-                    })?;
-                }
-                Some('X') if value.eq_ignore_ascii_case("COLORRANGE=FULL") => range = Some(Range::Full),
-                Some('X') if value.eq_ignore_ascii_case("COLORRANGE=LIMITED") => range = Some(Range::Limited),
-                Some('X') if value.to_ascii_uppercase().starts_with("COLOR") => {
-                    unknown.push(word.escape_debug().to_string())
-                }
-                _ => {}
-            }
-        }
-        let side = |side: Option<u32>| side.filter(|side| (1..=1 << 16).contains(side));
-        let (Some(width), Some(height)) = (side(width), side(height)) else {
-            let what = format!("it states no size that can be: `{}`", header.escape_debug());
-            return Err(wrong(what, "it has `W` and `H`, such as `YUV4MPEG2 W640 H480 F1000:1`"));
-        };
-        let (extent, rate) = (Extent { width, height }, rate.filter(|&(a, b)| a > 0 && b > 0));
+        let Header { extent, rate, range, interlaced, unknown, sampling } = Header::of(path, &header)?;
         let again = File::open(path).map_err(io)?;
         let mut y4m = Y4m {
             path: path.into(),
@@ -217,8 +228,7 @@ impl Y4m {
         let range = match (self.range, self.taken()) {
             (Some(Range::Full), _) => "full range, as the header says".to_string(),
             (Some(Range::Limited), _) => format!(
-                "limited range, as the header says: {low} to {high} were \
-                                                  stretched to the whole scale"
+                "limited range, as the header says: {low} to {high} were stretched to the whole scale"
             ),
             (None, Range::Full) => "the header states no range; grey values are taken as they are".into(),
             (None, Range::Limited) => format!(
@@ -289,18 +299,12 @@ impl Y4m {
     /// What was left out.
     pub fn losses(&self) -> Vec<Loss> {
         let loss = self.broken.map(|(at, broken)| match broken {
-            Broken::Other => Loss::new(
-                format!("byte {at}"),
-                "no `FRAME` line stands here; the rest of the \
-                                                            file is lost",
-            ),
+            Broken::Other => {
+                Loss::new(format!("byte {at}"), "no `FRAME` line stands here; the rest of the file is lost")
+            }
             Broken::Head | Broken::Frame(_) => Loss::new(
                 format!("bytes {at} to {}", self.bytes),
-                format!(
-                    "frame {} is cut off; it was \
-                                                            left out",
-                    self.frames.len()
-                ),
+                format!("frame {} is cut off; it was left out", self.frames.len()),
             )
             .by(Cause::Cut),
         });
@@ -317,8 +321,7 @@ impl Y4m {
         let (what, hint) = match broken {
             Broken::Head => (
                 format!(
-                    "it is cut off: it ends at the head of frame {k}, which begins at byte \
-                                      {at} of {bytes}"
+                    "it is cut off: it ends at the head of frame {k}, which begins at byte {at} of {bytes}"
                 ),
                 COPY_AGAIN,
             ),

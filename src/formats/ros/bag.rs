@@ -129,9 +129,7 @@ pub(crate) fn open_piece(
     piece: &Piece,
 ) -> std::io::Result<Result<Source, String>> {
     let Some(record) = outer(&mut file, size, piece.at)? else {
-        return Ok(Err("no record begins where the \
-                                                            index says"
-            .into()));
+        return Ok(Err("no record begins where the index says".into()));
     };
     if op(&record.header) != Some(CHUNK) {
         return Ok(Err("no chunk begins where the index says".into()));
@@ -182,11 +180,7 @@ pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError>
             losses.add(
                 "bag headers that are damaged",
                 || format!("byte {start}"),
-                || {
-                    "the header of the \
-                                                            bag is damaged"
-                        .into()
-                },
+                || "the header of the bag is damaged".into(),
             );
             false
         }

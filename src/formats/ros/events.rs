@@ -90,9 +90,7 @@ impl Cursor {
         if self.stream.group.kind == Kind::EventArray {
             let Some(array) = wire.and_then(EventArray::read) else {
                 losses.add("messages that are no event array", at, || {
-                    "the message is no event array; it is \
-                                                            left out"
-                        .into()
+                    "the message is no event array; it is left out".into()
                 });
                 return;
             };
@@ -107,9 +105,7 @@ impl Cursor {
         }
         let Some(packet) = wire.and_then(EventPacket::read) else {
             losses.add("messages that are no event packet", at, || {
-                "the message is no event packet; it is \
-                                                            left out"
-                    .into()
+                "the message is no event packet; it is left out".into()
             });
             return;
         };
@@ -117,11 +113,7 @@ impl Cursor {
             self.stream.encoding.filter(|encoding| Some(*encoding) == Encoding::named(packet.encoding))
         else {
             losses.add("packets in another encoding", at, || {
-                format!(
-                    "the packet is encoded as `{}`, unlike \
-                                                            the first",
-                    label(packet.encoding)
-                )
+                format!("the packet is encoded as `{}`, unlike the first", label(packet.encoding))
             });
             return;
         };
@@ -134,16 +126,12 @@ impl Cursor {
         } else if let Some((_, before)) = self.last
             && packet.sequence != before.wrapping_add(1)
         {
-            let missing = packet.sequence.checked_sub(before).map_or(
-                "the numbers of packets begin again".to_string(),
-                |step| {
-                    format!(
-                        "{} packets before \
-                                                            it are missing",
-                        step.saturating_sub(1)
-                    )
-                },
-            );
+            let missing = packet
+                .sequence
+                .checked_sub(before)
+                .map_or("the numbers of packets begin again".to_string(), |step| {
+                    format!("{} packets before it are missing", step.saturating_sub(1))
+                });
             losses.add("gaps between packets", at, || {
                 format!("packet {} follows packet {before}: {missing}", packet.sequence)
             });
@@ -295,23 +283,18 @@ fn lose_events(losses: &mut Losses, at: usize, counts: [u64; 4], extent: Option<
     note(
         "events outside the pixel array were left out",
         outside,
-        &format!(
-            "events lie outside {size}; they \
-                                                            are left out"
-        ),
+        &format!("events lie outside {size}; they are left out"),
     );
     note(
         "events before the first time were left out",
         early,
-        "events come before the first time; they are \
-                                                            left out",
+        "events come before the first time; they are left out",
     );
     note("words of no known kind were left out", unknown, "words are of no known kind; they are left out");
     note(
         "times that leap away and back were undone",
         strays,
-        "times leap away and back; events in between \
-                                                            have a wrong stamp",
+        "times leap away and back; events in between have a wrong stamp",
     );
 }
 

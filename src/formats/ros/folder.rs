@@ -67,10 +67,7 @@ pub(crate) fn packed(path: &Path, what: &str) -> FormatError {
     let hint = format!("decompress it with `zstd -d {name}` and name the result, or the folder of the bag");
     FormatError::new(
         path,
-        format!(
-            "a file of a bag of ROS 2 ({what}) that is compressed as a whole by \
-                                    Zstandard"
-        ),
+        format!("a file of a bag of ROS 2 ({what}) that is compressed as a whole by Zstandard"),
         hint,
     )
     .expected("the file as it was recorded")
@@ -163,8 +160,7 @@ fn information(path: &Path, losses: &mut Losses) -> Information {
             let what = if found.is_some() {
                 "it is no description of a bag"
             } else {
-                "it is missing or \
-                                                            cannot be read"
+                "it is missing or cannot be read"
             };
             losses.add(
                 "descriptions that cannot be read",

@@ -137,9 +137,7 @@ pub(crate) fn open_piece(
         return Ok(Ok(Source::plain(file, length.min(size - piece.at))));
     }
     let Some((CHUNK, length)) = outer(&mut file, size, piece.at)? else {
-        return Ok(Err("no chunk begins \
-                                                            where the index says"
-            .into()));
+        return Ok(Err("no chunk begins where the index says".into()));
     };
     // Times of the first and the last message, size, checksum; then the name of the compression and the
     // length of the records.

@@ -190,9 +190,7 @@ fn found(kind: Kind, serial: Option<Serial>, envelope: Envelope, body: &[u8]) ->
         Not::Sound(
             Cause::Damage,
             "messages that are no picture",
-            "the message is no picture; it \
-                                                            is left out"
-                .into(),
+            "the message is no picture; it is left out".into(),
         )
     };
     let wire = serial.and_then(|serial| serial.wire(body)).ok_or_else(none)?;
@@ -222,9 +220,7 @@ fn found(kind: Kind, serial: Option<Serial>, envelope: Envelope, body: &[u8]) ->
         return Err(Not::Sound(
             Cause::Cut,
             "pictures that are cut off",
-            "the picture claims more bytes than \
-                                                            the message holds; it is left out"
-                .into(),
+            "the picture claims more bytes than the message holds; it is left out".into(),
         ));
     }
     let start = &start[..start.len().min(head.length as usize)];
@@ -325,8 +321,7 @@ impl Images {
             }
             if others > 0 {
                 images.about.notes.push(format!(
-                    "{others} pictures differ from the first in size or \
-                                                 encoding; they are left out"
+                    "{others} pictures differ from the first in size or encoding; they are left out"
                 ));
             }
         }
@@ -382,8 +377,7 @@ fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> Forma
     FormatError::new(
         &contents.path,
         found,
-        "convert the topic with image_proc or cv_bridge, or choose \
-                                             another by `frame_camera`",
+        "convert the topic with image_proc or cv_bridge, or choose another by `frame_camera`",
     )
     .expected(NAMES)
 }

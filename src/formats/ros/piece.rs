@@ -69,8 +69,7 @@ impl Source {
             }
             other => {
                 return Err(format!(
-                    "the chunk is compressed by `{}`, which is not read (none, bz2, lz4 \
-                                         and zstd are)",
+                    "the chunk is compressed by `{}`, which is not read (none, bz2, lz4 and zstd are)",
                     label(other)
                 ));
             }

@@ -46,32 +46,8 @@ struct Survey {
 pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let contents = Arc::new(contents);
     let groups = topics::groups(&contents);
-    let mut facts = contents.facts.clone();
-    facts.push(("topics".into(), groups.iter().take(64).map(Group::describe).collect::<Vec<_>>().join("; ")));
-    let received = contents.pieces.iter().map(|piece| piece.received).filter(|received| *received != (0, 0));
-    if let Some((first, last)) = received.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) {
-        facts.push((
-            "received".into(),
-            format!("from {first} to {last} ns, {:.6} s", last.saturating_sub(first) as f64 * 1e-9),
-        ));
-    }
-    let sent = |group: &&Group| group.messages != Some(0);
-
-    let mut candidates: Vec<Group> = Vec::new();
-    let mut firsts: Vec<First> = Vec::new();
-    let mut trigger_topics = Vec::new();
-    for group in
-        groups.iter().filter(|group| matches!(group.kind, Kind::EventArray | Kind::EventPacket)).filter(sent)
-    {
-        match topics::first(&contents, group)? {
-            First::Packet(Encoding::Trigger, _) => trigger_topics.push(group.clone()),
-            First::Nothing => {}
-            first => {
-                candidates.push(group.clone());
-                firsts.push(first);
-            }
-        }
-    }
+    let mut facts = facts_of(&contents, &groups);
+    let (candidates, firsts, trigger_topics) = event_topics(&contents, &groups)?;
     let (chosen, which) =
         topics::choose(&contents, &candidates, declared.camera.as_deref(), None, "camera", "events")?.unzip();
     let first = chosen.and_then(|chosen| {
@@ -103,32 +79,14 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
     if let Some(group) = &image_topic {
         facts.push(("pictures".into(), group.name.clone()));
     }
-    for group in groups.iter().filter(|group| topics::is_depth(group)).filter(sent) {
+    for group in groups.iter().filter(|group| topics::is_depth(group)).filter(has_messages) {
         facts.push((
             "not read".into(),
             format!("{}: depth, which is no picture of a camera", group.describe()),
         ));
     }
     if stream.is_none() && image_topic.is_none() {
-        let found = format!(
-            "no topic has events or pictures; there are: {}",
-            groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; ")
-        );
-        let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, \
-                        event_camera_msgs/EventPacket, sensor_msgs/Image or sensor_msgs/CompressedImage";
-        let lost = contents
-            .losses
-            .list()
-            .first()
-            .map(|loss| format!("; {}: {}", loss.at, loss.what))
-            .unwrap_or_default();
-        return Err(FormatError::new(
-            &contents.path,
-            found + &lost,
-            "record those topics, or check that the \
-                                                            file is whole",
-        )
-        .expected(expected));
+        return Err(nothing_to_read(&contents, &groups));
     }
     let losses = contents.losses.list();
     let recording = Ros {
@@ -153,6 +111,65 @@ pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Re
     Ok(Box::new(recording))
 }
 
+/// What the file states of itself, its topics, and when messages were received.
+fn facts_of(contents: &Contents, groups: &[Group]) -> Vec<(String, String)> {
+    let mut facts = contents.facts.clone();
+    facts.push(("topics".into(), groups.iter().take(64).map(Group::describe).collect::<Vec<_>>().join("; ")));
+    let received = contents.pieces.iter().map(|piece| piece.received).filter(|received| *received != (0, 0));
+    if let Some((first, last)) = received.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) {
+        facts.push((
+            "received".into(),
+            format!("from {first} to {last} ns, {:.6} s", last.saturating_sub(first) as f64 * 1e-9),
+        ));
+    }
+    facts
+}
+
+/// Has the topic messages, as far as is known?
+fn has_messages(group: &&Group) -> bool {
+    group.messages != Some(0)
+}
+
+/// Topics with events, their first messages, and topics with triggers.
+fn event_topics(
+    contents: &Arc<Contents>,
+    groups: &[Group],
+) -> Result<(Vec<Group>, Vec<First>, Vec<Group>), FormatError> {
+    let mut candidates: Vec<Group> = Vec::new();
+    let mut firsts: Vec<First> = Vec::new();
+    let mut trigger_topics = Vec::new();
+    let has_events = |group: &&Group| matches!(group.kind, Kind::EventArray | Kind::EventPacket);
+    for group in groups.iter().filter(has_events).filter(has_messages) {
+        match topics::first(contents, group)? {
+            First::Packet(Encoding::Trigger, _) => trigger_topics.push(group.clone()),
+            First::Nothing => {}
+            first => {
+                candidates.push(group.clone());
+                firsts.push(first);
+            }
+        }
+    }
+    Ok((candidates, firsts, trigger_topics))
+}
+
+/// The error of a file whose topics have neither events nor pictures.
+fn nothing_to_read(contents: &Contents, groups: &[Group]) -> FormatError {
+    let found = format!(
+        "no topic has events or pictures; there are: {}",
+        groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; ")
+    );
+    let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, \
+                        event_camera_msgs/EventPacket, sensor_msgs/Image or sensor_msgs/CompressedImage";
+    let lost = contents
+        .losses
+        .list()
+        .first()
+        .map(|loss| format!("; {}: {}", loss.at, loss.what))
+        .unwrap_or_default();
+    FormatError::new(&contents.path, found + &lost, "record those topics, or check that the file is whole")
+        .expected(expected)
+}
+
 /// What is known of an event topic from its first messages.
 fn event_stream(
     contents: &Arc<Contents>,
@@ -172,7 +189,8 @@ fn event_stream(
             Some(Shift { ns, spread_ns, packets }) => {
                 shift_ns = ns;
                 notes.push(format!(
-                    "{ns} ns added to the sensor's time, which brings events to the clock of ROS: the smallest of `header.stamp` minus time of the first event \
+                    "{ns} ns added to the sensor's time, which brings events to the clock of ROS: the \
+                     smallest of `header.stamp` minus time of the first event \
                      over the first {packets} packets, which spread by {spread_ns} ns"
                 ));
             }

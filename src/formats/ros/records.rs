@@ -149,14 +149,11 @@ impl Stream {
         self.at = self.at.saturating_add(9).saturating_add(length);
         Ok(Some(match op {
             mcap::MESSAGE => {
-                let length = length.checked_sub(mcap::MESSAGE_HEAD as u64).ok_or(
-                    "a message is shorter than \
-                                                            its own head",
-                )?;
-                let head = self.source.array::<{ mcap::MESSAGE_HEAD }>()?.ok_or(
-                    "the piece ends within a \
-                                                            record",
-                )?;
+                let length = length
+                    .checked_sub(mcap::MESSAGE_HEAD as u64)
+                    .ok_or("a message is shorter than its own head")?;
+                let head =
+                    self.source.array::<{ mcap::MESSAGE_HEAD }>()?.ok_or("the piece ends within a record")?;
                 let (id, received) = mcap::message_head(&head);
                 self.body(wanted(id), length, most, body)?;
                 Record::Message(Envelope { id, received, offset, length })

@@ -51,8 +51,7 @@ pub(crate) fn survey(mut contents: Contents) -> Result<Contents, FormatError> {
     let orphans: u64 = counts.values().sum();
     if orphans > 0 {
         let what = format!(
-            "{orphans} messages belong to {} connections whose definition is lost; they are \
-                            left out",
+            "{orphans} messages belong to {} connections whose definition is lost; they are left out",
             counts.len()
         );
         contents.losses.add("topics without a definition", || "the whole file".into(), || what);

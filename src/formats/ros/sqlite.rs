@@ -160,10 +160,7 @@ pub(crate) fn open(path: &Path) -> Result<Contents, FormatError> {
             let at = || name.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let hint = "copy both files and run `sqlite3 COPY \"PRAGMA wal_checkpoint(TRUNCATE)\"`";
             losses.add("logs that were not merged", at, || {
-                format!(
-                    "the recorder left a {what}, whose \
-                                                            messages are not read; to bring them in, {hint}"
-                )
+                format!("the recorder left a {what}, whose messages are not read; to bring them in, {hint}")
             });
         }
     }
@@ -172,22 +169,14 @@ pub(crate) fn open(path: &Path) -> Result<Contents, FormatError> {
                     of a damaged one";
         FormatError::new(path, what, hint).expected("a bag of ROS 2, with tables `topics` and `messages`")
     };
-    let connection = connect(path, cut).map_err(|error| {
-        refuse(format!(
-            "the database cannot be opened: \
-                                                            {error}"
-        ))
-    })?;
+    let connection =
+        connect(path, cut).map_err(|error| refuse(format!("the database cannot be opened: {error}")))?;
     check_tables(&connection).map_err(&refuse)?;
     let mut contents = Contents::new(path, size, Container::Sqlite);
     contents.facts.push(("container".into(), "rosbag2, SQLite".into()));
     let mut database = Database { cut, ids: BTreeMap::new() };
-    topics(&connection, &mut contents, &mut database).map_err(|error| {
-        refuse(format!(
-            "the table of topics \
-                                                            cannot be read: {error}"
-        ))
-    })?;
+    topics(&connection, &mut contents, &mut database)
+        .map_err(|error| refuse(format!("the table of topics cannot be read: {error}")))?;
     survey(&connection, &mut contents, &database, &mut losses);
     contents.parts[0].database = Arc::new(database);
     contents.losses = losses;
@@ -213,10 +202,7 @@ fn check_tables(connection: &Connection) -> Result<(), String> {
         let sql: Option<String> = match connection.query_row(query, [table], |row| row.get(0)) {
             Ok(sql) => sql,
             Err(rusqlite::Error::QueryReturnedNoRows) => {
-                return Err(format!(
-                    "the database has no table \
-                                                            `{table}`: it is no bag of ROS 2"
-                ));
+                return Err(format!("the database has no table `{table}`: it is no bag of ROS 2"));
             }
             Err(error) => return Err(format!("the database cannot be read: {}", said(&error))),
         };

@@ -211,8 +211,7 @@ fn an_empty_topic_is_no_candidate_and_of_several_the_first_is_read_with_a_note()
     assert_eq!(events(&*first).0, [(5, 0, 1, true)]);
     assert_eq!(
         first.events_about().unwrap().notes,
-        ["events are those of /left/events; not read: \
-                                                      /right/events (`camera` chooses)"]
+        ["events are those of /left/events; not read: /right/events (`camera` chooses)"]
     );
     assert_eq!(events(&*opened(&bytes, &declared_camera("/right/events")).unwrap()).0, [(5, 1, 1, true)]);
     assert!(opened(&bytes, &declared_camera("/up/events")).err().unwrap().found.contains("/right/events"));
@@ -243,13 +242,9 @@ fn pictures_are_those_of_the_camera_whose_events_are_read() {
     };
     let left = open(&stereo(&topics));
     assert_eq!((events(&*left).0[0].1, value(&left)), (1, 1.0));
-    assert!(
-        left.events_about().unwrap().notes.contains(
-            &"events are those of /davis/left/events; not read: \
-                                                          /davis/right/events (`camera` chooses)"
-                .into()
-        )
-    );
+    assert!(left.events_about().unwrap().notes.contains(
+        &"events are those of /davis/left/events; not read: /davis/right/events (`camera` chooses)".into()
+    ));
     let notes = left.pictures().unwrap().about().notes.clone();
     assert!(
         notes.contains(
@@ -298,10 +293,7 @@ fn three_channels_under_the_name_of_one_are_colour_and_padding_is_read_over() {
     let (kind, read, notes) = of("mono8", 6, &(0..12).collect::<Vec<u8>>());
     assert_eq!((kind, read), (Colour::Mono, vec![0.0, 1.0, 2.0, 3.0, 6.0, 7.0, 8.0, 9.0]));
     assert!(
-        notes.contains(
-            "rows have 6 bytes, and mono8 of 4 columns needs 4: the others are taken as \
-                            padding"
-        ),
+        notes.contains("rows have 6 bytes, and mono8 of 4 columns needs 4: the others are taken as padding"),
         "{notes}"
     );
     let (kind, read, _) = of("mono16", 10, &(0..20).collect::<Vec<u8>>());

@@ -89,10 +89,7 @@ pub(crate) fn choose<'a>(
             Some(group) => Ok(Some((group, None))),
             None if groups.is_empty() => Err(FormatError::new(
                 &contents.path,
-                format!(
-                    "the file has no \
-                                                            topic with {what}"
-                ),
+                format!("the file has no topic with {what}"),
                 format!("leave `{field}` out"),
             )),
             None => {
@@ -218,8 +215,7 @@ pub(crate) fn unknown_encoding(contents: &Contents, group: &Group, encoding: &st
     FormatError::new(
         &contents.path,
         found,
-        "convert the topic with event_camera_tools, or record it in one \
-                                             of these encodings",
+        "convert the topic with event_camera_tools, or record it in one of these encodings",
     )
     .expected(packets::NAMES)
 }

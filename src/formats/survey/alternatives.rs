@@ -37,7 +37,7 @@ use super::pictures::middle;
 use super::places::MOST_PIXELS;
 use crate::chunk::EventChunk;
 use crate::error::FormatError;
-use crate::recording::{FramesAbout, Recording};
+use crate::recording::{FramesAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use photocurrent_sensor::estimate::{Changes, TILE, Trial, Waits, agreements};
 use serde::Serialize;
@@ -338,35 +338,7 @@ pub fn compare(
             .map_or_else(|| read.clone(), <[i64]>::to_vec)
     };
     let chosen = pairs(alternatives, span, mids);
-    // Frames: the tiles that change most, and where each lies.
-    let (mut changes, mut kept, mut tile_of): (Changes, Vec<usize>, Vec<Vec<u16>>) = Default::default();
-    let mut before: Option<(usize, Vec<f32>)> = None;
-    let (mut dark, mut values) = (0.0f32, Vec::new());
-    let mut log = |frame: usize| -> Option<Vec<f32>> {
-        pictures.read(frame, &mut values).ok()?;
-        if dark == 0.0 {
-            dark = DARK * values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
-        }
-        canvas.log(&values, dark)
-    };
-    for later in chosen {
-        let earlier = before
-            .take()
-            .filter(|(frame, _)| frame + 1 == later)
-            .map(|(_, log)| log)
-            .or_else(|| log(later - 1));
-        let after = log(later);
-        if let (Some(earlier), Some(after)) = (&earlier, &after) {
-            let change: Vec<f32> = after.iter().zip(earlier).map(|(after, before)| after - before).collect();
-            let (tiles, of) = tiles(&canvas, &change);
-            if !tiles.is_empty() {
-                changes.push(&tiles);
-                kept.push(later);
-                tile_of.push(of);
-            }
-        }
-        before = after.map(|after| (later, after));
-    }
+    let (changes, kept, tile_of) = changing_tiles(&*pictures, &canvas, chosen);
     let mut trials = Vec::with_capacity(alternatives.len());
     for some in alternatives.chunks(AT_ONCE) {
         let made = some.iter().map(|of| {
@@ -400,6 +372,43 @@ pub fn compare(
         b.explained.value.total_cmp(&a.explained.value).then(a.alternative.cmp(&b.alternative))
     });
     Ok(scored)
+}
+
+/// The tiles of the pictures that change most, the frames of which some do, and where each tile lies.
+fn changing_tiles(
+    pictures: &dyn Pictures,
+    canvas: &Canvas,
+    chosen: Vec<usize>,
+) -> (Changes, Vec<usize>, Vec<Vec<u16>>) {
+    let (mut changes, mut kept, mut tile_of): (Changes, Vec<usize>, Vec<Vec<u16>>) = Default::default();
+    let mut before: Option<(usize, Vec<f32>)> = None;
+    let (mut dark, mut values) = (0.0f32, Vec::new());
+    let mut log = |frame: usize| -> Option<Vec<f32>> {
+        pictures.read(frame, &mut values).ok()?;
+        if dark == 0.0 {
+            dark = DARK * values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
+        }
+        canvas.log(&values, dark)
+    };
+    for later in chosen {
+        let earlier = before
+            .take()
+            .filter(|(frame, _)| frame + 1 == later)
+            .map(|(_, log)| log)
+            .or_else(|| log(later - 1));
+        let after = log(later);
+        if let (Some(earlier), Some(after)) = (&earlier, &after) {
+            let change: Vec<f32> = after.iter().zip(earlier).map(|(after, before)| after - before).collect();
+            let (tiles, of) = tiles(canvas, &change);
+            if !tiles.is_empty() {
+                changes.push(&tiles);
+                kept.push(later);
+                tile_of.push(of);
+            }
+        }
+        before = after.map(|after| (later, after));
+    }
+    (changes, kept, tile_of)
 }
 
 /// The later frames of the pairs that are evaluated, rising: of every reading some, spread over the time that

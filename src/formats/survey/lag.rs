@@ -144,7 +144,6 @@ impl Panel {
             .flat_map(|y| (0..extent.width).map(move |x| (y / side) * across + x / side))
             .collect();
         let mut panel = estimate::Panel::new(&place_of, extent.width, extent.height);
-        // Neighbours whose middles rise belong to one stretch.
         let mids: Vec<i64> = chosen.iter().map(|frame| middle(&about.stamps[*frame])).collect();
         let mut periods: Vec<i64> = chosen
             .windows(2)
@@ -154,29 +153,7 @@ impl Panel {
             .collect();
         periods.sort_unstable();
         let period = periods.get(periods.len() / 2).copied().filter(|period| *period > 0)?;
-        let (mut at, mut from) = (Vec::new(), 0);
-        let mut counters = 0;
-        while from < chosen.len() {
-            let joins = |n: &usize| {
-                chosen[*n] == chosen[n - 1] + 1
-                    && mids[*n] > mids[n - 1]
-                    && mids[*n].saturating_sub(mids[n - 1]) < 4 * period
-            };
-            let to = (from + 1..chosen.len()).find(|n| !joins(n)).unwrap_or(chosen.len());
-            let stretch = Stretch::new(
-                mids[from..to].to_vec(),
-                period + period / 4,
-                (period / STEPS).max(1),
-                panel.places(),
-            );
-            counters += stretch.on.len();
-            if counters > MOST_COUNTERS {
-                break;
-            }
-            at.extend((from..to).map(|n| (chosen[n], panel.stretches.len(), n - from)));
-            panel.stretches.push(stretch);
-            from = to;
-        }
+        let at = stretches(chosen, &mids, period, &mut panel);
         let centring = Centring::new(extent.pixels(), period / 4);
         let pairs: Vec<(usize, i64, i64)> = at
             .windows(2)
@@ -342,4 +319,38 @@ impl Panel {
             estimate::agreement_from(&self.panel, &from)
         })
     }
+}
+
+/// Adds the stretches of the frames to the panel, as far as memory allows: of each frame its stretch and place
+/// in it. Neighbours whose middles rise belong to one stretch.
+fn stretches(
+    chosen: &[usize],
+    mids: &[i64],
+    period: i64,
+    panel: &mut estimate::Panel,
+) -> Vec<(usize, usize, usize)> {
+    let (mut at, mut from) = (Vec::new(), 0);
+    let mut counters = 0;
+    while from < chosen.len() {
+        let joins = |n: &usize| {
+            chosen[*n] == chosen[n - 1] + 1
+                && mids[*n] > mids[n - 1]
+                && mids[*n].saturating_sub(mids[n - 1]) < 4 * period
+        };
+        let to = (from + 1..chosen.len()).find(|n| !joins(n)).unwrap_or(chosen.len());
+        let stretch = Stretch::new(
+            mids[from..to].to_vec(),
+            period + period / 4,
+            (period / STEPS).max(1),
+            panel.places(),
+        );
+        counters += stretch.on.len();
+        if counters > MOST_COUNTERS {
+            break;
+        }
+        at.extend((from..to).map(|n| (chosen[n], panel.stretches.len(), n - from)));
+        panel.stretches.push(stretch);
+        from = to;
+    }
+    at
 }

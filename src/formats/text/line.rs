@@ -65,13 +65,11 @@ impl Wrong {
                 format!("column {} of {shown} is no number; the line was left out", column + 1)
             }
             Wrong::Time => format!(
-                "the stamp of {shown} does not fit into 64 bits of nanoseconds; the \
-                                    event was left out"
+                "the stamp of {shown} does not fit into 64 bits of nanoseconds; the event was left out"
             ),
-            Wrong::Polarity => format!(
-                "the polarity of {shown} is none of 0, 1, -1, true, false; the event \
-                                        was left out"
-            ),
+            Wrong::Polarity => {
+                format!("the polarity of {shown} is none of 0, 1, -1, true, false; the event was left out")
+            }
             Wrong::Outside => match layout.extent {
                 Some(extent) => format!("the pixel of {shown} lies outside {extent}; the event was left out"),
                 None => format!("the pixel of {shown} lies outside any array; the event was left out"),

@@ -303,9 +303,6 @@ pub(crate) fn unit_note(stated: Option<TimeUnit>, declared: Option<TimeUnit>) ->
     let (stated, declared) = (stated?, declared?);
     let (file, user) = (unit_name(stated), unit_name(declared));
     (stated != declared).then(|| {
-        format!(
-            "the file says that its stamps are in {file}; they were read in \
-                                          {user}, as declared"
-        )
+        format!("the file says that its stamps are in {file}; they were read in {user}, as declared")
     })
 }

@@ -80,10 +80,7 @@ pub(super) fn pictures_of(
                     or read events.h5 alone";
         return Err(FormatError::new(
             place,
-            format!(
-                "pictures without stamps: {name} and \
-                                                    images/timestamps.txt are missing"
-            ),
+            format!("pictures without stamps: {name} and images/timestamps.txt are missing"),
             hint,
         )
         .undeclared("stamps"));
