@@ -564,8 +564,7 @@ fn crop(text: &str) -> Result<Crop, String> {
             Ok(Crop { x, y, width, height })
         }
         _ => Err(format!(
-            "`{text}` is no rectangle; first column, first row, columns, rows, such as \
-                          100,80,64,64"
+            "`{text}` is no rectangle; first column, first row, columns, rows, such as 100,80,64,64"
         )),
     }
 }

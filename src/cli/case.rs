@@ -136,8 +136,7 @@ fn fits(
                 more, where the machine has it";
     let (needed, allowed) = (human_bytes(needed), human_bytes(allowed));
     Err(usage(format!(
-        "{}: a diagnosis holds the recording, which takes about {needed}, and there are \
-                       {allowed}\n  {hint}",
+        "{}: a diagnosis holds the recording, which takes about {needed}, and there are {allowed}\n  {hint}",
         path.display()
     )))
 }
@@ -162,11 +161,7 @@ fn sensor(given: &Given, own: Option<&str>) -> Result<Sensor, Failure> {
     let parse = |source| Sensor::parse(&source).map_err(Failure::Problems);
     if let Some(file) = &given.sensor {
         let text = std::fs::read_to_string(file).map_err(|error| {
-            usage(format!(
-                "{}: cannot read the sensor \
-                                                            description: {error}",
-                file.display()
-            ))
+            usage(format!("{}: cannot read the sensor description: {error}", file.display()))
         })?;
         let sensor =
             parse(Source::new(file.display().to_string(), file.parent().unwrap_or(Path::new(".")), text))?;
@@ -177,8 +172,7 @@ fn sensor(given: &Given, own: Option<&str>) -> Result<Sensor, Failure> {
         let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form; \
                     `photocurrent init` writes one)";
         return Err(usage(format!(
-            "{name}: there is no sensor description in the recording (/sensor)\n  \
-                                  {hint}"
+            "{name}: there is no sensor description in the recording (/sensor)\n  {hint}"
         )));
     };
     parse(Source::new(format!("{name}:/sensor"), given.path().parent().unwrap_or(Path::new(".")), text))

@@ -64,16 +64,14 @@ fn look_at(options: &CheckOptions) -> Result<Findings, Failure> {
         FileKind::Artefact => {
             let value = open_value(path).map_err(|error| data(error.to_string()))?;
             Ok(Findings::new(path).of(format!(
-                "the header of a cached result of type {} (`photocurrent \
-                                               cache verify` reads all of it)",
+                "the header of a cached result of type {} (`photocurrent cache verify` reads all of it)",
                 value.data_type()
             )))
         }
         FileKind::Instead(_) | FileKind::Other(_) => Err(kind.refuse(
             path,
             "check",
-            "a manifest, a recording, a sensor description or the output \
-                                            folder of a run",
+            "a manifest, a recording, a sensor description or the output folder of a run",
         )),
     }
 }
@@ -279,10 +277,8 @@ fn parse_sensor(source: &std::sync::Arc<Source>) -> (Option<Sensor>, Vec<Problem
     match Sensor::parse(source) {
         Ok(sensor) => {
             let mistakes = read_effects(&sensor.effects).err().map(|why| {
-                Problem::new(format!("{}: {why}", source.name)).help(
-                    "`photocurrent effects` \
-                                                            lists what there is",
-                )
+                Problem::new(format!("{}: {why}", source.name))
+                    .help("`photocurrent effects` lists what there is")
             });
             (Some(sensor), mistakes.into_iter().collect())
         }

@@ -156,12 +156,9 @@ fn shift(text: &str) -> Result<Shift, String> {
     let numbers = text
         .split_once(',')
         .and_then(|(right, down)| Some((right.trim().parse().ok()?, down.trim().parse().ok()?)));
-    numbers.map(|(right, down)| Shift { right, down }).ok_or_else(|| {
-        format!(
-            "`{text}` is no shift; two \
-                                                            whole numbers of pixels such as 2,-1"
-        )
-    })
+    numbers
+        .map(|(right, down)| Shift { right, down })
+        .ok_or_else(|| format!("`{text}` is no shift; two whole numbers of pixels such as 2,-1"))
 }
 
 fn transfer(text: &str) -> Result<Transfer, String> {

@@ -53,8 +53,7 @@ pub fn must_be_utf8(path: &Path) -> Result<(), Failure> {
     }
     Err(Failure::Other {
         message: format!(
-            "{}: a manifest names files in UTF-8, and this name is not\n  \
-                                           hint: rename the file",
+            "{}: a manifest names files in UTF-8, and this name is not\n  hint: rename the file",
             path.display()
         ),
         code: 2,

@@ -102,10 +102,9 @@ impl FileKind {
                                          names it with the node read/sensor"
             ),
             FileKind::Manifest => format!("`photocurrent check {path}`, `plan`, `run` and `graph` take it"),
-            FileKind::RunFolder | FileKind::Scores => format!(
-                "`photocurrent table {path}` prints its \
-                                                            scores; the manifest makes them anew"
-            ),
+            FileKind::RunFolder | FileKind::Scores => {
+                format!("`photocurrent table {path}` prints its scores; the manifest makes them anew")
+            }
             FileKind::Diagnosis => "open report.html in a browser; `photocurrent diagnose RECORDING` makes \
                                     it anew"
                 .into(),
@@ -161,13 +160,9 @@ fn of_folder(path: &Path) -> FileKind {
     {
         return FileKind::RunFolder;
     }
-    of_formats(path).or_else(|| instead(path)).unwrap_or_else(|| {
-        FileKind::Other(
-            "a folder without anything \
-                                                            that is known here"
-                .into(),
-        )
-    })
+    of_formats(path)
+        .or_else(|| instead(path))
+        .unwrap_or_else(|| FileKind::Other("a folder without anything that is known here".into()))
 }
 
 fn of_formats(path: &Path) -> Option<FileKind> {

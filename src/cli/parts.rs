@@ -117,12 +117,9 @@ fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f6
                         .zip(camera.distortion.as_ref())
                         .map(|(model, numbers)| format!("{model} {numbers:?}")),
                 );
-                facts.extend(camera.timeshift_cam_imu_s.map(|seconds| {
-                    format!(
-                        "time shift to the IMU \
-                                                            {seconds} s"
-                    )
-                }));
+                facts.extend(
+                    camera.timeshift_cam_imu_s.map(|seconds| format!("time shift to the IMU {seconds} s")),
+                );
                 facts.extend(camera.line_delay_s.map(|seconds| format!("line delay {seconds} s")));
                 lines.push(format!("{name}: {}: {}", camera.name, facts.join("; ")));
             }

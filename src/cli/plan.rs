@@ -66,18 +66,9 @@ pub fn plan(options: &PlanOptions) -> Done {
         return Ok(0);
     }
     let mut rows = vec![
-        [
-            "node",
-            "kind",
-            "state",
-            "size",
-            "time",
-            "why",
-            "parameters that differ from their \
-                                                            defaults",
-        ]
-        .map(String::from)
-        .to_vec(),
+        ["node", "kind", "state", "size", "time", "why", "parameters that differ from their defaults"]
+            .map(String::from)
+            .to_vec(),
     ];
     for status in &all {
         let task = &plan.tasks[status.task];

@@ -166,8 +166,7 @@ impl Observer for Watcher {
             Watcher::Bars(bars) => {
                 if let Some(Running { bar, pace }) = locked(&bars.running).get(&task) {
                     let style = ProgressStyle::with_template(&format!(
-                        "{{prefix:>18}} [{{bar:30}}] \
-                                                            {{pos}}/{{len}} {unit}, {{per_sec}}{{left}}"
+                        "{{prefix:>18}} [{{bar:30}}] {{pos}}/{{len}} {unit}, {{per_sec}}{{left}}"
                     ));
                     locked(pace).begin(total);
                     let shown = Arc::clone(pace);

@@ -196,10 +196,7 @@ impl RunRecord {
             code: 2,
         };
         let text = std::fs::read_to_string(&path).map_err(|error| {
-            wrong(format!(
-                "cannot read: {error}; a report is \
-                                                            made of what `photocurrent run` leaves there"
-            ))
+            wrong(format!("cannot read: {error}; a report is made of what `photocurrent run` leaves there"))
         })?;
         let schema = serde_json::from_str::<serde_json::Value>(&text)
             .ok()
@@ -317,10 +314,10 @@ mod tests {
         };
         assert!(message().contains("cannot read") && message().contains("run the manifest again"));
         std::fs::write(folder.path().join(FILE), "{\"schema\": \"photocurrent-run/9\"}").unwrap();
-        assert!(message().contains(
-            "the form is `photocurrent-run/9`, and this version reads \
-                                    `photocurrent-run/1`"
-        ));
+        assert!(
+            message()
+                .contains("the form is `photocurrent-run/9`, and this version reads `photocurrent-run/1`")
+        );
         std::fs::write(folder.path().join(FILE), "{}").unwrap();
         assert!(message().contains("found no `schema`"));
     }

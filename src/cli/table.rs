@@ -72,8 +72,7 @@ fn choice(text: &str) -> Result<(String, Vec<String>), Failure> {
             Ok((axis.into(), levels.split(',').map(String::from).collect()))
         }
         _ => Err(usage(format!(
-            "--where {text}: expected an axis and its levels, such as --where \
-                                scene=fan,texture"
+            "--where {text}: expected an axis and its levels, such as --where scene=fan,texture"
         ))),
     }
 }
@@ -81,12 +80,9 @@ fn choice(text: &str) -> Result<(String, Vec<String>), Failure> {
 /// `edi=EDI`.
 fn names(renames: &[String]) -> Result<BTreeMap<String, String>, Failure> {
     let pair = |text: &String| {
-        let (from, to) = text.split_once('=').ok_or_else(|| {
-            usage(format!(
-                "--rename {text}: expected \
-                                                            NAME=TEXT, such as --rename edi=EDI"
-            ))
-        })?;
+        let (from, to) = text
+            .split_once('=')
+            .ok_or_else(|| usage(format!("--rename {text}: expected NAME=TEXT, such as --rename edi=EDI")))?;
         Ok((from.to_string(), to.to_string()))
     };
     renames.iter().map(pair).collect()
@@ -101,20 +97,14 @@ fn digits(asked: &[String], metrics: &[String]) -> Result<BTreeMap<String, usize
             text.split_once('=').map_or((None, text.as_str()), |(metric, number)| (Some(metric), number));
         let number = number.trim().parse::<usize>().ok().filter(|number| *number <= 12);
         let number = number.ok_or_else(|| {
-            usage(format!(
-                "--digits {text}: expected a number from 0 to 12, \
-                                                         alone or as METRIC=NUMBER"
-            ))
+            usage(format!("--digits {text}: expected a number from 0 to 12, alone or as METRIC=NUMBER"))
         })?;
         match metric {
             None => digits.values_mut().for_each(|value| *value = number),
             Some(metric) => {
                 let known = metrics.join(", ");
                 *digits.get_mut(metric).ok_or_else(|| {
-                    usage(format!(
-                        "--digits {text}: the table has no \
-                                                            metric `{metric}`; it has {known}"
-                    ))
+                    usage(format!("--digits {text}: the table has no metric `{metric}`; it has {known}"))
                 })? = number;
             }
         }

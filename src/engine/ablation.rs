@@ -67,10 +67,7 @@ pub(crate) fn variants(manifest: &mut Manifest) -> (Option<Ablation>, Vec<Varian
     if count > MOST_VARIANTS {
         let problem = Problem::at(
             &key.origin,
-            format!(
-                "the axes multiply to {count} variants, more than \
-                                                        {MOST_VARIANTS}"
-            ),
+            format!("the axes multiply to {count} variants, more than {MOST_VARIANTS}"),
         );
         manifest.problems.push(problem.help("take an axis out, or give a sweep fewer steps"));
         return (None, vec![base]);
@@ -234,15 +231,10 @@ fn values(tree: &Tree, problems: &mut Vec<Problem>) -> Vec<Tree> {
         _ => {
             let problem = Problem::at(
                 &tree.origin,
-                format!(
-                    "a sweep takes a list of values or a range, \
-                                                            found {}",
-                    tree.describe()
-                ),
+                format!("a sweep takes a list of values or a range, found {}", tree.describe()),
             );
             problems.push(problem.help(
-                "such as [0.5, 1.0], { linear = [0, 4], steps = 5 } or \
-                                        { log = [0.1, 10.0], steps = 5 }",
+                "such as [0.5, 1.0], { linear = [0, 4], steps = 5 } or { log = [0.1, 10.0], steps = 5 }",
             ));
             Vec::new()
         }
@@ -273,10 +265,9 @@ fn stepped(tree: &Tree, table: &Table) -> Result<Vec<Tree>, Problem> {
         _ => {
             let problem =
                 Problem::at(&ends.origin, format!("a range is two numbers, found {}", ends.describe()));
-            return Err(problem.help(
-                "such as { linear = [0, 4], steps = 5 } or \
-                                     { log = [0.1, 10.0], steps = 5 }",
-            ));
+            return Err(
+                problem.help("such as { linear = [0, 4], steps = 5 } or { log = [0.1, 10.0], steps = 5 }")
+            );
         }
     };
     if is_log && table.get("linear").is_some() {
@@ -287,8 +278,7 @@ fn stepped(tree: &Tree, table: &Table) -> Result<Vec<Tree>, Problem> {
         let problem = Problem::at(
             &ends.origin,
             format!(
-                "both ends of a `log` range must be above zero, \
-                                                         found {}",
+                "both ends of a `log` range must be above zero, found {}",
                 if first <= 0.0 { first } else { last }
             ),
         );
@@ -302,10 +292,7 @@ fn stepped(tree: &Tree, table: &Table) -> Result<Vec<Tree>, Problem> {
                 .map_or((&tree.origin, "none".into()), |steps| (&steps.origin, steps.describe()));
             let problem = Problem::at(
                 at,
-                format!(
-                    "a range needs `steps`, an integer from 2 to \
-                                                   {MOST_VARIANTS}, found {found}"
-                ),
+                format!("a range needs `steps`, an integer from 2 to {MOST_VARIANTS}, found {found}"),
             );
             return Err(problem.help(
                 "both ends count: `steps = 2` gives just them; one value alone is \

@@ -79,10 +79,9 @@ pub(crate) fn check_free(folder: &Path) -> Result<(), NodeError> {
     let rest = if foreign.len() > 1 { format!(" and {} more", foreign.len() - 1) } else { String::new() };
     let error =
         NodeError::files(format!("{} holds files that this tool did not write there", folder.display()));
-    Err(error.note(format!("found {first}{rest}")).hint(
-        "move them away, or choose another output folder \
-                                                         with `--out`",
-    ))
+    Err(error
+        .note(format!("found {first}{rest}"))
+        .hint("move them away, or choose another output folder with `--out`"))
 }
 
 /// All files below a folder, as sorted relative names.
@@ -171,19 +170,12 @@ impl Staging {
     /// Stamps the files and puts the folder in its place.
     pub(crate) fn publish(self, key: Digest) -> Result<Vec<StampedFile>, NodeError> {
         let stamp = Stamp { key, files: self.stamped()? };
-        let text = toml::to_string(&stamp).map_err(|error| {
-            NodeError::failed(format!(
-                "cannot write the \
-                                                            stamp: {error}"
-            ))
-        })?;
+        let text = toml::to_string(&stamp)
+            .map_err(|error| NodeError::failed(format!("cannot write the stamp: {error}")))?;
         let path = self.folder.join(STAMP);
         fs::write(
             &path,
-            format!(
-                "# Written by photocurrent. Files named here are replaced by the next \
-                                  run.\n{text}"
-            ),
+            format!("# Written by photocurrent. Files named here are replaced by the next run.\n{text}"),
         )
         .and_then(|()| fs::File::open(&path)?.sync_all())
         .and_then(|()| fs::File::open(&self.folder)?.sync_all())

@@ -96,11 +96,7 @@ fn not_utf8(shown: &Path, error: &std::string::FromUtf8Error) -> Problem {
     let end = start + char::REPLACEMENT_CHARACTER.len_utf8();
     let problem = Problem::at(
         &Origin { source, span: start..end },
-        format!(
-            "cannot read {}: it is not text \
-                                                            in UTF-8",
-            shown.display()
-        ),
+        format!("cannot read {}: it is not text in UTF-8", shown.display()),
     );
     problem.label(format!("the byte 0x{:02x}", error.as_bytes()[start])).help("save it as UTF-8")
 }
@@ -130,10 +126,7 @@ fn check_format(table: &Table, source: &Arc<Source>, problems: &mut Vec<Problem>
         Some(Tree { item: Item::Integer(other), origin }) => {
             let problem = Problem::at(
                 origin,
-                format!(
-                    "this manifest has format {other}, and this version \
-                                                       reads format {FORMAT}"
-                ),
+                format!("this manifest has format {other}, and this version reads format {FORMAT}"),
             );
             let newer = if *other > FORMAT { "use a newer photocurrent, or " } else { "" };
             problems.push(problem.help(format!("{newer}write `format = {FORMAT}`")));
@@ -292,8 +285,7 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
                 .filter(|value| value.len() <= 40 && !value.contains('\n'))
                 .unwrap_or("...");
             problem.help = Some(format!(
-                "it is a parameter: write it inside `params`, as in `params = \
-                                         {{ {} = {value} }}`",
+                "it is a parameter: write it inside `params`, as in `params = {{ {} = {value} }}`",
                 stray.name
             ));
         }

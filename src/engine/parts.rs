@@ -128,8 +128,7 @@ impl Plan {
             match found {
                 Some((before, label)) if before != rows => {
                     return Err(NodeError::usage(format!(
-                        "{label} has {before} and {} has {rows}: a part has \
-                                                         the same rows everywhere",
+                        "{label} has {before} and {} has {rows}: a part has the same rows everywhere",
                         task.label
                     ))
                     .hint("name one of them with --to, or run the pipeline in one piece"));
@@ -172,8 +171,7 @@ pub fn run_part(
     for &id in &division.parted {
         let identity = identities[id].ok_or_else(|| {
             NodeError::files(format!(
-                "{}: a file that its result \
-                                                            depends on cannot be read",
+                "{}: a file that its result depends on cannot be read",
                 plan.tasks[id].label
             ))
         })?;
@@ -258,8 +256,7 @@ fn is_there(folder: &Path, wanted: &Promise) -> Result<bool, NodeError> {
     }
     match wanted.nodes.iter().find(|(node, identity)| found.nodes.get(*node) != Some(identity)) {
         Some((node, _)) => other(format!(
-            "it was made by another pipeline: `{node}` has other parameters, \
-                                          inputs or files there"
+            "it was made by another pipeline: `{node}` has other parameters, inputs or files there"
         )),
         None => Ok(true),
     }
@@ -268,10 +265,8 @@ fn is_there(folder: &Path, wanted: &Promise) -> Result<bool, NodeError> {
 fn read_promise(folder: &Path) -> Result<Promise, NodeError> {
     let path = folder.join(PROMISE);
     let text = std::fs::read_to_string(&path).map_err(|error| {
-        NodeError::files(photocurrent_core::error::cannot_read(&path, &error)).hint(
-            "a part is complete \
-                                                            when this file is there: run it again",
-        )
+        NodeError::files(photocurrent_core::error::cannot_read(&path, &error))
+            .hint("a part is complete when this file is there: run it again")
     })?;
     let promise: Promise = toml::from_str(&text).map_err(|error| {
         NodeError::input(format!("{}: this is no part of a run: {}", path.display(), error.message()))
@@ -365,12 +360,8 @@ impl Part<'_> {
         made: &BTreeMap<TaskId, BTreeMap<String, Value>>,
     ) -> Result<BTreeMap<String, Value>, NodeError> {
         let task = &self.plan.tasks[id];
-        let identity = self.identities[id].ok_or_else(|| {
-            NodeError::failed(
-                "a task that is made in parts \
-                                                            has an identity",
-            )
-        })?;
+        let identity = self.identities[id]
+            .ok_or_else(|| NodeError::failed("a task that is made in parts has an identity"))?;
         let mut inputs = PortValues::new();
         for input in &task.inputs {
             let values = extracted(&input.from, |from, port| {

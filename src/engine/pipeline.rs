@@ -102,10 +102,9 @@ impl Pipeline {
             result.blocks = Blocks::from_tree(tree);
             if result.blocks.is_none() {
                 let problem = Problem::at(&tree.origin, "`pipeline.blocks` does not say how long a block is");
-                manifest.problems.push(problem.help(
-                    "such as `blocks = \
-                                                     { length = \"2 s\", overlap = \"50 ms\" }`",
-                ));
+                manifest
+                    .problems
+                    .push(problem.help("such as `blocks = { length = \"2 s\", overlap = \"50 ms\" }`"));
             }
         }
         let nodes = table.get("nodes").and_then(Tree::as_table).cloned().unwrap_or_default();
@@ -144,11 +143,7 @@ fn without_kind(key: &Key, nodes: &Table, extends: bool) -> Problem {
     let below = nodes.entries.iter().filter(|(_, node)| has_kind(node)).map(|(key, _)| key.name.as_str());
     let problem = Problem::at(
         &key.origin,
-        format!(
-            "there is no node `{}` below to change, and without \
-                                                    `kind` it is no new one",
-            key.name
-        ),
+        format!("there is no node `{}` below to change, and without `kind` it is no new one", key.name),
     );
     problem.label("unknown node").did_you_mean(&key.name, below)
 }

@@ -118,8 +118,7 @@ impl Plan {
                 let least = least_bytes(task);
                 (least > bytes).then(|| {
                     let message = format!(
-                        "nodes.{}: its results need about {} of memory at a time, and \
-                                           there are {}",
+                        "nodes.{}: its results need about {} of memory at a time, and there are {}",
                         task.label,
                         size(least),
                         size(bytes)

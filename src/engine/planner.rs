@@ -169,8 +169,7 @@ impl Planner {
                 Ok(found) => *cuts = Some(found),
                 Err(message) => {
                     self.problems.push(Problem::at(&blocks.origin, message).help(
-                        "make them longer; is the recording \
-                                                            that long, or is one stamp far from all others?",
+                        "make them longer; is the recording that long, or is one stamp far from all others?",
                     ));
                     return None;
                 }
@@ -203,10 +202,10 @@ impl Planner {
             "blocks overlap by {overlap}, which is shorter than a frame: exposures last \
                                up to {exposure}, and rows follow within {delay}"
         );
-        self.problems.push(Problem::at(&blocks.overlap_origin, message).help(
-            "two frame periods are a good \
-                                                            overlap, such as `overlap = \"50 ms\"`",
-        ));
+        self.problems.push(
+            Problem::at(&blocks.overlap_origin, message)
+                .help("two frame periods are a good overlap, such as `overlap = \"50 ms\"`"),
+        );
         None
     }
 
@@ -375,8 +374,7 @@ impl Planner {
             return Some(());
         }
         let message = format!(
-            "nodes.{}: the plan up to here takes {} for the times of frames, and there \
-                               are {}",
+            "nodes.{}: the plan up to here takes {} for the times of frames, and there are {}",
             node.spec.id,
             size(held),
             size(self.memory)
@@ -419,8 +417,7 @@ impl Planner {
         );
         assert!(
             specs.iter().all(|spec| spec.arity != Arity::Many),
-            "{}: an output gives one value: the \
-                                                            store has one place for it",
+            "{}: an output gives one value: the store has one place for it",
             node.kind.decl.kind
         );
         let outputs = planned

@@ -168,18 +168,16 @@ impl<'a> Checker<'a, '_> {
         let problem = Problem::at(
             origin,
             format!(
-                "nodes.{}: a bypass needs one connected input and one \
-                                                   output of the same type, and {found}",
+                "nodes.{}: a bypass needs one connected input and one output of the same type, and {found}",
                 node.id
             ),
         );
         let problem = problem
             .note(format!("connected inputs: {inputs}"))
             .note(format!("outputs: {}", list(kind.outputs.iter())));
-        self.problems.push(problem.help(
-            "take `bypass` out, and connect what follows to what stands before \
-                                         this node",
-        ));
+        self.problems.push(
+            problem.help("take `bypass` out, and connect what follows to what stands before this node"),
+        );
         self.broken[at] = true;
     }
 
@@ -195,10 +193,8 @@ impl<'a> Checker<'a, '_> {
                     &name.origin,
                     format!("`{id}` is bypassed, and its output `{}` is gone", from.1),
                 );
-                self.problems.push(problem.note(format!(
-                    "a bypassed node passes on its input as \
-                                                         `{id}.{port}` only"
-                )));
+                self.problems
+                    .push(problem.note(format!("a bypassed node passes on its input as `{id}.{port}` only")));
                 return None;
             }
             from = self.written_output(upstream, None)?.from;
@@ -291,11 +287,7 @@ impl<'a> Checker<'a, '_> {
         );
         let offers = self.offers(at, input.data_type);
         let Some(first) = offers.first() else {
-            return problem.note(format!(
-                "no node here has an output of \
-                                                            type {}",
-                input.data_type
-            ));
+            return problem.note(format!("no node here has an output of type {}", input.data_type));
         };
         let value = if input.arity == Arity::Many { format!("[{first}]") } else { first.clone() };
         let entry = format!("{} = {value}", input.name);
@@ -339,11 +331,11 @@ impl<'a> Checker<'a, '_> {
                     wire.from.len()
                 ),
             );
-            self.problems.push(problem.label("expected \"node.port\"").help(format!(
-                "write one of them, such as `{} \
-                                                            = \"{}\"`",
-                input.name, wire.from[0].text
-            )));
+            self.problems.push(
+                problem
+                    .label("expected \"node.port\"")
+                    .help(format!("write one of them, such as `{} = \"{}\"`", input.name, wire.from[0].text)),
+            );
             return None;
         }
         let links: Vec<Option<Link>> = wire.from.iter().map(|name| self.link(at, input, name)).collect();

@@ -177,13 +177,11 @@ fn reader(project: &Project, manifest: &Path) -> Result<(String, Map<String, Jso
     let hint = "hint: name the recording itself: photocurrent diagnose FILE --sensor SENSOR.toml";
     match node(project, "recording", |kind| kind.starts_with("read/") && kind != SENSOR) {
         Ok(Some(found)) => Ok(found),
-        Ok(None) => Err(usage(format!(
-            "{name}: the manifest reads no recording, and `diagnose` needs one\n  \
-                                       {hint}"
-        ))),
+        Ok(None) => {
+            Err(usage(format!("{name}: the manifest reads no recording, and `diagnose` needs one\n  {hint}")))
+        }
         Err(several) => Err(usage(format!(
-            "{name}: the manifest reads several recordings ({}), and none is \
-                                           called `recording`\n  {hint}",
+            "{name}: the manifest reads several recordings ({}), and none is called `recording`\n  {hint}",
             several.join(", ")
         ))),
     }

@@ -174,12 +174,8 @@ fn lay(table: &mut toml::Table, path: &str, value: toml::Value) {
 /// The parameters of a known target, from its file.
 fn target(path: &Path) -> Result<toml::Table, Failure> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        usage(format!(
-            "{name}: cannot read the scene: \
-                                                            {error}"
-        ))
-    })?;
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| usage(format!("{name}: cannot read the scene: {error}")))?;
     let params: toml::Table = text.parse().map_err(|why| usage(format!("{name}: this is no TOML: {why}")))?;
     let hint = "hint: `photocurrent nodes diagnose/target` lists the parameters";
     let known =

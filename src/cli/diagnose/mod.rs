@@ -113,11 +113,7 @@ fn scratch(folder: &Path) -> Result<TempDir, Failure> {
     let parent: PathBuf =
         folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).into();
     let failed = |error: std::io::Error| {
-        Failure::other(format!(
-            "{}: cannot make a folder next to it: \
-                                                            {error}",
-            folder.display()
-        ))
+        Failure::other(format!("{}: cannot make a folder next to it: {error}", folder.display()))
     };
     std::fs::create_dir_all(&parent).map_err(failed)?;
     tempfile::Builder::new().prefix(".diagnosis-").tempdir_in(&parent).map_err(failed)

@@ -79,8 +79,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
             format!("hint: photocurrent nodes read/{} lists what can be stated of it", parts.format.id);
         let flag = name.replace('_', "-");
         return Err(usage(format!(
-            "--{flag} is nothing that can be stated of {}: it is recorded, or has no \
-                                  meaning there\n  {hint}",
+            "--{flag} is nothing that can be stated of {}: it is recorded, or has no meaning there\n  {hint}",
             parts.format.name
         )));
     }
@@ -103,12 +102,10 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
             usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
         })
     };
-    let events_meta = arranged.events.clone().map_err(|why| {
-        usage(format!(
-            "{why}: there is nothing to \
-                                                            reconstruct from"
-        ))
-    })?;
+    let events_meta = arranged
+        .events
+        .clone()
+        .map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
     let frames = need_frames(&arranged)?;
     let events_span =
         events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
@@ -296,8 +293,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             Some(Fill::open(
                 "coordinate_scale",
                 "32".into(),
-                "coordinates exceed the pictures; the authors \
-                                                            of HS-ERGB store 32 times the pixel",
+                "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel",
             ))
         }
         "exposure" if all.exposure.is_none() => {
@@ -329,8 +325,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             Some(Fill::open(
                 "row_time",
                 format!("\"{delay}\""),
-                "the calibration's line delay, taken as \
-                                                            seconds",
+                "the calibration's line delay, taken as seconds",
             ))
         }
         "row_time" if all.row_time.is_none() => {

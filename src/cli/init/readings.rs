@@ -109,11 +109,7 @@ pub fn best(
         let name = if (right, down) == (0, 0) {
             of.name.clone()
         } else {
-            format!(
-                "{}, events moved {right} \
-                                                            right and {down} down",
-                of.name
-            )
+            format!("{}, events moved {right} right and {down} down", of.name)
         };
         Alternative { name, ..of }
     };

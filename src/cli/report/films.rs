@@ -152,8 +152,7 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
             }
             Ok(None) => {}
             Err(why) => notes.push(format!(
-                "{label} is not shown: {why}. `photocurrent run {}` makes it \
-                                            again.",
+                "{label} is not shown: {why}. `photocurrent run {}` makes it again.",
                 run.record.manifest
             )),
         }
@@ -167,8 +166,7 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
     if all.len() > MOST {
         let left: Vec<String> = all.split_off(MOST).into_iter().map(|candidate| candidate.label).collect();
         notes.push(format!(
-            "{MOST} sequences of {} are shown, and {} are not, such as {}: choose with \
-                            `--variant NAME`.",
+            "{MOST} sequences of {} are shown, and {} are not, such as {}: choose with `--variant NAME`.",
             run.name,
             left.len(),
             left[0]
@@ -196,10 +194,7 @@ fn group(
         .or_else(|| all.iter().position(|one| one.kind() == "method"))
         .unwrap_or(0);
     let failed = |error: photocurrent_core::NodeError| {
-        Failure::other(format!(
-            "the pictures of {name} \
-                                                            cannot be made: {error}"
-        ))
+        Failure::other(format!("the pictures of {name} cannot be made: {error}"))
     };
     let tone = Tone::of(&all[reference].shown, sensor).map_err(failed)?;
     let middles: Vec<Vec<i64>> = all.iter().map(|one| one.shown.middles_ns()).collect();

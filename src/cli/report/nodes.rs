@@ -204,10 +204,8 @@ fn diagnoses(run: &Run) -> String {
         let page = escaped(&folder.join("report.html").to_string_lossy());
         html +=
             &format!("<h3>{}</h3>\n{}", escaped(&task.label), photocurrent_diagnosis::page::section(&report));
-        html += &format!(
-            "<p class=\"note\">With pictures, in the folder of the run: \
-                          <code>{page}</code></p>\n"
-        );
+        html +=
+            &format!("<p class=\"note\">With pictures, in the folder of the run: <code>{page}</code></p>\n");
     }
     html
 }

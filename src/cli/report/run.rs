@@ -50,8 +50,7 @@ impl Run {
                 kind => kind.refuse(
                     source,
                     "report",
-                    "a manifest that was run, or the folder that a run \
-                                                       wrote to",
+                    "a manifest that was run, or the folder that a run wrote to",
                 ),
             });
         }
@@ -72,8 +71,7 @@ impl Run {
                 &folder,
                 source,
                 "this is",
-                "run this manifest with --out FOLDER, and name \
-                                                            that folder instead of the manifest",
+                "run this manifest with --out FOLDER, and name that folder instead of the manifest",
             )?;
         }
         let record = RunRecord::load(&folder)?;

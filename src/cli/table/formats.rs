@@ -399,10 +399,7 @@ mod tests {
         let text = csv(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
         assert_eq!(
             text.lines().next(),
-            Some(
-                "scene,ours psnr_db,ours lpips,EDI psnr_db,EDI lpips,akf \
-                                              psnr_db,akf lpips"
-            )
+            Some("scene,ours psnr_db,ours lpips,EDI psnr_db,EDI lpips,akf psnr_db,akf lpips")
         );
         assert_eq!(text.lines().nth(2), Some("ball,20.0,0.2,21.0,0.21,,"));
     }
@@ -410,8 +407,7 @@ mod tests {
     #[test]
     fn latex_joins_equal_heads_and_escapes_what_latex_reads() {
         let text = latex(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
-        let expected = "\
-% needs \\usepackage{booktabs}
+        let expected = "% needs \\usepackage{booktabs}
 \\begin{tabular}{lrrrrrr}
 \\toprule
  & \\multicolumn{2}{c}{ours} & \\multicolumn{2}{c}{EDI} & \\multicolumn{2}{c}{akf} \\\\

@@ -234,17 +234,11 @@ pub mod tests {
         for (scene, values) in [("fan", [30.0, 28.0, 29.0]), ("ball", [20.0, 21.0, f64::NAN])] {
             for (method, value) in ["ours", "edi", "akf"].iter().zip(values) {
                 all.push(record(
-                    &format!(
-                        "file=t scene={scene} node=psnr_{method} method={method} \
-                                          metric=psnr_db"
-                    ),
+                    &format!("file=t scene={scene} node=psnr_{method} method={method} metric=psnr_db"),
                     value,
                 ));
                 all.push(record(
-                    &format!(
-                        "file=t scene={scene} node=lpips_{method} method={method} \
-                                          metric=lpips"
-                    ),
+                    &format!("file=t scene={scene} node=lpips_{method} method={method} metric=lpips"),
                     value / 100.0,
                 ));
             }
@@ -260,13 +254,7 @@ pub mod tests {
     #[test]
     fn what_falls_into_one_cell_is_added_up_when_that_is_asked_for() {
         let said = [("fan", 1.0), ("fan", 2.0), ("ball", 4.0)].map(|(scene, value)| {
-            record(
-                &format!(
-                    "scene={scene} recording={value} metric=count node=n \
-                                                   method=n"
-                ),
-                value,
-            )
+            record(&format!("scene={scene} recording={value} metric=count node=n method=n"), value)
         });
         let request = Request { rows: vec!["scene".into()], columns: vec!["metric".into()], sum: true };
         let grid = Grid::new(&said, &request).expect("a grid");
@@ -321,16 +309,13 @@ pub mod tests {
         };
         let found = message(&["scene"], &["metric"]);
         assert!(
-            found.starts_with(
-                "two scores fall into one cell (fan, psnr_db): they differ in `node`, \
-                                   `method`"
-            ),
+            found
+                .starts_with("two scores fall into one cell (fan, psnr_db): they differ in `node`, `method`"),
             "{found}"
         );
         assert_eq!(
             message(&["scenes"], &[]),
-            "there is no axis `scenes`; there are file, scene, node, \
-                                               method, metric"
+            "there is no axis `scenes`; there are file, scene, node, method, metric"
         );
         assert!(message(&["scene"], &["scene"]).contains("stands twice"));
     }

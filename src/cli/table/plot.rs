@@ -35,13 +35,7 @@ pub fn figure(grid: &Grid, style: &Style) -> Result<Figure, String> {
         ));
     };
     let levels = grid.rows.iter().map(|row| {
-        number(&row[0]).ok_or_else(|| {
-            format!(
-                "the level `{}` of \
-                                                            `{axis}` is no number with a unit",
-                row[0]
-            )
-        })
+        number(&row[0]).ok_or_else(|| format!("the level `{}` of `{axis}` is no number with a unit", row[0]))
     });
     let levels: Vec<(f64, String)> = levels.collect::<Result<_, _>>()?;
     let unit = &levels[0].1;

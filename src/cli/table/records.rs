@@ -54,8 +54,7 @@ pub fn read(sources: &[PathBuf], choice: &Choice) -> Result<Vec<Record>, Failure
         for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
             let wrong = |what: &str| {
                 usage(format!(
-                    "{}:{}: {what}\n  expected a line of \
-                                                    metrics.pooled.jsonl (docs/formats.md)",
+                    "{}:{}: {what}\n  expected a line of metrics.pooled.jsonl (docs/formats.md)",
                     path.display(),
                     number + 1
                 ))
@@ -90,8 +89,7 @@ fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
         return Err(kind.refuse(
             source,
             "table",
-            "a manifest that was run, a folder with scores, or a file \
-                                                 of scores",
+            "a manifest that was run, a folder with scores, or a file of scores",
         ));
     }
     if matches!(kind, FileKind::Manifest) || source.extension().is_some_and(|extension| extension == "toml") {

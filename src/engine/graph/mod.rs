@@ -174,8 +174,7 @@ fn dot(drawing: &Drawing) -> String {
     let quote =
         |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', " "));
     let mut text = format!(
-        "digraph pipeline \
-                            {{\n  label={};\n  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\"];\n",
+        "digraph pipeline {{\n  label={};\n  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\"];\n",
         quote(&drawing.title)
     );
     for node in &drawing.nodes {

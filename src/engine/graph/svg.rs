@@ -81,8 +81,7 @@ pub(super) fn draw(drawing: &Drawing) -> String {
             colour(node.family())
         );
         svg += &format!(
-            "<text x=\"{centre:.1}\" y=\"{:.1}\" text-anchor=\"middle\" \
-                         font-weight=\"bold\">{}</text>",
+            "<text x=\"{centre:.1}\" y=\"{:.1}\" text-anchor=\"middle\" font-weight=\"bold\">{}</text>",
             top + 19.0,
             escape(&node.id)
         );

@@ -34,10 +34,7 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
     let ingredients = guarded(|| {
         let found = key::ingredients(task, shared.cache, &|from, port| contents.get(&(from, port)).copied())?;
         found.ok_or_else(|| {
-            NodeError::failed(
-                "an input has no stored content: the plan marks as wanted \
-                                               what others take",
-            )
+            NodeError::failed("an input has no stored content: the plan marks as wanted what others take")
         })
     });
     let ingredients = match ingredients {
@@ -412,15 +409,13 @@ pub(crate) fn checked(
         let value = match values.into_iter().next() {
             Some(_) if absent => {
                 return Err(broken(format!(
-                    "its plan said that there is no `{}`, and there \
-                                                            is one",
+                    "its plan said that there is no `{}`, and there is one",
                     output.port
                 )));
             }
             None if output.wanted && !absent => {
                 return Err(broken(format!(
-                    "its plan said that there is \
-                                                            `{}`, and there is none",
+                    "its plan said that there is `{}`, and there is none",
                     output.port
                 )));
             }

@@ -28,8 +28,7 @@ fn said_after(text: &str) -> String {
 fn the_outline_is_checked() {
     assert_eq!(
         said("[nodes.a]\nkind = \"read/source\"\n"),
-        "m.toml:1:1: `format` is missing\n  hint: write \
-                                                            `format = 1` as the first line\n"
+        "m.toml:1:1: `format` is missing\n  hint: write `format = 1` as the first line\n"
     );
     assert_eq!(
         said("format = 2\n[nodes.a]\nkind = \"read/source\"\n"),
@@ -38,23 +37,19 @@ fn the_outline_is_checked() {
     );
     assert_eq!(
         said("format = 1\n"),
-        "m.toml:1:1: the manifest has no node\n  hint: add a table such as \
-                                      `[nodes.sensor]` with a `kind`\n"
+        "m.toml:1:1: the manifest has no node\n  hint: add a table such as `[nodes.sensor]` with a `kind`\n"
     );
     assert_eq!(
         said_after("[pipelin]\nseed = 1\n"),
-        "m.toml:4:2: `pipelin` is not a key of a manifest\n  \
-                                                     hint: did you mean `pipeline`?\n"
+        "m.toml:4:2: `pipelin` is not a key of a manifest\n  hint: did you mean `pipeline`?\n"
     );
     assert_eq!(
         said_after("[pipeline]\nsed = 1\n"),
-        "m.toml:5:1: `sed` is not a key of a pipeline\n  hint: \
-                                                     did you mean `seed`?\n"
+        "m.toml:5:1: `sed` is not a key of a pipeline\n  hint: did you mean `seed`?\n"
     );
     assert_eq!(
         said_after("[pipeline]\nseed = \"a\"\n"),
-        "m.toml:5:8: expected an integer, found the text \
-                                                          \"a\"\n  hint: such as `seed = 7`\n"
+        "m.toml:5:8: expected an integer, found the text \"a\"\n  hint: such as `seed = 7`\n"
     );
     assert_eq!(
         said_after("width = 3\n"),
@@ -63,8 +58,7 @@ fn the_outline_is_checked() {
     );
     assert_eq!(
         said_after("parms = { }\n"),
-        "m.toml:4:1: `parms` is not a key of a node\n  hint: did you \
-                                             mean `params`?\n"
+        "m.toml:4:1: `parms` is not a key of a node\n  hint: did you mean `params`?\n"
     );
     assert_eq!(
         said("format = 1\n[nodes.A]\nkind = \"read/source\"\n").lines().next().unwrap(),
@@ -72,8 +66,7 @@ fn the_outline_is_checked() {
     );
     assert_eq!(
         said("format = 1\n[nodes.a]\nin = {}\n"),
-        "m.toml:2:8: nodes.a: `kind` is missing\n  hint: \
-                                                          `photocurrent nodes` lists the kinds\n"
+        "m.toml:2:8: nodes.a: `kind` is missing\n  hint: `photocurrent nodes` lists the kinds\n"
     );
     assert_eq!(
         said_after("in.plane = 3\n"),
@@ -92,23 +85,16 @@ fn a_syntax_mistake_is_shown_where_it_stands() {
 fn a_circle_of_manifests_is_refused() {
     let folder = Folder::new();
     folder.write("b.toml", "format = 1\nextends = \"a.toml\"\n");
-    let path = folder.write(
-        "a.toml",
-        "format = 1\nextends = \"b.toml\"\n[nodes.source]\nkind = \
-                                       \"read/source\"\n",
-    );
+    let path =
+        folder.write("a.toml", "format = 1\nextends = \"b.toml\"\n[nodes.source]\nkind = \"read/source\"\n");
     let problems = Project::load(&path, &[], &catalogue()).unwrap_err();
     assert_eq!(folder.show(&problems), "b.toml:2:11: a.toml extends itself\n");
-    let missing = folder.write(
-        "c.toml",
-        "format = 1\nextends = \"none.toml\"\n[nodes.source]\nkind = \
-                                          \"read/source\"\n",
-    );
+    let missing = folder
+        .write("c.toml", "format = 1\nextends = \"none.toml\"\n[nodes.source]\nkind = \"read/source\"\n");
     let shown = folder.show(&Project::load(&missing, &[], &catalogue()).unwrap_err());
     assert!(
         shown.starts_with(
-            "c.toml:2:11: cannot read none.toml: there is no such file\n  hint: paths are \
-                               relative"
+            "c.toml:2:11: cannot read none.toml: there is no such file\n  hint: paths are relative"
         ),
         "{shown}"
     );
@@ -118,14 +104,11 @@ fn a_circle_of_manifests_is_refused() {
 fn kinds_and_parameters_are_checked() {
     assert_eq!(
         said("format = 1\n[nodes.a]\nkind = \"read/sorce\"\n"),
-        "m.toml:3:8: there is no node kind \
-                                                            `read/sorce`\n  hint: did you mean \
-                                                            `read/source`?\n"
+        "m.toml:3:8: there is no node kind `read/sorce`\n  hint: did you mean `read/source`?\n"
     );
     assert_eq!(
         said_after("params.widht = 3\n"),
-        "m.toml:4:8: `widht` is not a parameter of read/source\n  \
-                                                  hint: did you mean `width`?\n"
+        "m.toml:4:8: `widht` is not a parameter of read/source\n  hint: did you mean `width`?\n"
     );
     let add = "[nodes.solve]\nkind = \"solve/add\"\nin.plane = \"source\"\n";
     assert_eq!(
@@ -136,8 +119,7 @@ fn kinds_and_parameters_are_checked() {
     );
     assert_eq!(
         said_after(&format!("{add}params.amount = 14.0\n")),
-        "m.toml:7:17: nodes.solve: `amount` \
-                                                            must not be 14\n  hint: take 15\n"
+        "m.toml:7:17: nodes.solve: `amount` must not be 14\n  hint: take 15\n"
     );
 }
 
@@ -171,8 +153,7 @@ fn sockets_are_checked() {
     );
     assert_eq!(
         said_after(&format!("{add}in.plane = \"sorce\"\n")),
-        "m.toml:6:12: there is no node \
-                                                            `sorce`\n  hint: did you mean `source`?\n"
+        "m.toml:6:12: there is no node `sorce`\n  hint: did you mean `source`?\n"
     );
     assert_eq!(
         said_after(&format!("{add}in.plane = \"source.plan\"\n")),
@@ -237,10 +218,10 @@ fn a_ring_of_nodes_is_printed() {
 
 #[test]
 fn a_node_that_feeds_itself_is_named() {
-    assert!(said_after("[nodes.a]\nkind = \"solve/add\"\nin.plane = \"a\"\n").starts_with(
-        "m.toml:4:8: node \
-                                                            `a` waits for itself\n"
-    ));
+    assert!(
+        said_after("[nodes.a]\nkind = \"solve/add\"\nin.plane = \"a\"\n")
+            .starts_with("m.toml:4:8: node `a` waits for itself\n")
+    );
 }
 
 #[test]
@@ -306,33 +287,27 @@ fn set_is_checked_like_the_file() {
     let set = |text: &str| said_with(SOURCE, &[text]);
     assert_eq!(
         set("nodes.source.params.width=\"x\""),
-        "--set:1:27: expected an integer, found the text \
-                                                        \"x\"\n"
+        "--set:1:27: expected an integer, found the text \"x\"\n"
     );
     assert_eq!(
         set("nodes.sorce.params.width=1"),
-        "--set:1:7: there is no node `sorce` to change\n  hint: \
-                                                   did you mean `source`?\n"
+        "--set:1:7: there is no node `sorce` to change\n  hint: did you mean `source`?\n"
     );
     assert_eq!(
         set("nodes.source.params.widht=1"),
-        "--set:1:21: `widht` is not a parameter of \
-                                                    read/source\n  hint: did you mean `width`?\n"
+        "--set:1:21: `widht` is not a parameter of read/source\n  hint: did you mean `width`?\n"
     );
     assert_eq!(
         set("width"),
-        "--set:1:1: `--set` takes path=value\n  hint: such as --set \
-                              nodes.solve.params.cis_weight=2\n"
+        "--set:1:1: `--set` takes path=value\n  hint: such as --set nodes.solve.params.cis_weight=2\n"
     );
     assert_eq!(
         set("source.params.width=1"),
-        "--set:1:1: `source` cannot be laid over a manifest\n  hint: \
-                                              write `nodes.source`: it is a node\n"
+        "--set:1:1: `source` cannot be laid over a manifest\n  hint: write `nodes.source`: it is a node\n"
     );
     assert_eq!(
         set("node.source.params.width=1"),
-        "--set:1:1: `node` cannot be laid over a manifest\n  \
-                                                   hint: did you mean `nodes`?\n"
+        "--set:1:1: `node` cannot be laid over a manifest\n  hint: did you mean `nodes`?\n"
     );
 }
 
@@ -379,10 +354,10 @@ fn an_ablation_is_checked() {
         "m.toml:5:40: both ends of a `log` range must be above zero, found 0\n  hint: raise it, or use \
          `linear`\n"
     );
-    assert!(ablation("[ablation.sweep]\nnodes.source.params.offset = [1]\n").contains(
-        "is not the path of a \
-                                                            parameter"
-    ));
+    assert!(
+        ablation("[ablation.sweep]\nnodes.source.params.offset = [1]\n")
+            .contains("is not the path of a parameter")
+    );
     assert_eq!(
         ablation("[ablation.sweep]\n\"nodes.source.params.width\" = [1, \"x\"]\n"),
         "m.toml:5:35: expected an integer, found the text \"x\"\n  in variant width=x\n"
@@ -450,9 +425,9 @@ fn an_optional_node_is_left_out_with_what_stands_behind_it_while_its_file_is_mis
 fn only_a_missing_file_of_a_node_marked_optional_is_forgiven() {
     assert!(said(&in_trouble("", "misses")).contains("nodes.net: cannot read w.onnx: there is no such file"));
     assert!(said(&in_trouble("optional = false\n", "misses")).contains("nodes.net: cannot read w.onnx"));
-    assert!(said(&in_trouble("optional = true\n", "complains")).contains(
-        "nodes.net: the description has a \
-                                                            mistake"
-    ));
+    assert!(
+        said(&in_trouble("optional = true\n", "complains"))
+            .contains("nodes.net: the description has a mistake")
+    );
     assert!(said(&in_trouble("optional = 1\n", "none")).contains("expected `true` or `false`"));
 }

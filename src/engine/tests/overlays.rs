@@ -43,8 +43,7 @@ fn tables_merge_and_scalars_replace() {
     folder.write("base.toml", BASE);
     let path = folder.write(
         "sub/top.toml",
-        "format = 1\nextends = \
-                                             \"../base.toml\"\n[nodes.solve]\nparams.amount = 5.0\n",
+        "format = 1\nextends = \"../base.toml\"\n[nodes.solve]\nparams.amount = 5.0\n",
     );
     let project = load(&path, &[]);
     assert_eq!(param(&project, "base", "solve", "amount"), "5.0");
@@ -58,8 +57,7 @@ fn a_changed_kind_drops_the_params_and_keeps_the_inputs() {
     folder.write("base.toml", BASE);
     let path = folder.write(
         "top.toml",
-        "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \
-                                         \"solve/scale\"\nparams.factor = 3.0\n",
+        "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \"solve/scale\"\nparams.factor = 3.0\n",
     );
     let project = load(&path, &[]);
     let solve = project.pipelines[0].node("solve").unwrap();
@@ -71,11 +69,8 @@ fn a_changed_kind_drops_the_params_and_keeps_the_inputs() {
 fn the_same_kind_again_keeps_the_params() {
     let folder = Folder::new();
     folder.write("base.toml", BASE);
-    let path = folder.write(
-        "top.toml",
-        "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \
-                                         \"solve/add\"\n",
-    );
+    let path = folder
+        .write("top.toml", "format = 1\nextends = \"base.toml\"\n[nodes.solve]\nkind = \"solve/add\"\n");
     assert_eq!(param(&load(&path, &[]), "base", "solve", "amount"), "2.0");
 }
 
@@ -87,11 +82,7 @@ fn later_wins_in_the_order_extends_file_level_set() {
                  { nodes.solve.params = { direction = \"down\", amount = 4.0 } }\n";
     let path = folder.write(
         "top.toml",
-        &format!(
-            "format = 1\nextends = \
-                                                  \"base.toml\"\n[nodes.solve]\nparams.amount = \
-                                                  3.0\n{level}"
-        ),
+        &format!("format = 1\nextends = \"base.toml\"\n[nodes.solve]\nparams.amount = 3.0\n{level}"),
     );
     let project = load(&path, &[]);
     assert_eq!(param(&project, "way=up", "solve", "amount"), "3.0");
@@ -109,14 +100,10 @@ fn a_path_starts_from_the_manifest_that_wrote_it() {
     let folder = Folder::new();
     folder.write(
         "deep/base.toml",
-        "format = 1\n[nodes.source]\nkind = \"read/source\"\nparams.path = \
-                                    \"data.bin\"\n",
+        "format = 1\n[nodes.source]\nkind = \"read/source\"\nparams.path = \"data.bin\"\n",
     );
-    let path = folder.write(
-        "top.toml",
-        "format = 1\nextends = \
-                                         \"deep/base.toml\"\n[nodes.source]\nparams.width = 2\n",
-    );
+    let path = folder
+        .write("top.toml", "format = 1\nextends = \"deep/base.toml\"\n[nodes.source]\nparams.width = 2\n");
     let found = param(&load(&path, &[]), "base", "source", "path");
     assert_eq!(found, format!("\"{}\"", folder.path("deep/data.bin").display()));
 }
@@ -155,8 +142,7 @@ fn a_log_sweep_has_round_numbers() {
     let path = folder.write(
         "m.toml",
         &format!(
-            "{BASE}[ablation.sweep]\n\"nodes.solve.params.amount\" = \
-                                                {{ log = [0.1, 10.0], steps = 5 }}\n"
+            "{BASE}[ablation.sweep]\n\"nodes.solve.params.amount\" = {{ log = [0.1, 10.0], steps = 5 }}\n"
         ),
     );
     let project = load(&path, &[]);
@@ -169,10 +155,7 @@ fn a_sweep_over_text_names_its_levels_without_spaces() {
     let folder = Folder::new();
     let path = folder.write(
         "m.toml",
-        &format!(
-            "{BASE}[ablation.sweep]\n\"nodes.solve.params.rate\" = [\"1 \
-                                                kHz\", \"2 kHz\"]\n"
-        ),
+        &format!("{BASE}[ablation.sweep]\n\"nodes.solve.params.rate\" = [\"1 kHz\", \"2 kHz\"]\n"),
     );
     let project = load(&path, &[]);
     assert_eq!(project.pipelines[0].variant, "rate=1kHz");
@@ -203,8 +186,7 @@ fn variants_are_chosen_whole_or_in_part() {
     let problems = Plan::new(&project, &catalogue(), &selection).err().unwrap();
     assert_eq!(
         folder.show(&problems),
-        "there is no variant `way=upp,offset=2`\n  hint: did you mean \
-                                        `way=up,offset=2`?\n"
+        "there is no variant `way=upp,offset=2`\n  hint: did you mean `way=up,offset=2`?\n"
     );
 }
 
@@ -238,10 +220,8 @@ fn variants_share_equal_branches() {
 fn only_what_somebody_wants_is_stored() {
     let folder = Folder::new();
     let split = |extra: &str| {
-        let text = format!(
-            "{BASE}[nodes.halves]\nkind = \"split/halves\"\nin = \
-                            {{ plane = \"solve\" }}\n{extra}"
-        );
+        let text =
+            format!("{BASE}[nodes.halves]\nkind = \"split/halves\"\nin = {{ plane = \"solve\" }}\n{extra}");
         let plan = plan(&load(&folder.write("m.toml", &text), &[]));
         plan.tasks[plan.task_of("base", "halves").unwrap()]
             .stored()
@@ -252,10 +232,8 @@ fn only_what_somebody_wants_is_stored() {
     assert_eq!(split(""), ["low", "high"], "nothing takes an output, so all are results");
     assert_eq!(split(smooth), ["high"]);
     let kept = BASE.replace("seed = 7", "seed = 7\nkeep = [\"halves.low\"]");
-    let text = format!(
-        "{kept}[nodes.halves]\nkind = \"split/halves\"\nin = \
-                        {{ plane = \"solve\" }}\n{smooth}"
-    );
+    let text =
+        format!("{kept}[nodes.halves]\nkind = \"split/halves\"\nin = {{ plane = \"solve\" }}\n{smooth}");
     let plan = plan(&load(&folder.write("m.toml", &text), &[]));
     assert_eq!(plan.tasks[plan.task_of("base", "halves").unwrap()].stored().count(), 2);
 }

@@ -203,10 +203,7 @@ fn the_memory_budget_is_kept() {
     let bench = Bench::new();
     let heavy: String = (0..6)
         .map(|i| {
-            format!(
-                "[nodes.h{i}]\nkind = \"solve/heavy\"\nin.plane = \
-                                                \"source\"\nparams.amount = {i}\n"
-            )
+            format!("[nodes.h{i}]\nkind = \"solve/heavy\"\nin.plane = \"source\"\nparams.amount = {i}\n")
         })
         .collect();
     let text = format!(
@@ -229,8 +226,7 @@ fn the_memory_budget_is_kept() {
 
 fn with_mischief(mischief: &str) -> String {
     let trouble = format!(
-        "[nodes.bad]\nkind = \"solve/trouble\"\nin.plane = \"source\"\nparams.mischief = \
-                           \"{mischief}\"\n"
+        "[nodes.bad]\nkind = \"solve/trouble\"\nin.plane = \"source\"\nparams.mischief = \"{mischief}\"\n"
     );
     format!(
         "{CHAIN}{trouble}[nodes.after]\nkind = \"refine/smooth\"\nin.plane = \"bad\"\n[nodes.last]\nkind = \
@@ -268,8 +264,7 @@ fn a_panic_is_that_node_s_failure() {
     assert_eq!(ended(&outcome, End::Failed), ["bad"]);
     assert_eq!(
         outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message,
-        "the node broke off: \
-                                                            index 5 is beyond 3"
+        "the node broke off: index 5 is beyond 3"
     );
     assert_eq!(ended(&outcome, End::Executed), ["source", "solve", "smooth", "sum"]);
 }
@@ -280,8 +275,7 @@ fn an_output_that_is_not_as_planned_is_refused() {
     let outcome = bench.run(&with_mischief("lies"), &[]);
     assert_eq!(
         outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message,
-        "solve/trouble broke \
-                                                            its promise: `plane` is not as planned"
+        "solve/trouble broke its promise: `plane` is not as planned"
     );
 }
 
