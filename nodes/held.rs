@@ -291,8 +291,7 @@ mod tests {
                     let tolerance = if holds == 1 { 0.0 } else { 1e-13 * holds as f64 };
                     assert!(
                         (found / expected - 1.0).abs() <= tolerance,
-                        "sequence {n}, frame {l}, pixel \
-                                                            {lane}: {found}, {expected}"
+                        "sequence {n}, frame {l}, pixel {lane}: {found}, {expected}"
                     );
                 }
             }
@@ -305,8 +304,7 @@ mod tests {
                         assert_eq!(
                             piece[..pixels.len()],
                             whole[..pixels.len()],
-                            "sequence {n}, pieces of \
-                                                            {length}"
+                            "sequence {n}, pieces of {length}"
                         );
                     }
                 }

@@ -135,8 +135,7 @@ impl<'a> Request<'a> {
             }
             _ => {
                 return Err(NodeError::usage(
-                    "no threshold: neither `threshold` nor a sensor description nor \
-                                             `contrast` is given",
+                    "no threshold: neither `threshold` nor a sensor description nor `contrast` is given",
                 )
                 .hint("connect `sensor`, or state `threshold`")
                 .param("threshold"));
@@ -154,8 +153,7 @@ impl<'a> Request<'a> {
         let black = black_level(self.sensor);
         let Some(white) = white.or_else(|| self.sensor.and_then(|sensor| sensor.frames.saturation_dn)) else {
             return Err(NodeError::usage(format!(
-                "{who} works on intensities from 0 to 1, and the DN of \
-                                                 white is not known"
+                "{who} works on intensities from 0 to 1, and the DN of white is not known"
             ))
             .hint(
                 "state `white` (255 for 8-bit frames), or connect a sensor description with \

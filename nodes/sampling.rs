@@ -160,11 +160,9 @@ pub fn virtual_frames(
     sensor: Option<&Sensor>,
 ) -> Result<FramesMeta, NodeError> {
     match at {
-        Some(at) if at.extent != extent => Err(NodeError::usage(format!(
-            "frames to imitate are {}, the \
-                                                            sensor's are {extent}",
-            at.extent
-        ))),
+        Some(at) if at.extent != extent => {
+            Err(NodeError::usage(format!("frames to imitate are {}, the sensor's are {extent}", at.extent)))
+        }
         Some(at) => Ok(FramesMeta { colour, ..at.clone() }),
         None => Ok(FramesMeta {
             extent,

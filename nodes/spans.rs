@@ -28,8 +28,7 @@ pub fn check_steps(span: TimeSpan, step_ns: i64, what: &str, who: &str) -> Resul
     }
     let (from, to) = (in_seconds(span.start.0), in_seconds(span.end.0));
     Err(NodeError::input(format!(
-        "{who} would need {} {what} for a recording from {from} to {to}, and \
-                                  {MOST_STEPS} are the most",
+        "{who} would need {} {what} for a recording from {from} to {to}, and {MOST_STEPS} are the most",
         rounded(steps)
     ))
     .hint(
@@ -161,10 +160,7 @@ mod tests {
         let error = check_covered(Some(&events), &frames, None).unwrap_err();
         assert!(
             error.message.contains("has frames near")
-                && error.hint.unwrap().contains(
-                    "start = \"0 s\", \
-                                                            end = "
-                ),
+                && error.hint.unwrap().contains("start = \"0 s\", end = "),
             "{}",
             error.message
         );
@@ -176,10 +172,9 @@ mod tests {
         let error = check_steps(TimeSpan::new(0, 1_600_000_000_000_000_000), 1_000_000, "frames", "somebody")
             .unwrap_err();
         assert!(
-            error.message.starts_with(
-                "somebody would need 1.6e12 frames for a recording from 0 s to \
-                                           1600000000 s"
-            ),
+            error
+                .message
+                .starts_with("somebody would need 1.6e12 frames for a recording from 0 s to 1600000000 s"),
             "{}",
             error.message
         );

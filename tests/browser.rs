@@ -217,8 +217,7 @@ impl Browser {
         let Ok(script) = std::fs::read_to_string(root().join(AXE)) else {
             assert!(std::env::var_os("REQUIRE_AXE").is_none(), "{AXE} is missing: `make browser` fetches it");
             eprintln!(
-                "skipped: no {AXE} here, so the pages are not tested with axe-core; `make browser` \
-                       fetches it"
+                "skipped: no {AXE} here, so the pages are not tested with axe-core; `make browser` fetches it"
             );
             return Vec::new();
         };
@@ -236,8 +235,7 @@ impl Browser {
              120)}`).join('; ')}`) }))");
         assert!(
             found["passes"].as_u64().is_some_and(|passes| passes > 10),
-            "axe-core has looked at the \
-                                                            page: {found}"
+            "axe-core has looked at the page: {found}"
         );
         found["bad"]
             .as_array()
@@ -476,12 +474,7 @@ fn axe_core_finds_a_barrier_where_there_is_one() {
     let bench = Bench::new();
     let page = |picture: &str| {
         let rest: String = (0..12)
-            .map(|n| {
-                format!(
-                    "<section aria-label=\"{n}\"><h2>Part \
-                                                    {n}</h2><p>Text</p></section>"
-                )
-            })
+            .map(|n| format!("<section aria-label=\"{n}\"><h2>Part {n}</h2><p>Text</p></section>"))
             .collect();
         format!(
             "<!doctype html><html lang=\"en\"><head><meta \

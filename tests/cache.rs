@@ -107,8 +107,7 @@ fn a_changed_weight_reruns_the_solver_and_what_follows_as_plan_and_explain_predi
     let (before, after) = (digests(&first), digests(&second));
     assert_ne!(
         after["solve.tracks"], before["solve.tracks"],
-        "a weight that changes nothing would test \
-                                                            nothing"
+        "a weight that changes nothing would test nothing"
     );
     assert_eq!(after["recording.events"], before["recording.events"]);
     // The way back is in the cache: only the files have to be written again, over those of the other weight.
@@ -141,12 +140,7 @@ fn comments_the_order_of_keys_and_the_spelling_of_units_rerun_nothing() {
         ("a whole number without its point", replaced(&text, "cis_weight = 1.0", "cis_weight = 1")),
         (
             "a default written out",
-            replaced(
-                &text,
-                "cis_weight = 1.0",
-                "cis_weight = 1.0, front_end = \
-                                                            \"low_pass\"",
-            ),
+            replaced(&text, "cis_weight = 1.0", "cis_weight = 1.0, front_end = \"low_pass\""),
         ),
         (
             "dotted keys",
@@ -205,8 +199,7 @@ fn a_changed_comment_in_an_input_file_reruns_its_reader_only() {
         &bench,
         "sensor.toml",
         "# Eq. (3): bandwidth of a bright pixel",
-        "# Eq. (3): bandwidth of a very \
-                                                            bright pixel",
+        "# Eq. (3): bandwidth of a very bright pixel",
     );
     let why = explained(&bench, "sensor", &[]);
     assert!(why.contains("sensor.toml changed content"), "{why}");

@@ -159,11 +159,8 @@ fn a_circle_is_found_through_parents_braces_and_the_root() {
         ("b", "use super::A as Other;"),
         ("c", ""),
     ];
-    let code = code.into_iter().chain([(
-        "c/y",
-        "fn f() -> super::Part {}\nmod inner \
-                                                {\n    use super::Own;\n}",
-    )]);
+    let code =
+        code.into_iter().chain([("c/y", "fn f() -> super::Part {}\nmod inner {\n    use super::Own;\n}")]);
     let code: BTreeMap<String, String> =
         code.map(|(name, text)| (name.to_string(), text.to_string())).collect();
     let graph = imports(&code);

@@ -50,12 +50,12 @@ fn faults_of_code_map(page: &str, files: &BTreeSet<String>) -> Vec<String> {
                 || files.contains(&format!("{path}.rs"))
                 || files.iter().any(|name| is_under(name, &[&path]))
         };
-        faults.extend(named.iter().filter(|module| !exists(module)).map(|module| {
-            format!(
-                "{folder}/{module} \
-                                                            does not exist"
-            )
-        }));
+        faults.extend(
+            named
+                .iter()
+                .filter(|module| !exists(module))
+                .map(|module| format!("{folder}/{module} does not exist")),
+        );
         faults.extend(
             modules_in(folder, files)
                 .into_iter()

@@ -108,8 +108,7 @@ fn what_takes_no_colour_says_so_and_names_what_does() {
         (
             "score/ssim",
             "frames = \"camera.frames\", truth = \"scene.truth\"",
-            "the frames are a bayer_rggb \
-                                                            mosaic, and a window of SSIM takes neighbours",
+            "the frames are a bayer_rggb mosaic, and a window of SSIM takes neighbours",
         ),
     ] {
         bench.write("bad.toml", &node(kind, inputs));

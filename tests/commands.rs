@@ -97,11 +97,7 @@ fn run(bench: &Bench, block: &Block) -> Vec<String> {
     let mut wrong = Vec::new();
     for (line, output) in steps(block) {
         let Some(arguments) = command(&line) else {
-            panic!(
-                "{}: `{line}` is no command of ours: give it a \
-                                                            block of its own",
-                block.place
-            )
+            panic!("{}: `{line}` is no command of ours: give it a block of its own", block.place)
         };
         let (arguments, file) = match arguments.split_once(" > ") {
             Some((arguments, file)) => (arguments, Some(file.trim())),
@@ -188,8 +184,7 @@ fn every_block_of_commands_says_whether_it_is_run() {
     }
     assert!(
         silent.is_empty(),
-        "a line `<!-- runs -->` (or another of tests/commands.rs) stands before a \
-                                block of commands:\n{}\n",
+        "a line `<!-- runs -->` (or another of tests/commands.rs) stands before a block of commands:\n{}\n",
         silent.join("\n")
     );
 }

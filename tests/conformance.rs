@@ -102,8 +102,7 @@ fn the_sockets_of_a_kind_have_names_and_meanings() {
                 }
                 if !is_one_sentence_line(port.about) {
                     complaints.push(format!(
-                        "{side} `{}` has one line about it that ends with a full stop, \
-                                             and it is {:?}",
+                        "{side} `{}` has one line about it that ends with a full stop, and it is {:?}",
                         port.name, port.about
                     ));
                 }
@@ -133,14 +132,12 @@ fn every_parameter_has_a_name_a_meaning_and_a_default() {
             let about = schema["description"].as_str().unwrap_or_default();
             if !about.ends_with('.') {
                 complaints.push(format!(
-                    "params.{name} has a doc comment that ends with a full stop, and it \
-                                         is {about:?}"
+                    "params.{name} has a doc comment that ends with a full stop, and it is {about:?}"
                 ));
             }
             if schema.get("default").is_none() {
                 complaints.push(format!(
-                    "params.{name} has no default in the schema: put #[serde(default)] \
-                                         on the struct"
+                    "params.{name} has no default in the schema: put #[serde(default)] on the struct"
                 ));
             }
         }
@@ -199,8 +196,7 @@ fn unknown_keys_are_refused_at_every_depth() {
                 && schema["additionalProperties"] != false
             {
                 complaints.push(format!(
-                    "{place}: allows any key; put #[serde(deny_unknown_fields)] on the \
-                                         struct"
+                    "{place}: allows any key; put #[serde(deny_unknown_fields)] on the struct"
                 ));
             }
         });
@@ -242,10 +238,8 @@ fn the_default_parameters_stand_in_the_schema_and_survive_being_written() {
             // A reader cannot do without its path: then it says which parameter is missing, and what to
             // write.
             (Err(error), Err(_)) if error.param.is_some() && error.hint.is_some() => {}
-            (Err(error), _) | (_, Err(error)) => complaints.push(format!(
-                "the defaults do not build, and \
-                                                            the error lacks parameter or hint: {error}"
-            )),
+            (Err(error), _) | (_, Err(error)) => complaints
+                .push(format!("the defaults do not build, and the error lacks parameter or hint: {error}")),
         }
     });
 }
@@ -270,11 +264,8 @@ fn the_example_of_a_kind_uses_it_once_and_as_it_is() {
         };
         let own = own_nodes(&example, kind);
         let [(name, node)] = own[..] else {
-            return complaints.push(format!(
-                "the example has {} nodes of \
-                                                            this kind, and should have one",
-                own.len()
-            ));
+            return complaints
+                .push(format!("the example has {} nodes of this kind, and should have one", own.len()));
         };
         if let Some(params) = node.get("params") {
             let mut problems = Vec::new();
@@ -353,8 +344,7 @@ fn every_file_of_a_family_is_in_the_catalogue_and_nothing_else_is() {
     // Readers of other programs' files are one text with a table of formats, a line each.
     assert!(
         list.contains("read::formats::kinds()"),
-        "the table of nodes/read/formats.rs is in \
-                                                      nodes/catalog.rs"
+        "the table of nodes/read/formats.rs is in nodes/catalog.rs"
     );
     let table = fs::read_to_string(root().join("nodes/read/formats.rs")).expect("the table of formats");
     let lines = table.lines().filter_map(|line| line.trim().split_once(" \"read/")?.1.split_once('"'));
@@ -362,8 +352,7 @@ fn every_file_of_a_family_is_in_the_catalogue_and_nothing_else_is() {
     let differing: Vec<&String> = found.symmetric_difference(&listed).collect();
     assert!(
         differing.is_empty(),
-        "nodes/family/name.rs holds the kind `family/name` and is in catalog.rs; \
-                                   not so: {differing:?}"
+        "nodes/family/name.rs holds the kind `family/name` and is in catalog.rs; not so: {differing:?}"
     );
 }
 

@@ -22,8 +22,7 @@ fn bench() -> Bench {
     let text = support::small_pipeline();
     let larger = text.replace(
         "width = 32, height = 24, duration = \"40 ms\"",
-        "width = 64, height = 48, \
-                                                            duration = \"60 ms\"",
+        "width = 64, height = 48, duration = \"60 ms\"",
     );
     assert_ne!(larger, text);
     bench.write("m.toml", &larger);
@@ -46,12 +45,9 @@ fn assert_exports_are_whole(out: &Path, when: &str) {
         there.remove(Path::new(".photocurrent.toml"));
         for file in stamp["files"].as_array().expect("files") {
             let name = file["name"].as_str().expect("a name");
-            let bytes = there.remove(Path::new(name)).unwrap_or_else(|| {
-                panic!(
-                    "{when}: {name} is stamped \
-                                                            and missing"
-                )
-            });
+            let bytes = there
+                .remove(Path::new(name))
+                .unwrap_or_else(|| panic!("{when}: {name} is stamped and missing"));
             assert_eq!(file["bytes"].as_integer(), Some(bytes.len() as i64), "{when}: {name}");
             assert_eq!(
                 file["digest"].as_str(),
@@ -271,8 +267,7 @@ fn a_disk_that_is_full_ends_what_it_must_and_spoils_nothing() {
                 );
                 assert!(
                     said.contains(".photocurrent") || said.contains("out/m"),
-                    "{when}: no file is \
-                                                            named: {said}"
+                    "{when}: no file is named: {said}"
                 );
                 ended += 1;
             }

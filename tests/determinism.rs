@@ -36,8 +36,7 @@ fn results_do_not_depend_on_threads_or_the_height_of_bands() {
             assert_eq!(
                 run(&["--threads", threads, "--band-rows", rows]),
                 expected,
-                "{threads} threads, \
-                                                            bands of {rows} rows"
+                "{threads} threads, bands of {rows} rows"
             );
         }
     }
@@ -48,8 +47,7 @@ fn results_do_not_depend_on_threads_or_the_height_of_bands() {
 
 #[test]
 fn pixels_that_wait_for_each_other_do_not_depend_on_threads_or_the_height_of_bands() {
-    let sensor = "kind = \"read/sensor\"\nparams = \
-                  { path = \"hybrid.toml\", change = \
+    let sensor = "kind = \"read/sensor\"\nparams = { path = \"hybrid.toml\", change = \
                              { effects = { readout_queue = { service = \"2 us\" } } } }";
     let scene = "kind = \"simulate/scene\"\nin.sensor = \"sensor\"\nparams = \
                  { scene = \"fan\", width = 24, height = 20, duration = \"20 ms\" }";
@@ -70,8 +68,7 @@ fn pixels_that_wait_for_each_other_do_not_depend_on_threads_or_the_height_of_ban
     assert_eq!(alone["scene.light"], expected["scene.light"]);
     assert_ne!(
         alone["recording.events"], expected["recording.events"],
-        "a queue that nobody waits in would \
-                                                            prove nothing"
+        "a queue that nobody waits in would prove nothing"
     );
     assert_eq!(alone["recording.frames"], expected["recording.frames"]);
 }

@@ -48,12 +48,8 @@ fn figures(name: &str, text: &str) -> Vec<Figure> {
             continue;
         };
         let place = format!("{name}:{}", at + 1);
-        let (kind, command) = inside.split_once(':').unwrap_or_else(|| {
-            panic!(
-                "{place}: a colon stands \
-                                                            before the command"
-            )
-        });
+        let (kind, command) =
+            inside.split_once(':').unwrap_or_else(|| panic!("{place}: a colon stands before the command"));
         let slow = match kind.trim() {
             "" => false,
             ", slowly" => true,
@@ -192,8 +188,7 @@ fn tables_of_scores_in_the_readme_say_what_makes_them() {
         let is_head = lines.peek().is_some_and(|next| next.starts_with("---") && next.contains("  --"));
         assert!(
             !is_head || marked.contains(line),
-            "README.md: the table that begins with `{line}` needs a \
-                                                    line `<!-- made by: ... -->` before it"
+            "README.md: the table that begins with `{line}` needs a line `<!-- made by: ... -->` before it"
         );
     }
 }
@@ -310,15 +305,7 @@ fn tables_of_numbers_and_what_stands_below_them_are_read() {
 fn concealed(section: &str, list: &str) -> Vec<(String, String)> {
     let text = pages::read("docs/concealed.md");
     let after = |text: &str, mark: &str| {
-        text.split_once(mark)
-            .unwrap_or_else(|| {
-                panic!(
-                    "docs/concealed.md \
-                                                            has {mark}"
-                )
-            })
-            .1
-            .to_string()
+        text.split_once(mark).unwrap_or_else(|| panic!("docs/concealed.md has {mark}")).1.to_string()
     };
     let text = after(&after(&text, &format!("## {section}")), &format!("**{list}**"));
     let rows = text

@@ -12,12 +12,7 @@ fn says(done: &Done, code: i32, parts: &[&str]) {
     let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert_eq!(done.code, code, "{}", done.stderr);
     parts.iter().for_each(|part| {
-        assert!(
-            words(&done.stderr).contains(&words(part)),
-            "`{part}` is missing \
-                                                            from\n{}",
-            done.stderr
-        )
+        assert!(words(&done.stderr).contains(&words(part)), "`{part}` is missing from\n{}", done.stderr)
     });
     assert!(!done.stderr.contains("panicked"), "{}", done.stderr);
 }
@@ -157,21 +152,14 @@ fn every_command_knows_what_it_was_given() {
             &bench.run(&[command, "data.bin"]),
             2,
             &[
-                &format!(
-                    "`{command}` takes a manifest, and this is a \
-                                                            recording"
-                ),
+                &format!("`{command}` takes a manifest, and this is a recording"),
                 "photocurrent inspect data.bin",
             ],
         );
         says(
             &bench.run(&[command, "hybrid.txt"]),
             2,
-            &[
-                "this is a sensor description",
-                "photocurrent check \
-                                                            hybrid.txt",
-            ],
+            &["this is a sensor description", "photocurrent check hybrid.txt"],
         );
     }
     says(&bench.run(&["explain", "data.bin", "solve"]), 2, &["`explain` takes a manifest"]);
@@ -184,8 +172,7 @@ fn every_command_knows_what_it_was_given() {
     says(
         &bench.run(&["diagnose", "hybrid.txt"]),
         2,
-        &["`diagnose` takes a recording, or a manifest that \
-                                                        reads one, and this is a sensor description"],
+        &["`diagnose` takes a recording, or a manifest that reads one, and this is a sensor description"],
     );
     says(
         &bench.run(&["table", "data.bin"]),
@@ -199,11 +186,7 @@ fn every_command_knows_what_it_was_given() {
     says(
         &bench.run(&["run", "out/small"]),
         2,
-        &[
-            "this is the output folder of a run",
-            "photocurrent table \
-                                                            out/small",
-        ],
+        &["this is the output folder of a run", "photocurrent table out/small"],
     );
     says(&bench.run(&["inspect", "out/small"]), 2, &["the output folder of a run"]);
     let lines = std::fs::read_to_string(bench.path("out/small/metrics.jsonl")).expect("scores");
@@ -298,8 +281,7 @@ fn everything_that_a_description_lacks_is_reported_at_once() {
     write(&bench.path("rec.h5"), Some(&events()), Some(&frames(3)));
     bench.write(
         "bare.toml",
-        "format = \"photocurrent-sensor/1\"\nname = \"bare\"\n[frames]\nblack_level_dn \
-                              = 10\n",
+        "format = \"photocurrent-sensor/1\"\nname = \"bare\"\n[frames]\nblack_level_dn = 10\n",
     );
     let manifest = r#"format = 1
 [nodes.sensor]
@@ -422,12 +404,7 @@ fn what_needs_more_than_the_stated_memory_is_refused_before_anything_runs() {
         says(
             &bench.run(&[command, "m.toml", "--memory", "30kB"]),
             2,
-            &[
-                "nodes.",
-                "of memory at a time, and \
-                                                            there are 30.0 kB",
-                "--memory",
-            ],
+            &["nodes.", "of memory at a time, and there are 30.0 kB", "--memory"],
         );
         assert!(
             !bench.path("out").exists() && !bench.path(".photocurrent").exists(),
@@ -436,17 +413,13 @@ fn what_needs_more_than_the_stated_memory_is_refused_before_anything_runs() {
     }
     assert_eq!(bench.run(&["check", "m.toml", "--memory", "64MB"]).code, 0);
     // 2,001 frames of 16 bytes each, before any of their values.
-    let sampled = small_pipeline().replace(
-        "kind = \"render/rows\"",
-        "kind = \"render/rows\"\nparams = \
-                                                            { rate = \"50 kHz\" }",
-    );
+    let sampled = small_pipeline()
+        .replace("kind = \"render/rows\"", "kind = \"render/rows\"\nparams = { rate = \"50 kHz\" }");
     bench.write("list.toml", &sampled);
     says(
         &bench.run(&["plan", "list.toml", "--memory", "20kB"]),
         2,
-        &["for the times of frames, and there \
-                                                            are 20.0 kB"],
+        &["for the times of frames, and there are 20.0 kB"],
     );
     // A diagnosis holds its recording.
     let (events, frames, sensor) = (events(), frames(3), sensor());
@@ -462,11 +435,7 @@ fn what_needs_more_than_the_stated_memory_is_refused_before_anything_runs() {
     says(
         &bench.run(&["diagnose", "rec.h5", "--memory", "100B"]),
         2,
-        &[
-            "rec.h5: a diagnosis holds the \
-                                                            recording",
-            "and there are 100 B",
-        ],
+        &["rec.h5: a diagnosis holds the recording", "and there are 100 B"],
     );
 }
 
@@ -482,8 +451,7 @@ fn two_manifests_of_one_name_do_not_replace_each_others_files() {
             &bench.run(&[command, "b/my.toml"]),
             2,
             &[
-                "out/my has the results of a/my.toml; they would be \
-                                                        replaced by those of b/my.toml",
+                "out/my has the results of a/my.toml; they would be replaced by those of b/my.toml",
                 "--out out/b-my",
             ],
         );

@@ -193,8 +193,7 @@ fn two_commands(bench: &Bench, files: &[&str], options: &[&str]) {
     // below.
     assert!(
         ours > repeated + 3.0,
-        "sharp frames have {ours:.1} dB, captured ones {repeated:.1} \
-                                    dB\n{manifest}"
+        "sharp frames have {ours:.1} dB, captured ones {repeated:.1} dB\n{manifest}"
     );
     assert!(
         bench.path("out/my/sheet/contact_sheet.png").is_file()

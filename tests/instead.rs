@@ -48,8 +48,7 @@ fn every_command_says_what_a_file_is_instead_of_a_recording() {
     for (name, bytes, what, todo) in strangers() {
         std::fs::write(bench.path(name), bytes).expect("a file");
         let manifest = format!(
-            "format = 1\n[nodes.r]\nkind = \"read/npz\"\nparams = \
-                                {{ path = {name:?}, time_unit = \"us\" }}\n"
+            "format = 1\n[nodes.r]\nkind = \"read/npz\"\nparams = {{ path = {name:?}, time_unit = \"us\" }}\n"
         );
         bench.write("m.toml", &manifest);
         for command in [
@@ -220,10 +219,7 @@ fn strays_are_counted_one_by_one() {
     bench.write("strays.csv", &text);
     let seen = bench.run(&["inspect", "strays.csv", "--extent", "20x10"]);
     assert!(
-        seen.stdout.contains(
-            "3960 of 4000 events lie in 0.02 % of a span of 1702.309045 s; 40 lie \
-                                  beyond"
-        ),
+        seen.stdout.contains("3960 of 4000 events lie in 0.02 % of a span of 1702.309045 s; 40 lie beyond"),
         "{}",
         seen.stdout
     );

@@ -107,8 +107,7 @@ fn every_bad_manifest_gives_its_message_to_the_letter() {
         if done.code != 2 || !done.stdout.is_empty() {
             let _ = writeln!(
                 differences,
-                "{name}: exit code {} (2 is right), stdout {:?} (empty is \
-                                           right)\n{}",
+                "{name}: exit code {} (2 is right), stdout {:?} (empty is right)\n{}",
                 done.code, done.stdout, done.stderr
             );
         }
@@ -150,15 +149,13 @@ fn every_message_names_its_file_and_says_that_nothing_ran() {
         assert!(message.starts_with("error: "), "{name}: begins with `error: `");
         assert!(
             last.ends_with("; nothing ran"),
-            "{name}: the last line says that nothing ran, and is \
-                                                  `{last}`"
+            "{name}: the last line says that nothing ran, and is `{last}`"
         );
         let count = message.lines().filter(|line| line.starts_with("error: ")).count();
         assert_eq!(
             last.split(' ').next(),
             Some(count.to_string().as_str()),
-            "{name}: the last line counts \
-                                                            the mistakes"
+            "{name}: the last line counts the mistakes"
         );
         assert!(!message.contains('\u{1b}'), "{name}: no colours under NO_COLOR");
         assert!(!message.contains(env!("CARGO_MANIFEST_DIR")), "{name}: names paths as the manifest does");
@@ -167,8 +164,7 @@ fn every_message_names_its_file_and_says_that_nothing_ran() {
         let placed = message.lines().filter(|line| line.trim_start().starts_with("--> ")).count();
         assert!(
             placed == count || message.contains(&format!("{name}.toml")),
-            "{name}: {count} mistakes, \
-                                                            {placed} places, and the manifest is not named"
+            "{name}: {count} mistakes, {placed} places, and the manifest is not named"
         );
     }
 }
@@ -234,8 +230,7 @@ fn a_mistake_in_set_is_shown_at_set() {
         ("node.solve.params.cis_weight=2", "`node` cannot be laid over a manifest", "--set:1:1"),
         (
             "nodes.solve.in.frames=scene.truth",
-            "nodes.solve: input `frames` takes frames, and `scene.truth` \
-                                               is truth",
+            "nodes.solve: input `frames` takes frames, and `scene.truth` is truth",
             "--set:1:23",
         ),
         ("nodes.solve.kind=solve/pixle", "there is no node kind `solve/pixle`", "--set:1:18"),

@@ -214,8 +214,7 @@ fn a_strobe_that_is_inverted_is_proposed_from_counts_and_events() {
     assert!(line.starts_with("strobe = \"active_low\" # FILL: "), "{line}");
     for evidence in [
         "15 whole exposures of 10 ms for 15 pictures",
-        "14 whole exposures of 10 ms for 15 \
-                                                            pictures",
+        "14 whole exposures of 10 ms for 15 pictures",
         "agreement with the events",
     ] {
         assert!(line.contains(evidence), "{line}");
@@ -306,8 +305,7 @@ fn a_missed_edge_and_a_lost_picture_shift_no_other() {
     for note in [
         "1 falling edges of line 2 are missing",
         "were left out: 000004.png",
-        "1 pulses have no \
-                                                            picture and were left out: 6619000000 ns",
+        "1 pulses have no picture and were left out: 6619000000 ns",
     ] {
         assert!(talk.contains(note), "{note}\n{talk}");
     }

@@ -288,10 +288,7 @@ fn exported_frames_follow_the_format_to_the_letter_and_read_back_as_they_were_re
         (stated(csv[0], "offset"), stated(csv[0], "scale"), stated(csv[0], "exposure_dn_of_ns"));
     assert_eq!(
         csv[0],
-        format!(
-            "# dn = offset + scale * code; offset={offset} scale={scale}; \
-                                exposure_dn_of_ns={exposure}"
-        )
+        format!("# dn = offset + scale * code; offset={offset} scale={scale}; exposure_dn_of_ns={exposure}")
     );
     // The scene's frames are exposed for 6.5 ms unless stated otherwise.
     assert_eq!(exposure, "6500000");

@@ -88,8 +88,7 @@ fn near(found: &Value, expected: &[f64], relative: f64, what: &str) {
     for (a, b) in found.iter().zip(expected) {
         assert!(
             *b > 10.0 && (a - b).abs() <= relative * b,
-            "{what}: {found:?}, and the command says \
-                                                            {expected:?}"
+            "{what}: {found:?}, and the command says {expected:?}"
         );
     }
 }

@@ -216,8 +216,7 @@ fn missing_streams_are_reported_before_anything_runs() {
         &bench(Some(&events()), None),
         2,
         &[
-            "nodes.solve: input `frames` needs frames, and \
-                                                 `recording.frames` has none",
+            "nodes.solve: input `frames` needs frames, and `recording.frames` has none",
             "rec.h5 has no /frames",
         ],
     );
@@ -282,13 +281,7 @@ fn values_that_are_not_known_stay_unknown_and_are_counted() {
                   known light there";
     assert_eq!(
         rendered.notes,
-        [
-            solved.to_string(),
-            format!(
-                "frames: {nan} values are not known (NaN) and \
-                                                            were written as code 0"
-            )
-        ]
+        [solved.to_string(), format!("frames: {nan} values are not known (NaN) and were written as code 0")]
     );
 }
 
@@ -304,8 +297,7 @@ fn a_pixel_that_is_always_saturated_is_a_lower_bound_and_counted() {
     let rendered = renders(&bench(Some(&events()), Some(&bright)));
     assert_eq!(
         rendered.notes,
-        ["solve: 1 pixels were saturated in every frame of some window: their light \
-                                 is a lower bound there"]
+        ["solve: 1 pixels were saturated in every frame of some window: their light is a lower bound there"]
     );
     // Row 3 has no events: the bound is the saturation itself.
     assert!((rendered.row(12, 3)[4] / 1023.0 - 1.0).abs() < 1e-3, "{:?}", rendered.row(12, 3));
@@ -386,8 +378,7 @@ fn another_format_is_named() {
         2,
         &[
             "rec.h5",
-            "found format = \"photocurrent-recording/7\", expected format = \
-                                    \"photocurrent-recording/1\"",
+            "found format = \"photocurrent-recording/7\", expected format = \"photocurrent-recording/1\"",
             "m.toml:",
         ],
     );
@@ -436,8 +427,7 @@ fn unsorted_events_are_reported() {
         3,
         &[
             "rec.h5",
-            "/events/t: found 1 event earlier than the event ahead, the first at \
-                                       index 1",
+            "/events/t: found 1 event earlier than the event ahead, the first at index 1",
             "hint: sort the events by t",
         ],
     );
@@ -465,8 +455,7 @@ fn what_is_no_recording_at_all_is_named() {
         2,
         &[
             "rec.h5: the file is empty, so it is no HDF5 file",
-            "give an HDF5 recording; \
-                                                            AEDAT4 files are read by the node read/aedat4",
+            "give an HDF5 recording; AEDAT4 files are read by the node read/aedat4",
         ],
     );
     std::fs::write(&path, "t,x,y,p\n1,2,3,1\n").expect("written");

@@ -118,8 +118,7 @@ fn what_is_no_run_is_refused_with_what_to_do() {
     says(
         &bench.run(&["report", "notes.txt"]),
         2,
-        &["`report` takes a manifest that was run, or the folder \
-                                                     that a run wrote to"],
+        &["`report` takes a manifest that was run, or the folder that a run wrote to"],
     );
     bench.write("old/run.json", "{\"schema\": \"photocurrent-run/0\"}");
     says(&bench.run(&["report", "old"]), 2, &["the form is `photocurrent-run/0`"]);

@@ -489,10 +489,7 @@ fn a_first_stamp_that_is_missing_is_found_by_the_events_in_a_folder_too() {
         .collect();
     bench.write(
         "events.csv",
-        &format!(
-            "# photocurrent-events/1 time_unit=us width={WIDTH} \
-                                        height={HEIGHT}\nt,x,y,p\n{rows}"
-        ),
+        &format!("# photocurrent-events/1 time_unit=us width={WIDTH} height={HEIGHT}\nt,x,y,p\n{rows}"),
     );
     fs::create_dir_all(bench.path("clip/events/left")).unwrap();
     let done = bench.run(&["convert", "events.csv", "clip/events/left/events.h5", "--to", "dsec"]);

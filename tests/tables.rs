@@ -111,13 +111,12 @@ fn what_is_not_there_is_named_with_what_is() {
     };
     assert_eq!(
         error(&["m.toml", "--metric", "ssim"]),
-        "error: there is no metric `ssim`; there are \
-                                                        psnr_db\n"
+        "error: there is no metric `ssim`; there are psnr_db\n"
     );
-    assert!(error(&["m.toml", "--rows", "scene"]).contains(
-        "there is no axis `scene`; there are file, \
-                                                            evs_weight, node, method, metric"
-    ));
+    assert!(
+        error(&["m.toml", "--rows", "scene"])
+            .contains("there is no axis `scene`; there are file, evs_weight, node, method, metric")
+    );
     assert!(
         error(&["m.toml", "--rows", "evs_weight", "--columns", "metric"])
             .contains("they differ in `node`, `method`")
@@ -125,15 +124,14 @@ fn what_is_not_there_is_named_with_what_is() {
     bench.write("other.toml", "format = 1\n");
     assert!(error(&["other.toml"]).contains("run `photocurrent run other.toml` first"));
     // What to do next is said whatever it was that is not there.
-    assert!(error(&["no/such.toml"]).contains(
-        "no/such.toml: there is no such manifest\n  name a manifest \
-                                               that was run"
-    ));
+    assert!(
+        error(&["no/such.toml"])
+            .contains("no/such.toml: there is no such manifest\n  name a manifest that was run")
+    );
     assert!(error(&["out/none"]).contains("out/none is not there\n  name a manifest that was run"));
     std::fs::create_dir(bench.path("empty")).expect("a folder");
     assert!(error(&["empty"]).contains(
-        "the folder has no metrics.pooled.jsonl\n  name a folder that \
-                                        `photocurrent run` wrote scores to"
+        "the folder has no metrics.pooled.jsonl\n  name a folder that `photocurrent run` wrote scores to"
     ));
     bench.write("broken.jsonl", "{\"variant\": \"base\"}\n");
     assert!(error(&["broken.jsonl"]).contains("broken.jsonl:1: no `node`"));

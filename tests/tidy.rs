@@ -250,8 +250,7 @@ fn only_in(name: &str, allowed: &[&str]) {
         let has = dependencies.iter().any(|d| d == name || d.starts_with(&format!("{name}-")));
         assert!(
             !has || allowed.contains(&folder.as_str()),
-            "{folder}/Cargo.toml depends on {name}: only \
-                                                            {allowed:?} may; ask them for what you need"
+            "{folder}/Cargo.toml depends on {name}: only {allowed:?} may; ask them for what you need"
         );
     }
 }
@@ -282,9 +281,7 @@ fn the_direction_of_every_crate_is_stated_here() {
         assert_eq!(
             stated.get(folder.as_str()),
             Some(&name.as_str()),
-            "{folder} is a new package: state in \
-                                                            DIRECTION of tests/tidy.rs what it may depend \
-                                                            on"
+            "{folder} is a new package: state in DIRECTION of tests/tidy.rs what it may depend on"
         );
     }
 }
@@ -325,8 +322,7 @@ fn the_physics_builds_without_the_engine_and_its_texts() {
         for heavy in ["toml", "schemars", "hdf5-metno", "photocurrent-engine", "photocurrent-store"] {
             assert!(
                 !crates.contains(heavy),
-                "{package} builds {heavy}: put what needs it behind a feature \
-                                              of photocurrent-core"
+                "{package} builds {heavy}: put what needs it behind a feature of photocurrent-core"
             );
         }
     }
@@ -347,15 +343,13 @@ fn the_workspace_lists_its_members_one_by_one() {
     let folders: BTreeSet<String> = packages().into_keys().filter(|folder| !folder.is_empty()).collect();
     assert!(
         members.iter().all(|member| !member.contains('*')),
-        "members are listed one by one: a glob over \
-                                                            src/ meets src/cli, which is no package"
+        "members are listed one by one: a glob over src/ meets src/cli, which is no package"
     );
     assert_eq!(members, folders, "the packages that there are (right) are the workspace's members (left)");
     let tested = list("default-members");
     assert!(
         members.is_subset(&tested) && tested.contains("."),
-        "default-members has the root and every \
-                                                            member, so that a bare `cargo test` runs all"
+        "default-members has the root and every member, so that a bare `cargo test` runs all"
     );
 }
 
@@ -364,8 +358,7 @@ fn the_maker_of_concealed_recordings_shares_nothing_with_the_engine() {
     let outside = manifest(OUTSIDE);
     assert!(
         outside.contains_key("workspace"),
-        "{OUTSIDE}/Cargo.toml has an empty [workspace] table: it \
-                                                belongs to no other"
+        "{OUTSIDE}/Cargo.toml has an empty [workspace] table: it belongs to no other"
     );
     let ours: Vec<String> =
         dependencies(&outside).into_iter().filter(|name| name.starts_with("photocurrent")).collect();
@@ -395,8 +388,7 @@ fn hdf5_is_known_to_the_store_alone() {
         for word in [concat!("hdf5", "::"), concat!("hdf5_", "sys")] {
             assert!(
                 lines_with(&code, word).is_empty(),
-                "{name} names {word}: files are opened, read and \
-                                                         written through photocurrent-store"
+                "{name} names {word}: files are opened, read and written through photocurrent-store"
             );
         }
     }
@@ -411,8 +403,7 @@ fn networks_are_run_in_one_place() {
             &[&path],
             &["src", "nodes"],
             |file| is_under(file, &["nodes/onnx"]),
-            "networks are run \
-                                                            through the one trait of nodes/onnx",
+            "networks are run through the one trait of nodes/onnx",
         );
     }
 }
@@ -436,8 +427,7 @@ fn only_readers_and_writers_open_recordings() {
         &["photocurrent_store"],
         &["nodes"],
         allowed,
-        "nodes get values at their inputs; files are for \
-                                                          nodes/read and nodes/write",
+        "nodes get values at their inputs; files are for nodes/read and nodes/write",
     );
 }
 
@@ -455,8 +445,7 @@ fn the_command_calculates_nothing() {
     };
     assert!(
         !of("dependencies").contains(&"photocurrent-sensor".to_string()),
-        "src/cli has no business with \
-                                                            the sensor's equations: make a node"
+        "src/cli has no business with the sensor's equations: make a node"
     );
 }
 
@@ -536,8 +525,7 @@ fn clippy_refuses_the_platforms_functions() {
             methods.iter().any(|entry| entry.get("path").and_then(toml::Value::as_str) == Some(method));
         assert!(
             listed,
-            "clippy.toml disallows {method}: put it back, or results differ from machine to \
-                         machine"
+            "clippy.toml disallows {method}: put it back, or results differ from machine to machine"
         );
     }
 }
@@ -558,8 +546,7 @@ fn truth_is_seen_by_scorers_and_by_those_who_make_show_and_store_it() {
         &["Truth"],
         &["src", "nodes"],
         allowed,
-        "a method that sees the truth proves nothing: only \
-                                                    scorers compare with it",
+        "a method that sees the truth proves nothing: only scorers compare with it",
     );
 }
 
@@ -587,8 +574,7 @@ fn no_code_knows_where_answers_are_kept() {
         let text = String::from_utf8_lossy(&bytes);
         assert!(
             !text.contains("answers.json"),
-            "{name}: names the answers to the concealed recordings; the \
-                                                 code under test must not know them"
+            "{name}: names the answers to the concealed recordings; the code under test must not know them"
         );
     }
 }
@@ -598,8 +584,7 @@ fn every_source_file_says_what_it_is() {
     let silent: Vec<String> = rust_files().filter(|name| !read(name).starts_with("//! ")).collect();
     assert!(
         silent.is_empty(),
-        "the first line is `//! ` and what the file is, in a newcomer's words: \
-                                {silent:?}"
+        "the first line is `//! ` and what the file is, in a newcomer's words: {silent:?}"
     );
 }
 
@@ -623,8 +608,7 @@ fn no_file_names_a_place_on_one_machine() {
     }
     assert!(
         found.is_empty(),
-        "paths are relative to the project, or temporary ones made by the \
-                               program:\n{}\n",
+        "paths are relative to the project, or temporary ones made by the program:\n{}\n",
         found.join("\n")
     );
 }
@@ -641,8 +625,7 @@ fn every_pipeline_begins_with_what_it_is_for() {
         let first = text.lines().next().unwrap_or_default();
         assert!(
             first.starts_with("# ") && first.len() > 20,
-            "{name}: the first line is a comment that says \
-                                                            what the pipeline is for"
+            "{name}: the first line is a comment that says what the pipeline is for"
         );
     }
 }
@@ -680,8 +663,7 @@ fn decisions_are_numbered() {
         .collect();
     assert!(
         !decisions.is_empty(),
-        "docs/decisions has a page for each decision that was hard, such as \
-                                    0001-one-binary.md"
+        "docs/decisions has a page for each decision that was hard, such as 0001-one-binary.md"
     );
     let mut numbers = BTreeSet::new();
     for name in decisions {
@@ -689,12 +671,7 @@ fn decisions_are_numbered() {
             number.len() >= 2 && number.chars().all(|c| c.is_ascii_digit()) && name.ends_with(".md")
         });
         let number = number
-            .unwrap_or_else(|| {
-                panic!(
-                    "docs/decisions/{name}: is called \
-                                                      number-what-was-decided.md"
-                )
-            })
+            .unwrap_or_else(|| panic!("docs/decisions/{name}: is called number-what-was-decided.md"))
             .to_string();
         assert!(numbers.insert(number), "docs/decisions/{name}: its number is taken");
     }
@@ -751,11 +728,7 @@ fn the_readmes_commands_exist() {
                     .take_while(|word| !word.starts_with('#'))
                     .filter(|word| word.starts_with("pipelines/") || word.starts_with("data/"));
                 named.for_each(|path| {
-                    assert!(
-                        root().join(path).exists(),
-                        "README.md says `{line}`, and \
-                                                            {path} does not exist"
-                    )
+                    assert!(root().join(path).exists(), "README.md says `{line}`, and {path} does not exist")
                 });
                 commands += 1;
             }
@@ -771,8 +744,7 @@ fn the_changelog_begins_with_what_is_not_released_yet() {
     let head = changelog.lines().find(|line| line.starts_with("## ")).unwrap_or_default();
     assert!(
         head.to_lowercase().contains("unreleased"),
-        "the first heading of CHANGELOG.md is `## \
-                                                         Unreleased`, and is `{head}`"
+        "the first heading of CHANGELOG.md is `## Unreleased`, and is `{head}`"
     );
 }
 

@@ -14,8 +14,7 @@ const RETIRED: [(&[&str], &str); 24] = [
     (&["told", "tell", "tells", "telling"], "reported, stated, given, distinguished"),
     (
         &["believe", "believes", "believed", "believing", "belief", "beliefs"],
-        "assumed standard deviation; \
-                                                            posterior probability; trusted",
+        "assumed standard deviation; posterior probability; trusted",
     ),
     (&["foretell", "foretells", "foretold"], "predict, predicted"),
     (&["kept back", "keep back", "keeps back", "keeping back"], "held out"),
@@ -124,8 +123,7 @@ fn retired_words_do_not_come_back() {
         .collect::<String>();
     assert!(
         found.is_empty(),
-        "the field has words for these (docs/vocabulary.md):\n{}\n\nsay \
-                               instead\n{instead}",
+        "the field has words for these (docs/vocabulary.md):\n{}\n\nsay instead\n{instead}",
         found.join("\n")
     );
 }

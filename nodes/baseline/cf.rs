@@ -325,10 +325,10 @@ mod tests {
                 .find(|(us, _)| *us == INSTANTS_US[instant])
                 .map(|(_, sign)| sign * reference::CONTRAST)
         };
-        let first = clip.iter().position(|list| at_instant(list).is_some()).expect(
-            "a picture is written at \
-                                                            an event",
-        );
+        let first = clip
+            .iter()
+            .position(|list| at_instant(list).is_some())
+            .expect("a picture is written at an event");
         if pixel > first { at_instant(&clip[pixel]).unwrap_or(0.0) } else { 0.0 }
     }
 

@@ -103,8 +103,7 @@ impl BaselineEdi {
             Some(values) if values.len() > 1 && self.params.threshold.is_none() => {
                 if values.len() != frames.times.len() {
                     return Err(NodeError::input(format!(
-                        "there are {} thresholds at `contrast`, and {} \
-                                                         frames",
+                        "there are {} thresholds at `contrast`, and {} frames",
                         values.len(),
                         frames.times.len()
                     ))
@@ -112,8 +111,7 @@ impl BaselineEdi {
                 }
                 if self.params.chain > 0.0 {
                     return Err(NodeError::usage(
-                        "`chain` takes one threshold for all frames, and `contrast` \
-                                                 has one for each",
+                        "`chain` takes one threshold for all frames, and `contrast` has one for each",
                     )
                     .hint("search with `per = \"sequence\"`, or leave `chain` at 0")
                     .param("chain"));

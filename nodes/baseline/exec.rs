@@ -148,10 +148,7 @@ params = { command = ["python3", "{file0}"], files = ["my_method.py"], version =
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.command.is_empty() {
             return Err(NodeError::usage("`command` is missing")
-                .hint(
-                    "such as command = [\"python3\", \
-                                                            \"{file0}\"]",
-                )
+                .hint("such as command = [\"python3\", \"{file0}\"]")
                 .param("command"));
         }
         if params.version.is_empty() {

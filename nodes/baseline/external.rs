@@ -219,10 +219,7 @@ impl BaselineExternal {
                 asked[missing]
             ))
             .note(format!("pictures: {} from {} to {} ns", given.len(), given[0], given[given.len() - 1]))
-            .hint(
-                "check `time_unit` and `start`, raise `tolerance`, or state `unmatched = \
-                       \"leave_out\"`",
-            )
+            .hint("check `time_unit` and `start`, raise `tolerance`, or state `unmatched = \"leave_out\"`")
             .param("tolerance")
         };
         if matches.is_empty() || (left_out > 0 && params.unmatched == Unmatched::Error) {
@@ -249,16 +246,12 @@ impl BaselineExternal {
                 let times =
                     parse_times(&text, params.time_column as usize, params.time_unit).map_err(|error| {
                         NodeError::input(format!("{}: {error}", short_name(path)))
-                            .hint(
-                                "one time a line; \
-                                                            `time_column` says which column of a CSV",
-                            )
+                            .hint("one time a line; `time_column` says which column of a CSV")
                             .param("times")
                     })?;
                 if times.len() != count {
                     return Err(NodeError::input(format!(
-                        "{} has {} times, and the folder has {count} \
-                                                         pictures",
+                        "{} has {} times, and the folder has {count} pictures",
                         short_name(path),
                         times.len()
                     ))
@@ -290,12 +283,7 @@ fn parse_times(text: &str, column: usize, unit: TimeUnit) -> Result<Vec<i64>, St
             .filter(|cell| !cell.is_empty())
             .collect();
         let cell = cells.get(column).ok_or_else(|| {
-            format!(
-                "line {} has {} columns, and column {column} is \
-                                                            asked for",
-                n + 1,
-                cells.len()
-            )
+            format!("line {} has {} columns, and column {column} is asked for", n + 1, cells.len())
         })?;
         let value: f64 = cell.parse().map_err(|_| format!("line {}: \"{cell}\" is no number", n + 1))?;
         let ns = value * unit.ns();
@@ -514,8 +502,7 @@ mod tests {
         assert_eq!(parse_times(text, 1, TimeUnit::Ms), Ok(vec![500_000, 250_000]));
         assert_eq!(
             parse_times(text, 2, TimeUnit::Ms).unwrap_err(),
-            "line 3 has 2 columns, and column 2 is \
-                                                            asked for"
+            "line 3 has 2 columns, and column 2 is asked for"
         );
         assert_eq!(parse_times("1x\n", 0, TimeUnit::S).unwrap_err(), "line 1: \"1x\" is no number");
     }

@@ -212,8 +212,7 @@ impl BaselineOnnx {
             _ if *halvings == 0 => Ok(()),
             _ if !(voxels.is_empty() && states.is_empty()) => refuse(
                 "is for networks that see two frames and nothing else",
-                "take `voxels` and `states` \
-                                                            out, or `halvings`",
+                "take `voxels` and `states` out, or `halvings`",
             ),
             [one, other] if one.take != other.take && one.channels == other.channels => {
                 match [one, other].iter().all(|frame| frame.range == *output_range) {
@@ -303,8 +302,7 @@ rate     = "1 kHz"
         if params.frames.is_empty() && params.voxels.is_empty() {
             return needed(
                 "the network would be shown neither events nor frames",
-                "say what its inputs are: \
-                                                            voxels = [{ input = \"voxel\" }]",
+                "say what its inputs are: voxels = [{ input = \"voxel\" }]",
                 "voxels",
             );
         }
@@ -516,10 +514,7 @@ impl Work<'_> {
         let (width, height) = self.size();
         let captured = &self.frames.meta;
         let Some(pair) = moment.pair else {
-            return Err(NodeError::failed(
-                "a wanted instant without a \
-                                                            captured frame on either side",
-            ));
+            return Err(NodeError::failed("a wanted instant without a captured frame on either side"));
         };
         let l = match input.take {
             Side::Before => pair.before,

@@ -146,12 +146,10 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             .iter()
             .skip(before)
             .for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
-        let text = found.report.to_json().map_err(|why| {
-            NodeError::failed(format!(
-                "the report cannot be \
-                                                            written as JSON: {why}"
-            ))
-        })?;
+        let text = found
+            .report
+            .to_json()
+            .map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
         for id in &found.withdrawn {
             cx.note(format!(
                 "{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB",

@@ -302,8 +302,7 @@ fn behind_filters(frames: Option<&FrameSequence>, case: &Case) -> Option<String>
     let is_behind = Grey::new(case.extent, meta, &case.sensor).is_ok_and(|grey| grey.is_behind_filters());
     is_behind.then(|| {
         format!(
-            "the frames are behind a mosaic of filters ({}): neighbouring pixels measure \
-                               other light",
+            "the frames are behind a mosaic of filters ({}): neighbouring pixels measure other light",
             meta.colour
         )
     })
@@ -399,8 +398,7 @@ params = { refined = 8 }
             let extent = super::empty(inputs)?.extent;
             if light.extent != extent || light.colour != Colour::Mono {
                 return Err(NodeError::usage(format!(
-                    "the light is of {} pixels, {}, and the recording of \
-                                                     {extent}, grey",
+                    "the light is of {} pixels, {}, and the recording of {extent}, grey",
                     light.extent, light.colour
                 ))
                 .hint("make the light of the array's own pixels, without colours")
@@ -416,8 +414,7 @@ params = { refined = 8 }
             }
             if tracks.extent != extent || tracks.colour != Colour::Mono {
                 return Err(NodeError::usage(format!(
-                    "the tracks are of {} pixels, {}, and the recording of \
-                                                     {extent}, grey",
+                    "the tracks are of {} pixels, {}, and the recording of {extent}, grey",
                     tracks.extent, tracks.colour
                 ))
                 .hint("solve the array's own pixels, without colours")
@@ -447,11 +444,9 @@ params = { refined = 8 }
             )),
         }
         let written = match (write_evidence(&seen), &seen) {
-            (Err(_), Seen::Evidence(_)) => write_evidence(&Seen::Nothing(
-                "what events say on this scene is \
-                                                            not finite"
-                    .into(),
-            )),
+            (Err(_), Seen::Evidence(_)) => {
+                write_evidence(&Seen::Nothing("what events say on this scene is not finite".into()))
+            }
             (written, _) => written,
         };
         Ok(Out { evidence: Arc::new(written?) })

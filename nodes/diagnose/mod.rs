@@ -73,10 +73,7 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
     let empty = Case::before_data(events.map(|events| &**events), frames.map(|frames| &**frames), sensor)
         .map_err(|error| {
             NodeError::usage(error.message)
-                .hint(
-                    "crop or bin the frames to the pixels of the \
-                                                            event sensor",
-                )
+                .hint("crop or bin the frames to the pixels of the event sensor")
                 .blames(DataType::Frames)
         })?;
     if let (Some(events), Some(frames)) = (events, frames) {

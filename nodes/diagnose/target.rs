@@ -272,11 +272,7 @@ impl Family {
             }
         }
         serde_json::from_value(value).map_err(|why| {
-            NodeError::usage(format!(
-                "a free parameter leaves its \
-                                                            range: {why}"
-            ))
-            .param("free")
+            NodeError::usage(format!("a free parameter leaves its range: {why}")).param("free")
         })
     }
 }
@@ -424,17 +420,12 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let (shares, errors) = (target.shares(), target.errors());
         let params = family.params(shares)?;
         for (free, share) in self.free.iter().zip(shares) {
-            let at_end = if (0.001..0.999).contains(share) {
-                ""
-            } else {
-                ", the end of its range: look \
-                                                            further"
-            };
+            let at_end =
+                if (0.001..0.999).contains(share) { "" } else { ", the end of its range: look further" };
             cx.note(format!("{} = {}{at_end}", free.name, free.json(*share).to_string().trim_matches('"')));
         }
         cx.note(format!(
-            "frame values miss the target by {:.2} standard deviations (median; 0.67 is noise \
-                         alone)",
+            "frame values miss the target by {:.2} standard deviations (median; 0.67 is noise alone)",
             target.left()
         ));
         let seen = Seen::new(&params, case.extent, cx.seed());

@@ -68,8 +68,7 @@ fn what_is_no_number_of_the_target_and_ranges_that_are_none_are_refused() {
     let error = |free: Value| built(&json!({ "scene": "siemens_disk", "free": free })).err().unwrap().message;
     assert_eq!(
         error(json!({ "siemens_disk.colour": [0, 1] })),
-        "`siemens_disk.colour` is no number of this \
-                                                            target"
+        "`siemens_disk.colour` is no number of this target"
     );
     assert_eq!(error(json!({ "tries": [0, 1] })), "`tries` is no number of this target");
     assert!(error(json!({ "start": [0, 1] })).contains("the range of `start`"));

@@ -52,10 +52,8 @@ pub(super) fn of(
     thresholds: Option<(f64, f64)>,
     late_ns: &Estimate,
 ) -> Result<Estimate, String> {
-    let thresholds = thresholds.ok_or(
-        "thresholds are not known, and too few bright pixels changed to \
-                                       measure them",
-    )?;
+    let thresholds =
+        thresholds.ok_or("thresholds are not known, and too few bright pixels changed to measure them")?;
     estimate::exposure(panel, thresholds, late_ns).map_err(|why| match why {
         Unclear::NoChange => "nothing moves in bright pixels while frames are exposed".into(),
         Unclear::Flat { from_shortest, from_longest } => format!(
@@ -125,8 +123,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         match (&found, thresholds) {
             (Err(why), _) => cx.note(why.clone()),
             (Ok(_), Some((on, off))) => cx.note(format!(
-                "with thresholds {on:.3} and {off:.3}, events taken \
-                                                         {:.3} ms later",
+                "with thresholds {on:.3} and {off:.3}, events taken {:.3} ms later",
                 late.value * 1e-6
             )),
             (Ok(_), None) => {}

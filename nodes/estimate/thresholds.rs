@@ -107,9 +107,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         // Thresholds are stated or not, and of whatever size: nobody plans otherwise.
         let none = || Meta::Absent {
             data_type: DataType::Sensor,
-            why: "estimate/thresholds got no \
-                                                            description"
-                .into(),
+            why: "estimate/thresholds got no description".into(),
         };
         metas.push(inputs.sensor("sensor").map_or_else(|_| none(), |sensor| Meta::Sensor(sensor.clone())));
         Ok(metas)

@@ -20,18 +20,15 @@ impl Embedded {
     pub fn load(name: &str, content: Vec<u8>) -> Result<Embedded, NodeError> {
         let model = Model::load(content).map_err(|error| {
             NodeError::input(format!("{name} is no network that the embedded backend can run: {error}")).hint(
-                "check the file, or name an ONNX Runtime library in `runtime`, which has more \
-                       operators",
+                "check the file, or name an ONNX Runtime library in `runtime`, which has more operators",
             )
         })?;
         Ok(Embedded { name: name.into(), model })
     }
 
     fn failed(&self, error: impl std::fmt::Display) -> NodeError {
-        NodeError::failed(format!("the network {} failed: {error}", self.name)).hint(
-            "check that pictures \
-                                                            are of a size that the network takes",
-        )
+        NodeError::failed(format!("the network {} failed: {error}", self.name))
+            .hint("check that pictures are of a size that the network takes")
     }
 
     fn calculate(&self, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {

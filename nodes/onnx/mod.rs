@@ -48,12 +48,9 @@ pub trait Network: Send + Sync {
     /// As [`Network::run_all`].
     fn run(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
         let all = self.run_all(inputs, &[output])?;
-        all.into_iter().next().ok_or_else(|| {
-            NodeError::failed(format!(
-                "the network gave nothing for its \
-                                                            output `{output}`"
-            ))
-        })
+        all.into_iter()
+            .next()
+            .ok_or_else(|| NodeError::failed(format!("the network gave nothing for its output `{output}`")))
     }
 
     /// What it takes and gives.
@@ -143,10 +140,8 @@ mod tests {
     #[test]
     #[ignore = "needs an ONNX Runtime library, named by ORT_DYLIB_PATH"]
     fn a_named_library_gives_the_same() {
-        let library = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from).expect(
-            "ORT_DYLIB_PATH names \
-                                                            the library",
-        );
+        let library =
+            std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from).expect("ORT_DYLIB_PATH names the library");
         let network = load("alex", weights(), Some(&library)).unwrap();
         assert!((distance(&*network) - EXPECTED).abs() < 1e-5, "{}", distance(&*network));
         assert!(network.backend().starts_with("ONNX Runtime"), "{}", network.backend());

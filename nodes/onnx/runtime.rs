@@ -88,12 +88,8 @@ impl Runtime {
             return Ok(session);
         }
         let refused = |error: String| {
-            NodeError::input(format!(
-                "{} is no network that ONNX Runtime can run: \
-                                                            {error}",
-                self.name
-            ))
-            .hint("check the file")
+            NodeError::input(format!("{} is no network that ONNX Runtime can run: {error}", self.name))
+                .hint("check the file")
         };
         // One thread: frames are what runs side by side, on the threads that the user allows.
         let builder = Session::builder(&self.environment).map_err(|error| refused(error.to_string()))?;
@@ -106,10 +102,8 @@ impl Runtime {
     }
 
     fn failed(&self, error: impl std::fmt::Display) -> NodeError {
-        NodeError::failed(format!("the network {} failed: {error}", self.name)).hint(
-            "check that pictures \
-                                                            are of a size that the network takes",
-        )
+        NodeError::failed(format!("the network {} failed: {error}", self.name))
+            .hint("check that pictures are of a size that the network takes")
     }
 
     fn calculate(
@@ -128,11 +122,7 @@ impl Runtime {
         let results = session.run(values).map_err(|error| self.failed(error))?;
         let tensor = |output: &&str| -> Result<Tensor, NodeError> {
             let value = results.get(output).ok_or_else(|| {
-                NodeError::input(format!(
-                    "the network {} has no \
-                                                            input or output `{output}`",
-                    self.name
-                ))
+                NodeError::input(format!("the network {} has no input or output `{output}`", self.name))
             })?;
             let (shape, values) = value.try_extract_tensor::<f32>().map_err(|error| self.failed(error))?;
             Ok(Tensor { shape: shape.iter().map(|n| *n as usize).collect(), values: values.to_vec() })

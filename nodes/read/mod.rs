@@ -37,10 +37,7 @@ pub fn arranged(all: &foreign::All) -> Result<Arranged, NodeError> {
 fn need_path(path: &InputPath, example: &str) -> Result<(), NodeError> {
     if path.path().as_os_str().is_empty() {
         return Err(NodeError::usage("`path` is missing")
-            .hint(format!(
-                "name the file, such as `path = \
-                                                            \"{example}\"`"
-            ))
+            .hint(format!("name the file, such as `path = \"{example}\"`"))
             .param("path"));
     }
     Ok(())

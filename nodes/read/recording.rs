@@ -174,8 +174,7 @@ fn disagreement(name: &str, recorded: Option<i64>, described: Option<Duration>) 
     let (recorded, described) = (recorded?, described?);
     (recorded != described.ns()).then(|| {
         format!(
-            "{name}: /frames states a row time of {}, its sensor description {described}; the \
-                          first counts",
+            "{name}: /frames states a row time of {}, its sensor description {described}; the first counts",
             Duration::new(recorded)
         )
     })
@@ -446,8 +445,7 @@ mod tests {
         let (_, notes) = testing::with_context(EXTENT.rows(), &ALL, |cx| node.run(In {}, cx).unwrap());
         assert_eq!(
             notes,
-            ["rec.h5: /frames states a row time of 30 us, its sensor description 10 us; the \
-                            first counts"]
+            ["rec.h5: /frames states a row time of 30 us, its sensor description 10 us; the first counts"]
         );
         assert_eq!(disagreement("rec.h5", Some(10_000), Some(Duration::new(10_000))), None);
     }

@@ -137,8 +137,7 @@ mod tests {
         let path = folder.path().join("hybrid.toml");
         std::fs::write(
             &path,
-            "format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = \
-                               0.2\nthreshold_off = 0.3\n",
+            "format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = 0.2\nthreshold_off = 0.3\n",
         )
         .unwrap();
         let with = |change: Json| {
@@ -161,11 +160,9 @@ mod tests {
 
     #[test]
     fn what_the_file_states_is_known_before_any_data() {
-        let metas = plan(
-            "format = \"photocurrent-sensor/1\"\nname = \"hybrid\"\n[comparator]\nthreshold_on \
-                          = 0.2\n",
-        )
-        .unwrap();
+        let metas =
+            plan("format = \"photocurrent-sensor/1\"\nname = \"hybrid\"\n[comparator]\nthreshold_on = 0.2\n")
+                .unwrap();
         let Meta::Sensor(sensor) = &metas[0] else { panic!("a sensor description") };
         assert_eq!(
             (sensor.name.as_str(), sensor.comparator.threshold_on, sensor.comparator.threshold_off),
@@ -176,8 +173,7 @@ mod tests {
     #[test]
     fn every_mistake_in_the_file_is_reported_at_its_line() {
         let error = plan(
-            "format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = \
-                          -0.2\ntreshold_off = 0.2\n",
+            "format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = -0.2\ntreshold_off = 0.2\n",
         )
         .unwrap_err();
         assert!(error.message.ends_with("hybrid.toml has 2 mistakes"), "{error}");

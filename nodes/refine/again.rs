@@ -78,8 +78,7 @@ impl Solver {
     ) -> Result<TracksMeta, NodeError> {
         if tracks.between != Between::LogLinear {
             return Err(NodeError::usage(format!(
-                "the tracks hold their values between knots; {kind} needs \
-                                          log-linear ones"
+                "the tracks hold their values between knots; {kind} needs log-linear ones"
             ))
             .hint("connect tracks of solve/map"));
         }

@@ -458,8 +458,7 @@ impl Work<'_> {
         let stated = read(&self.input.frames, frame)?.dn;
         self.cx.count(
             stated.iter().filter(|dn| !dn.is_finite()).count() as u64,
-            "values are not known \
-                                                            (NaN) and stay so; the network sees black there",
+            "values are not known (NaN) and stay so; the network sees black there",
         );
         let picture = self.planes(&stated, |dn, _| (f64::from(dn) - self.black) / self.white);
         let known =

@@ -76,16 +76,14 @@ impl RenderDemosaic {
         }
         if frames.extent.width < LEAST_SIDE || frames.extent.height < LEAST_SIDE {
             return Err(NodeError::usage(format!(
-                "frames of {} are too small: a filter needs {LEAST_SIDE} x \
-                                                 {LEAST_SIDE} pixels or more",
+                "frames of {} are too small: a filter needs {LEAST_SIDE} x {LEAST_SIDE} pixels or more",
                 frames.extent
             )));
         }
         let method = match (self.params.method, frames.colour) {
             (Some(Method::Gradients), Colour::QuadBayer(_)) => {
                 return Err(NodeError::usage(format!(
-                    "`method = \"gradients\"` takes Bayer mosaics, and the \
-                                                     frames are {}",
+                    "`method = \"gradients\"` takes Bayer mosaics, and the frames are {}",
                     frames.colour
                 ))
                 .hint("set `method = \"bilinear\"`")
@@ -364,14 +362,12 @@ mod tests {
         };
         assert_eq!(
             refused(None, &testing::frames(8, 8, 1)),
-            "the frames are mono, and only a mosaic has \
-                                                            colours to find"
+            "the frames are mono, and only a mosaic has colours to find"
         );
         let quad = mosaic("quad_bayer_rggb", |_, _, _| 1.0);
         assert_eq!(
             refused(Some(Method::Gradients), &quad),
-            "`method = \"gradients\"` takes Bayer mosaics, \
-                                                            and the frames are quad_bayer_rggb"
+            "`method = \"gradients\"` takes Bayer mosaics, and the frames are quad_bayer_rggb"
         );
     }
 }

@@ -267,8 +267,7 @@ impl RenderRows {
                 roi.x, roi.y, tracks.colour
             ))
             .hint(format!(
-                "let `x` and `y` be multiples of {cell}, so that the frames begin with the \
-                               same filter"
+                "let `x` and `y` be multiples of {cell}, so that the frames begin with the same filter"
             ))
             .param("roi"));
         }
@@ -530,8 +529,7 @@ mod tests {
             let expected = 0.1 * libm::exp2(middle_ms / 10.0);
             assert!(
                 (f64::from(sigma / (dn - 10.0)) / expected - 1.0).abs() < 1e-3,
-                "{sigma} of {dn}, \
-                                                            expected {expected}"
+                "{sigma} of {dn}, expected {expected}"
             );
         }
         assert!(values(&sigma, 1, 0)[0].is_nan());
@@ -600,11 +598,7 @@ mod tests {
         let odd = refused(Roi { x: 2, y: 1, width: 4, height: 2 });
         assert_eq!(
             (odd.message.as_str(), odd.param.as_deref()),
-            (
-                "`roi` begins at (2, 1), inside a cell of \
-                                                            the mosaic bayer_rggb",
-                Some("roi")
-            )
+            ("`roi` begins at (2, 1), inside a cell of the mosaic bayer_rggb", Some("roi"))
         );
         assert!(odd.hint.unwrap().contains("multiples of 2"));
         assert!(refused(Roi { x: 4, y: 0, width: 6, height: 2 }).message.contains("the frames have 8 x 6"));

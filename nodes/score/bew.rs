@@ -150,8 +150,7 @@ impl ScoreBew {
         }
         if self.params.channel >= channels {
             return Err(NodeError::usage(format!(
-                "`channel` is {}, and the frames have {channels}, counted \
-                                                 from 0",
+                "`channel` is {}, and the frames have {channels}, counted from 0",
                 self.params.channel
             ))
             .hint(format!("state a channel from 0 to {}", channels - 1))
@@ -521,8 +520,7 @@ mod tests {
         assert_eq!(
             value(&out.scores, "bew_px", -1),
             value(&out.scores, "bew_px", 0),
-            "the median of what \
-                                                            was measured"
+            "the median of what was measured"
         );
         assert_eq!(
             notes,

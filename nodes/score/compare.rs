@@ -167,8 +167,7 @@ fn check_range(peak: f64, frames: &FrameSequence, whose: &str) -> Result<(), Nod
         return Ok(());
     }
     Err(NodeError::input(format!(
-        "{above} of {all} {whose} values lie above the peak of {peak} DN: it is of \
-                                  another range of values"
+        "{above} of {all} {whose} values lie above the peak of {peak} DN: it is of another range of values"
     ))
     .note(format!("the largest {whose} value is {} DN", largest(frames)?))
     .hint("state `peak_dn`, or correct `frames.saturation_dn` of the sensor description"))

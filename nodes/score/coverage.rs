@@ -115,8 +115,7 @@ in   = { frames = "render.frames", sigma = "render.sigma", truth = "recording.tr
         })?;
         cx.count(
             counted.iter().map(|counted| counted.unknown).sum(),
-            "values were not known, or not how \
-                                                            well, and are left out",
+            "values were not known, or not how well, and are left out",
         );
         let mut scores = Vec::new();
         for (n, (_, name)) in WITHIN.iter().enumerate() {

@@ -70,10 +70,7 @@ impl ScoreDiagnosis {
         let path = self.params.answers.path();
         let text = std::fs::read_to_string(path).map_err(|error| {
             NodeError::files(photocurrent_core::error::cannot_read(path, &error))
-                .hint(
-                    "paths are relative \
-                                                            to the manifest that names them",
-                )
+                .hint("paths are relative to the manifest that names them")
                 .param("answers")
         })?;
         let wrong = |found: String| {
@@ -101,10 +98,7 @@ impl ScoreDiagnosis {
                 recordings.len(),
                 path.display()
             ))
-            .hint(
-                "`recording` is the name of a recording without folder and ending, such as \
-                       \"01234567\"",
-            )
+            .hint("`recording` is the name of a recording without folder and ending, such as \"01234567\"")
             .param("recording")
         })
     }
@@ -134,10 +128,7 @@ params = { answers = "known.json", recording = "01234567" }
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.answers.path().as_os_str().is_empty() {
             return Err(NodeError::usage("`answers` is missing")
-                .hint(
-                    "name the file of answers, such as \
-                                                            `answers = \"known.json\"`",
-                )
+                .hint("name the file of answers, such as `answers = \"known.json\"`")
                 .param("answers"));
         }
         if params.recording.is_empty() {

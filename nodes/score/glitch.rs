@@ -80,10 +80,8 @@ in   = { scores = "psnr" }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         if !inputs.all("scores").iter().all(|meta| matches!(meta, Meta::Table(table) if table.scores)) {
-            return Err(NodeError::usage("`scores` holds no scores").hint(
-                "connect the output of a scorer, \
-                                                            such as score/psnr",
-            ));
+            return Err(NodeError::usage("`scores` holds no scores")
+                .hint("connect the output of a scorer, such as score/psnr"));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
@@ -102,8 +100,7 @@ in   = { scores = "psnr" }
             changes.iter().map(|(_, change)| *change).filter(|change| !change.is_nan()).collect();
         cx.count(
             (changes.len() - measured.len()) as u64,
-            "changes were not measured, as a frame next to \
-                                                           them was not",
+            "changes were not measured, as a frame next to them was not",
         );
         if measured.is_empty() {
             return Err(NodeError::input(format!(
@@ -218,8 +215,7 @@ mod tests {
     fn one_frame_or_another_metric_give_a_reason() {
         assert_eq!(
             run(&[30.0], "psnr_db").unwrap_err().message,
-            "1 frame(s) of \"psnr_db\" make no pair of \
-                                                            measured neighbours"
+            "1 frame(s) of \"psnr_db\" make no pair of measured neighbours"
         );
         let error = run(&[30.0, 31.0], "ssim").unwrap_err();
         assert_eq!(

@@ -128,8 +128,7 @@ impl ScoreLpips {
         roi.check(frames.extent)?;
         if roi.width < LEAST_SIZE || roi.height < LEAST_SIZE {
             return Err(NodeError::usage(format!(
-                "{} are too few: the network looks at {LEAST_SIZE} x \
-                                                 {LEAST_SIZE} or more",
+                "{} are too few: the network looks at {LEAST_SIZE} x {LEAST_SIZE} or more",
                 roi.describe()
             ))
             .hint("score larger frames, or a larger `roi`"));
@@ -293,8 +292,7 @@ fn distance(network: &dyn Network, picture: &Tensor, reference: &Tensor) -> Resu
     match output.values[..] {
         [distance] => Ok(f64::from(distance)),
         _ => Err(NodeError::input(format!(
-            "the output `lpips` of the network has {} values, and one distance \
-                                          is expected",
+            "the output `lpips` of the network has {} values, and one distance is expected",
             output.values.len()
         ))
         .param("weights")),
@@ -361,10 +359,7 @@ mod tests {
             let card = &table.notes[0].1;
             assert!(
                 card.contains("weights = ")
-                    && card.contains(
-                        "(lpips_alex.onnx); backend = embedded \
-                                                            (rten 0.27)"
-                    ),
+                    && card.contains("(lpips_alex.onnx); backend = embedded (rten 0.27)"),
                 "{card}"
             );
         }
@@ -400,14 +395,7 @@ mod tests {
         let (found, _, notes) = run(params(), flat(300.0), flat(255.0)).unwrap();
         assert_eq!(
             (found, notes),
-            (
-                0.0,
-                vec![
-                    "1024 values lay below black or above the peak and were \
-                                               clipped"
-                        .to_string()
-                ]
-            )
+            (0.0, vec!["1024 values lay below black or above the peak and were clipped".to_string()])
         );
     }
 
@@ -441,10 +429,13 @@ mod tests {
         let error = run(lost, flat(40), flat(40)).err().unwrap();
         assert_eq!(error.message, "cannot read no/such.onnx: there is no such file");
         assert!(error.notes[0].contains("data/weights/lpips_alex.onnx"), "{:?}", error.notes);
-        assert!(run(params(), flat(31), flat(31)).err().unwrap().message.starts_with(
-            "31 x 40 pixels at (0, \
-                                                            0) are too few"
-        ));
+        assert!(
+            run(params(), flat(31), flat(31))
+                .err()
+                .unwrap()
+                .message
+                .starts_with("31 x 40 pixels at (0, 0) are too few")
+        );
         assert!(
             run(params(), flat(40), flat(41)).err().unwrap().message.contains("the reference is 41 x 40")
         );

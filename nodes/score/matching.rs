@@ -156,10 +156,9 @@ mod tests {
         };
         let error = match_frames(&rolling(10_000), &rolling(0), 5).unwrap_err();
         assert!(
-            error.message.starts_with(
-                "the frames' rows follow each other after 10 us, the reference's \
-                                           after 0 ns"
-            ),
+            error
+                .message
+                .starts_with("the frames' rows follow each other after 10 us, the reference's after 0 ns"),
             "{}",
             error.message
         );
@@ -188,8 +187,7 @@ mod tests {
             error.notes,
             [
                 "frames: 1 frames from 0.000000 ms to 0.000000 ms",
-                "reference: 1 frames \
-                                                            from 1.000000 ms to 1.000000 ms"
+                "reference: 1 frames from 1.000000 ms to 1.000000 ms"
             ]
         );
     }

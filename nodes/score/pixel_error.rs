@@ -189,8 +189,7 @@ params = { pixels = [{ x = 64, y = 48 }] }
         }
         cx.count(
             rows.iter().filter(|row| row.dn[0].is_nan()).count() as u64,
-            "values were not known (NaN) \
-                                                            and left out",
+            "values were not known (NaN) and left out",
         );
         cx.count(
             rows.iter().filter(|row| row.dn[0] <= black || row.dn[1] <= black).count() as u64,
@@ -420,11 +419,7 @@ mod tests {
         assert_eq!(out.scores.as_scores().unwrap()[0].value, 40.0, "of the known pixel");
         assert_eq!(
             notes,
-            [
-                "2 values are at or below black and have no V_DC",
-                "2 values were not known \
-                                                            (NaN) and left out"
-            ]
+            ["2 values are at or below black and have no V_DC", "2 values were not known (NaN) and left out"]
         );
         assert!(out.scores.as_scores().unwrap()[5].value.is_nan());
     }
@@ -435,11 +430,7 @@ mod tests {
         let error = run(&[(1, 1), (4, 0)], same(), same()).err().unwrap();
         assert_eq!(
             (error.message.as_str(), error.param.as_deref()),
-            (
-                "the pixel (4, 0) is outside, the \
-                                                            frames have 4 x 3",
-                Some("pixels")
-            )
+            ("the pixel (4, 0) is outside, the frames have 4 x 3", Some("pixels"))
         );
         assert!(
             ScorePixelError::build(Params::default()).err().unwrap().message.contains("`pixels` is empty")

@@ -185,8 +185,7 @@ mod tests {
         let expected = "psnr.v1: channel = linear DN, 1 channel; range = peak 50.000 DN (largest true \
                         value); border = none; \
             frames = 2 of 2 matched by middle of exposure within 1 us; region = all pixels, in 2 x 3 pixels \
-            at (1, 0); weights = none; \
-            backend = own, f64; pooled = mean over frames; ceiling = 120 dB";
+            at (1, 0); weights = none; backend = own, f64; pooled = mean over frames; ceiling = 120 dB";
         assert_eq!(table.notes, [("card".to_string(), expected.to_string())]);
     }
 
@@ -199,8 +198,7 @@ mod tests {
         let error = out.unwrap_err();
         assert_eq!(
             error.message,
-            "24 of 24 true values lie above the peak of 1 DN: it is of another range \
-                                   of values"
+            "24 of 24 true values lie above the peak of 1 DN: it is of another range of values"
         );
         assert_eq!(error.notes, ["the largest true value is 50 DN"]);
     }

@@ -36,8 +36,7 @@ impl Roi {
             return Ok(());
         }
         Err(NodeError::usage(format!(
-            "`roi` asks for {} x {} pixels at ({}, {}), and the frames have \
-                                      {extent}",
+            "`roi` asks for {} x {} pixels at ({}, {}), and the frames have {extent}",
             self.width, self.height, self.x, self.y
         ))
         .hint(format!("keep `x + width` within {}, and `y + height` within {}", extent.width, extent.height))

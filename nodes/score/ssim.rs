@@ -84,8 +84,7 @@ fn check_size(extent: Extent) -> Result<(), NodeError> {
         return Ok(());
     }
     Err(NodeError::usage(format!(
-        "the frames have {extent}, and the window of the index is {window} x \
-                                  {window} pixels"
+        "the frames have {extent}, and the window of the index is {window} x {window} pixels"
     ))
     .hint("score larger frames"))
 }
@@ -176,8 +175,7 @@ fn interior(mut mask: Vec<bool>, extent: Extent, channels: usize) -> Result<Vec<
         Ok(mask)
     } else {
         Err(NodeError::input(format!(
-            "no pixel of the region is {RADIUS} pixels or more from the border, \
-                                      where the window fits"
+            "no pixel of the region is {RADIUS} pixels or more from the border, where the window fits"
         ))
         .hint("choose another `roi` or `region`"))
     }
@@ -273,8 +271,7 @@ mod tests {
         assert_eq!(
             scores[0].value.to_bits(),
             scores[1].value.to_bits(),
-            "the mean of one frame is that \
-                                                            frame's"
+            "the mean of one frame is that frame's"
         );
         Ok(scores[0].value)
     }

@@ -142,12 +142,9 @@ impl Shown {
             comment: None,
         };
         let mut file = Vec::new();
-        picture.encode_small(&mut file).map_err(|error| {
-            NodeError::failed(format!(
-                "a picture cannot be \
-                                                            encoded: {error}"
-            ))
-        })?;
+        picture
+            .encode_small(&mut file)
+            .map_err(|error| NodeError::failed(format!("a picture cannot be encoded: {error}")))?;
         Ok(file)
     }
 }

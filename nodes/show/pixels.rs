@@ -348,8 +348,7 @@ mod tests {
         let [(t, residual)] = solved.frame_residuals[..] else { panic!("one frame") };
         assert!(
             t == 15_000_000 && (residual - 2.0).abs() < 1e-9,
-            "42 DN were captured, 40 are predicted: \
-                                                            {residual}"
+            "42 DN were captured, 40 are predicted: {residual}"
         );
         let [(t, residual)] = solved.event_residuals[..] else { panic!("one pair of events") };
         assert!(t == 50_000_000 && residual.abs() < 1e-6, "{residual}");

@@ -228,10 +228,7 @@ params = { path = "street.png", speed = 2000.0, heading = 20.0, rotation = "30 r
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
             return Err(NodeError::usage("`path` is missing")
-                .hint(
-                    "name the photo, such as `path = \
-                                                            \"street.png\"`",
-                )
+                .hint("name the photo, such as `path = \"street.png\"`")
                 .param("path"));
         }
         // Growth is monotonic: the photo is smallest at the beginning or at the end.

@@ -207,8 +207,7 @@ fn photos_and_motions_that_cannot_be_are_refused() {
     );
     assert_eq!(
         message(Params { zoom: -100.0, ..still.clone() }),
-        "at the end a pixel of the sensor sees 55 \
-                                                            pixels of the photo in a row, at most 16 can be"
+        "at the end a pixel of the sensor sees 55 pixels of the photo in a row, at most 16 can be"
     );
     assert_eq!(
         message(Params { shrink: 5, ..still.clone() }),

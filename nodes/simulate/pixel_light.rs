@@ -81,8 +81,7 @@ impl Instants {
     fn light(&self) -> Result<LinearLight<'_>, NodeError> {
         if self.t.is_empty() || !self.photocurrent.iter().all(|i| *i > 0.0 && i.is_finite()) {
             return Err(NodeError::input(
-                "the light has a pixel without a positive photocurrent at every \
-                                         instant",
+                "the light has a pixel without a positive photocurrent at every instant",
             )
             .hint("a scene reflects more than nothing everywhere"));
         }

@@ -27,8 +27,7 @@ impl Pooling {
         let Extent { width, height } = light.extent;
         if !width.is_multiple_of(self.ratio) || !height.is_multiple_of(self.ratio) {
             return Err(NodeError::usage(format!(
-                "the light has {width} x {height} pixels, and {0} x {0} lie \
-                                                 on each event pixel",
+                "the light has {width} x {height} pixels, and {0} x {0} lie on each event pixel",
                 self.ratio
             ))
             .hint(format!("make width and height multiples of {}", self.ratio))

@@ -157,8 +157,7 @@ params = { scene = "fan", fan = { speed = "900 rpm" }, illuminance = "300 lx", d
             (params.details.pellet.radius, Extent { width: params.width, height: params.height });
         if params.scene == scenes::Name::Pellet && !scenes::pellet::fits(radius, extent) {
             return Err(NodeError::usage(format!(
-                "a pellet of radius {radius} does not fit into {extent} \
-                                                 pixels"
+                "a pellet of radius {radius} does not fit into {extent} pixels"
             ))
             .hint("make `pellet.radius` smaller, or `width` and `height` larger")
             .param("pellet"));

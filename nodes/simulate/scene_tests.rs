@@ -148,8 +148,7 @@ fn a_pellet_that_does_not_fit_is_refused() {
     params.details.pellet.radius = 15.0;
     assert_eq!(
         SimulateScene::build(params).err().unwrap().message,
-        "a pellet of radius 15 does not fit \
-                                                            into 40 x 30 pixels"
+        "a pellet of radius 15 does not fit into 40 x 30 pixels"
     );
 }
 
@@ -203,8 +202,7 @@ fn the_plan_knows_about_how_many_instants_there_will_be() {
         let estimated = node.instants() * node.extent().pixels() as f64;
         assert!(
             (count / 2.0..count * 2.0).contains(&estimated),
-            "{name:?}: {estimated} instants were \
-                                                            planned, {count} came"
+            "{name:?}: {estimated} instants were planned, {count} came"
         );
     }
 }

@@ -114,8 +114,7 @@ impl SimulateSensor {
         let camera = Camera::new(sensor, &timing, extents, light.span, seed, WHO)?;
         if camera.halo() > HALO_ROWS {
             return Err(NodeError::usage(format!(
-                "the effects of the description reach {} rows, {WHO} at \
-                                                 most {HALO_ROWS}",
+                "the effects of the description reach {} rows, {WHO} at most {HALO_ROWS}",
                 camera.halo()
             ))
             .hint("make the blur or shift smaller"));

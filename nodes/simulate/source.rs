@@ -126,8 +126,7 @@ fn truth_meta(extent: Extent, duration_ns: i64, truth: TruthParams) -> Result<Fr
     let (period, asked) = (1e9 / truth.rate.hz(), duration_ns as f64 * 1e-9 * truth.rate.hz());
     if asked > MOST_TRUE_FRAMES {
         return Err(NodeError::usage(format!(
-            "`truth_rate` asks for {asked:.0} true frames, and \
-                                             {MOST_TRUE_FRAMES:.0} are the most"
+            "`truth_rate` asks for {asked:.0} true frames, and {MOST_TRUE_FRAMES:.0} are the most"
         ))
         .note(format!("{} of light at {}", Duration::new(duration_ns), truth.rate))
         .hint("lower `truth_rate`, or shorten the light")

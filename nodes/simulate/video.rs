@@ -217,8 +217,7 @@ fn frame_times(frames: usize, rate: f64, params: &Params) -> Result<Vec<i64>, No
     }
     if params.duration.is_some_and(|duration| duration.ns() > end) {
         return Err(NodeError::usage(format!(
-            "{name} is shorter than `duration` asks for: {} are left from \
-                                             `start` on",
+            "{name} is shorter than `duration` asks for: {} are left from `start` on",
             Duration::new(end)
         ))
         .note(film)
@@ -238,8 +237,7 @@ impl Node for SimulateVideo {
         exports: false,
         sources: &[
             "YUV4MPEG2 (mjpegtools, yuv4mpeg(5))",
-            "IEC 61966-2-1 (sRGB) and ITU-R BT.709: transfer \
-                                                           curves, luminance",
+            "IEC 61966-2-1 (sRGB) and ITU-R BT.709: transfer curves, luminance",
         ],
         example: r#"
 [nodes.film]
@@ -255,10 +253,7 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
             return Err(NodeError::usage("`path` is missing")
-                .hint(
-                    "name a folder of pictures or a Y4M file, \
-                                                            such as `path = \"film.y4m\"`",
-                )
+                .hint("name a folder of pictures or a Y4M file, such as `path = \"film.y4m\"`")
                 .param("path"));
         }
         Ok(SimulateVideo { params, files: OnceLock::new(), opened: OnceLock::new() })

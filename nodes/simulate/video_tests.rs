@@ -281,13 +281,11 @@ fn films_that_cannot_be_are_refused() {
     assert!(message(linear(Path::new("no/such/folder"))).contains("no/such/folder: there is no such file"));
     assert_eq!(
         message(Params { rate: None, ..linear(folder.path()) }),
-        "`rate` is missing, and the film \
-                                                            does not say how fast it was taken"
+        "`rate` is missing, and the film does not say how fast it was taken"
     );
     assert_eq!(
         message(Params { range: Some(Range::Full), ..linear(folder.path()) }),
-        "`range` is set, and \
-                                                            pictures always use all of theirs"
+        "`range` is set, and pictures always use all of theirs"
     );
     let late = plan(Params { start: Duration::new(2_000_000), ..linear(folder.path()) }).unwrap_err();
     assert!(
@@ -311,8 +309,7 @@ fn films_that_cannot_be_are_refused() {
     assert!(message(linear(empty.path())).starts_with("there is no PNG, TIFF or JPEG picture in "));
     assert_eq!(
         message(linear(&folder.path().join("f1.png"))),
-        "f1.png: it is no Y4M file: it begins with \
-                                                            `.PNG.`, expected `YUV4MPEG2 W... H...`"
+        "f1.png: it is no Y4M file: it begins with `.PNG.`, expected `YUV4MPEG2 W... H...`"
     );
 }
 

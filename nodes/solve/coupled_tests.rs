@@ -103,8 +103,7 @@ fn photocurrent_that_neighbours_mix_in_is_subtracted() {
         let (tracks, notes) = solve(&recorded, &actual);
         let fitted = error(&tracks, waves);
         let line = format!(
-            "{effects}: without the effect {clean:.4}, nominal {nominal:.4}, fitted \
-                            {fitted:.4}, {notes:?}"
+            "{effects}: without the effect {clean:.4}, nominal {nominal:.4}, fitted {fitted:.4}, {notes:?}"
         );
         if !(fitted < left * nominal
             && nominal > 2.0 * clean
@@ -139,8 +138,7 @@ fn events_that_waited_reset_their_pixels_later() {
     println!("without the queue {clean:.5}, nominal {nominal:.5}, fitted {fitted:.5}");
     assert!(
         nominal > 2.0 * clean && fitted < 1.2 * clean,
-        "without the queue {clean:.5}, nominal \
-                                                            {nominal:.5}, fitted {fitted:.5}"
+        "without the queue {clean:.5}, nominal {nominal:.5}, fitted {fitted:.5}"
     );
 }
 
@@ -202,10 +200,8 @@ fn neighbours_change_no_bit_with_bands_and_threads() {
     let frames = testing::captured(extent, super::tests::exposures(3), 30_000, |l, x, y| {
         (200 + (37 * l as u32 + 11 * x + 5 * y) % 90) as f32
     });
-    let description = sensor(
-        "misalignment = { shift_x = 0.2, shift_y = 0.9 }\ncrosstalk = \
-                              { fraction = 0.1 }",
-    );
+    let description =
+        sensor("misalignment = { shift_x = 0.2, shift_y = 0.9 }\ncrosstalk = { fraction = 0.1 }");
     let node = SolveMap::build(SolveOptions { undo_rounds: Some(2), ..SolveOptions::default() }).unwrap();
     let run = |rows: Rows, band: Rows| {
         let input = In { events: events.cut(rows), frames: frames.cut(rows), sensor: description.clone() };

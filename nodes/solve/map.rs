@@ -37,8 +37,7 @@ impl Node for SolveMap {
         exports: false,
         sources: &[
             "Jiang et al., CVPR 2024, Eqs. (1)-(12): the sensor",
-            "docs/physics.md: the prior and \
-                                                            the reset",
+            "docs/physics.md: the prior and the reset",
         ],
         example: r#"
 [nodes.solve]

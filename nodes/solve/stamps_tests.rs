@@ -206,8 +206,7 @@ fn pixels_that_lose_their_events_for_a_while_recover_and_leave_other_rows_alone(
     let (before, after) = (of(&whole, (13, 27)), of(&holed, (13, 27)));
     assert!(
         after > before && after < 1.2 * repeated,
-        "{before} became {after}, and {repeated} by repeating \
-                                                       frames"
+        "{before} became {after}, and {repeated} by repeating frames"
     );
     // Away from the stretch the pixel knows what it knew.
     for outside in [(2, 12), (30, 42)] {

@@ -125,8 +125,7 @@ fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
     assert!(ours.dn.iter().zip(&theirs.dn).all(|(a, b)| (a / b - 1.0).abs() < 1e-6));
     assert!(
         ours.dn.iter().any(|dn| (dn / ours.dn[0] - 1.0).abs() > 0.2),
-        "the picture must change for the \
-                                                            test to mean something"
+        "the picture must change for the test to mean something"
     );
 }
 

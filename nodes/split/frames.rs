@@ -69,8 +69,7 @@ impl SplitFrames {
         let (held, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(is_held);
         if held.is_empty() {
             return Err(NodeError::usage(format!(
-                "no frame of {count} is held out with `every = {every}` and \
-                                                 `first = {first}`"
+                "no frame of {count} is held out with `every = {every}` and `first = {first}`"
             ))
             .note("the first and the last frame are never held out")
             .hint(format!("choose `first` between 1 and {}", count - 2))

@@ -126,13 +126,8 @@ params = { start = "0.9 s", end = "2.1 s" }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let absent = |data_type: DataType| Meta::Absent {
-            data_type,
-            why: format!(
-                "there are no {data_type} \
-                                                            to cut"
-            ),
-        };
+        let absent =
+            |data_type: DataType| Meta::Absent { data_type, why: format!("there are no {data_type} to cut") };
         if !inputs.has("events") && !inputs.has("frames") {
             return Err(NodeError::usage("there is nothing to cut: neither `events` nor `frames` is there")
                 .hint("connect at least one of them"));

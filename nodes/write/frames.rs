@@ -182,11 +182,9 @@ impl WriteFrames {
                     ),
                 );
             }
-            Scale::Stated | Scale::Data => cx.count(
-                found.clipped,
-                "values lie outside of what the stated \
-                                                            code can say and were clipped",
-            ),
+            Scale::Stated | Scale::Data => {
+                cx.count(found.clipped, "values lie outside of what the stated code can say and were clipped")
+            }
         }
         cx.count(
             found.implausible,
@@ -284,8 +282,7 @@ params = { preview = true }
     fn build(params: Params) -> Result<Self, NodeError> {
         if let Some(scale) = params.scale.filter(|scale| !(scale.is_finite() && *scale > 0.0)) {
             return Err(NodeError::usage(format!(
-                "`scale` is {scale}, and must be a positive number of DN \
-                                                 per code"
+                "`scale` is {scale}, and must be a positive number of DN per code"
             ))
             .param("scale"));
         }
@@ -297,8 +294,7 @@ params = { preview = true }
         let hdf5 = "`format = \"hdf5_u16\"` or \"hdf5_f32\"";
         if params.preview && params.format != Format::Png {
             return Err(NodeError::usage(format!(
-                "`preview` writes pictures next to PNGs, and does nothing \
-                                                 with {hdf5}"
+                "`preview` writes pictures next to PNGs, and does nothing with {hdf5}"
             ))
             .hint("take it out; write/contact_sheet shows frames in one picture")
             .param("preview"));
@@ -308,8 +304,7 @@ params = { preview = true }
             stated.iter().find(|(_, is_stated)| *is_stated && params.format == Format::Hdf5F32)
         {
             return Err(NodeError::usage(format!(
-                "`{name}` is that of codes, and `format = \"hdf5_f32\"` \
-                                                 stores values as they are"
+                "`{name}` is that of codes, and `format = \"hdf5_f32\"` stores values as they are"
             ))
             .hint("take it out, or set `format = \"hdf5_u16\"`")
             .param(*name));
@@ -320,10 +315,8 @@ params = { preview = true }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
         if frames.times.is_empty() {
-            return Err(NodeError::usage("`frames` has no frame to write").hint(
-                "look at the time window of \
-                                                            the node that makes them",
-            ));
+            return Err(NodeError::usage("`frames` has no frame to write")
+                .hint("look at the time window of the node that makes them"));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
@@ -343,8 +336,7 @@ params = { preview = true }
         let times = if self.params.format == Format::Png { "frames.csv" } else { HDF5 };
         if meta.times.row_time_ns != 0 {
             cx.note(format!(
-                "rolling shutter: the times in {times} are those of row 0, each further row is \
-                             {} ns later",
+                "rolling shutter: the times in {times} are those of row 0, each further row is {} ns later",
                 meta.times.row_time_ns
             ));
         }
@@ -599,8 +591,7 @@ mod tests {
                     notes,
                     [
                         "1 values are not known (NaN) and were written as code 0",
-                        "5 values lie outside of what \
-                                                            the stated code can say and were clipped"
+                        "5 values lie outside of what the stated code can say and were clipped"
                     ]
                 );
             },
@@ -678,10 +669,8 @@ mod tests {
             assert_eq!(load(&folder.join("000000.png")).0[..2], [65535, 13107]);
             assert!(notes[0].starts_with("1 values are more than 20 times saturation"), "{notes:?}");
             assert!(
-                notes[1].starts_with(
-                    "2 values lie outside of what the code can say, up to saturation \
-                                          (255 DN)"
-                ),
+                notes[1]
+                    .starts_with("2 values lie outside of what the code can say, up to saturation (255 DN)"),
                 "{notes:?}"
             );
         });
@@ -742,8 +731,7 @@ mod tests {
                 notes,
                 [
                     "4 values are not known (NaN) and were written as code 0",
-                    "20 values lie outside of what \
-                                                            the stated code can say and were clipped"
+                    "20 values lie outside of what the stated code can say and were clipped"
                 ]
             );
             let names: Vec<_> =

@@ -26,10 +26,8 @@ fn save(path: &Path, bytes: &[u8]) -> Result<(), NodeError> {
 
 /// A file that could not be written.
 fn cannot_write(path: &Path, error: &dyn std::fmt::Display) -> NodeError {
-    NodeError::files(format!("cannot write {}: {error}", path.display())).hint(
-        "is the disk full, or the \
-                                                            output folder read-only?",
-    )
+    NodeError::files(format!("cannot write {}: {error}", path.display()))
+        .hint("is the disk full, or the output folder read-only?")
 }
 
 /// Refuses a list of labels that does not name each of `count` inputs of `port` once.

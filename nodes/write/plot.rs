@@ -119,8 +119,7 @@ params = { labels = ["itself"], metric = "heldout_psnr_db" }
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.metric.is_some() && params.y.is_some() {
             return Err(NodeError::usage(
-                "`metric` and `y` are both stated: the one is for scores, the other \
-                                         for tables of columns",
+                "`metric` and `y` are both stated: the one is for scores, the other for tables of columns",
             )
             .hint("leave one of them out")
             .param("y"));
@@ -135,16 +134,14 @@ params = { labels = ["itself"], metric = "heldout_psnr_db" }
             let Meta::Table(meta) = meta else { continue };
             if self.params.metric.is_some() && !meta.scores {
                 return Err(NodeError::usage(format!(
-                    "the table \"{label}\" holds no scores, and `metric` is \
-                                                     stated"
+                    "the table \"{label}\" holds no scores, and `metric` is stated"
                 ))
                 .hint("connect the scores of a scorer, or name a column with `y`")
                 .param("metric"));
             }
             if self.params.y.is_none() && !meta.scores {
                 return Err(NodeError::usage(format!(
-                    "the table \"{label}\" holds no scores: which column is \
-                                                     drawn?"
+                    "the table \"{label}\" holds no scores: which column is drawn?"
                 ))
                 .hint("name a column: y = \"v_dc\"")
                 .param("y"));
@@ -283,11 +280,10 @@ impl WritePlot {
         let numbers = |name: &str, parameter: &str| match column(name, parameter)? {
             Column::Numbers(values) => Ok(values.clone()),
             Column::Integers(values) => Ok(values.iter().map(|value| *value as f64).collect()),
-            Column::Texts(_) => Err(NodeError::input(format!(
-                "the column \"{name}\" holds texts, and no \
-                                                            numbers"
-            ))
-            .param(parameter)),
+            Column::Texts(_) => {
+                Err(NodeError::input(format!("the column \"{name}\" holds texts, and no numbers"))
+                    .param(parameter))
+            }
         };
         let mut kept = vec![true; table.len()];
         for (name, wanted) in &self.params.only {
@@ -296,10 +292,7 @@ impl WritePlot {
         }
         if !kept.contains(&true) {
             return Err(NodeError::input("no row has what `only` asks for")
-                .hint(
-                    "leave an entry out, or \
-                                                            look at the numbers in the table",
-                )
+                .hint("leave an entry out, or look at the numbers in the table")
                 .param("only"));
         }
         let scale = if self.params.x.ends_with("_ns") { 1e-6 } else { 1.0 };
@@ -556,8 +549,7 @@ mod tests {
         assert!(plan(params(&["a"]), true).is_ok());
         assert_eq!(
             plan(params(&["a"]), false).unwrap_err().message,
-            "the table \"a\" holds no scores: \
-                                                            which column is drawn?"
+            "the table \"a\" holds no scores: which column is drawn?"
         );
         assert!(
             plan(Params { metric: Some("psnr_db".into()), ..params(&["a"]) }, false)

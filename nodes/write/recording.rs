@@ -93,8 +93,7 @@ params = { numbers = "u16" }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         if !inputs.has("events") && !inputs.has("frames") {
             return Err(NodeError::usage(
-                "there is nothing to record: neither `events` nor `frames` is \
-                                         connected",
+                "there is nothing to record: neither `events` nor `frames` is connected",
             )
             .hint("connect at least one of them"));
         }

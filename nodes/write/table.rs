@@ -329,11 +329,7 @@ impl WriteTable {
         let measured: Vec<f64> = frames.iter().copied().filter(|value| !value.is_nan()).collect();
         cx.count(
             (frames.len() - measured.len()) as u64,
-            &format!(
-                "frames of {label} have no {} and were \
-                                                            left out",
-                metric.name
-            ),
+            &format!("frames of {label} have no {} and were left out", metric.name),
         );
         let count = measured.len();
         let pooled = mine().find(|score| score.frame == -1).map(|score| score.value);
@@ -614,8 +610,7 @@ mod tests {
         assert!(plan(&["a", "b"], &[true, true]).is_ok());
         assert_eq!(
             plan(&["a"], &[true, true]).unwrap_err().message,
-            "`labels` has 1 text, and 2 inputs are \
-                                                            connected to `tables`"
+            "`labels` has 1 text, and 2 inputs are connected to `tables`"
         );
         assert!(plan(&["a", "a"], &[true, true]).unwrap_err().message.contains("stands twice"));
         assert_eq!(plan(&["a", "b"], &[true, false]).unwrap_err().message, "the table \"b\" holds no scores");

@@ -177,16 +177,12 @@ params = { rate = "25 Hz" }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
         if frames.times.is_empty() {
-            return Err(NodeError::usage("`frames` has no frame to write").hint(
-                "look at the time window of \
-                                                            the node that makes them",
-            ));
+            return Err(NodeError::usage("`frames` has no frame to write")
+                .hint("look at the time window of the node that makes them"));
         }
         if frames.colour.is_mosaic() {
-            return Err(NodeError::usage("a mosaic is no picture to look at").hint(
-                "connect frames of \
-                                                            render/demosaic",
-            ));
+            return Err(NodeError::usage("a mosaic is no picture to look at")
+                .hint("connect frames of render/demosaic"));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
@@ -246,8 +242,7 @@ impl WriteVideo {
         command::run(folder, encoder, &arguments, "encoder", cx).map_err(|error| {
             match error.message.starts_with("cannot start") {
                 true => error.hint(
-                    "install it, name it by its whole path, or leave `encoder` out: video.y4m \
-                                needs none",
+                    "install it, name it by its whole path, or leave `encoder` out: video.y4m needs none",
                 ),
                 false => error,
             }
@@ -277,12 +272,8 @@ fn slowed(frames: &FrameSequence, rate: Rate) -> Option<String> {
     let (first, last) = (exposures.first()?.mid().0, exposures.last()?.mid().0);
     let step_s = (last - first) as f64 * 1e-9 / (exposures.len() as f64 - 1.0);
     let factor = 1.0 / (step_s * rate.hz());
-    (factor.is_finite() && factor > 0.0).then(|| {
-        format!(
-            "shown at {rate}, the film runs {factor:.3} times \
-                                                          slower than the scene"
-        )
-    })
+    (factor.is_finite() && factor > 0.0)
+        .then(|| format!("shown at {rate}, the film runs {factor:.3} times slower than the scene"))
 }
 
 /// Y'CbCr of the film, of codes of 8 bits.
@@ -419,8 +410,7 @@ mod tests {
                     codes.iter().zip(&stored).map(|(found, expected)| (f64::from(*found) - expected).abs());
                 assert!(
                     off.clone().all(|off| off < 0.5 + 0.6 + 1.1),
-                    "{dn:?}: {codes:?}, {stored:?} \
-                                                            expected"
+                    "{dn:?}: {codes:?}, {stored:?} expected"
                 );
                 // Luminance: that of the colours as they are read, and that of the scene within 2 codes of
                 // each channel.
@@ -455,11 +445,7 @@ mod tests {
             assert_eq!(out.unwrap().listing.column("file").unwrap().cell(1), "video.mp4");
         });
         write(&grey(), copies("true"), |out, _, _| {
-            assert_eq!(
-                out.err().unwrap().message,
-                "\"sh\" wrote no \
-                                                            video.mp4"
-            )
+            assert_eq!(out.err().unwrap().message, "\"sh\" wrote no video.mp4")
         });
         write(&grey(), copies("echo no; exit 3"), |out, _, _| {
             assert_eq!(out.err().unwrap().message, "\"sh\" ended with exit code 3")

@@ -115,12 +115,8 @@ fn run(options: &Options, log: &mut impl Write) -> Result<(), String> {
     let size = format!("{}x{}", setting.extent.width, setting.extent.height);
     let examples = examples(options, &setting, &size)?;
     let lines = examples.iter().map(|one| serde_json::to_string(&one.facts_alone()));
-    let lines: Vec<String> = lines.collect::<Result<_, _>>().map_err(|error| {
-        format!(
-            "examples.jsonl: \
-                                                            {error}"
-        )
-    })?;
+    let lines: Vec<String> =
+        lines.collect::<Result<_, _>>().map_err(|error| format!("examples.jsonl: {error}"))?;
     write(&options.out.join("examples.jsonl"), (lines.join("\n") + "\n").as_bytes())?;
     let mut kinds: BTreeMap<String, Vec<Example>> = BTreeMap::new();
     for one in &examples {

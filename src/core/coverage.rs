@@ -177,10 +177,7 @@ mod tests {
         let why = coverage.refuses(TimeSpan::new(0, 600_300 * MS)).unwrap();
         assert!(
             why.contains("from 0 s to 600.3 s")
-                && why.contains(
-                    "frames are at 0 s to 0.15 s, 600.16 s \
-                                                            to 600.29 s"
-                ),
+                && why.contains("frames are at 0 s to 0.15 s, 600.16 s to 600.29 s"),
             "{why}"
         );
         assert_eq!(coverage.window().unwrap(), "start = \"0 s\", end = \"0.15 s\"");

@@ -91,10 +91,7 @@ impl Diagnosis {
         found: &T,
     ) -> Result<Diagnosis, DataError> {
         let text = serde_json::to_string(found).map_err(|error| {
-            DataError::new(format!(
-                "a diagnosis of kind \
-                                                            {kind} cannot be written as JSON: {error}"
-            ))
+            DataError::new(format!("a diagnosis of kind {kind} cannot be written as JSON: {error}"))
         })?;
         let document = Diagnosis { kind, text };
         let again: T = document.read()?;
@@ -134,11 +131,7 @@ impl Diagnosis {
     /// When the text does not say it: another version of the program made it.
     pub fn read<T: DeserializeOwned>(&self) -> Result<T, DataError> {
         serde_json::from_str(&self.text).map_err(|error| {
-            DataError::new(format!(
-                "a diagnosis of kind {} \
-                                                            cannot be read: {error}",
-                self.kind
-            ))
+            DataError::new(format!("a diagnosis of kind {} cannot be read: {error}", self.kind))
         })
     }
 
@@ -191,9 +184,7 @@ mod tests {
         assert!(meta.need(DiagnosisKind::Page, "page").is_ok());
         assert_eq!(
             meta.need(DiagnosisKind::Report, "report").unwrap_err().message,
-            "`report` takes a \
-                                                            diagnosis of kind report, and this one is of \
-                                                            kind page"
+            "`report` takes a diagnosis of kind report, and this one is of kind page"
         );
     }
 }

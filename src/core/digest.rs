@@ -120,11 +120,8 @@ impl DigestBuilder {
     pub fn slice<T: bytemuck::Pod>(&mut self, values: &[T]) -> &mut Self {
         // The tool is built for little-endian machines only; `LITTLE_ENDIAN` below makes that a compile error
         // elsewhere.
-        const LITTLE_ENDIAN: () = assert!(
-            cfg!(target_endian = "little"),
-            "digests are defined over \
-                                                            little-endian bytes"
-        );
+        const LITTLE_ENDIAN: () =
+            assert!(cfg!(target_endian = "little"), "digests are defined over little-endian bytes");
         #[allow(clippy::let_unit_value)]
         let () = LITTLE_ENDIAN;
         self.framed(bytemuck::cast_slice(values))

@@ -287,8 +287,7 @@ impl FrameSequence {
     pub fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
         if !self.rows.contains(rows) || frames.end > self.len() || frames.start > frames.end {
             return Err(DataError::new(format!(
-                "frames {frames:?}, {rows} were asked for, but only 0..{}, {} \
-                                               are here",
+                "frames {frames:?}, {rows} were asked for, but only 0..{}, {} are here",
                 self.len(),
                 self.rows
             )));

@@ -164,11 +164,7 @@ impl<M: BandMeta> Handle<M> {
         if self.rows.contains(rows) {
             Ok(())
         } else {
-            Err(DataError::new(format!(
-                "{rows} were asked for, \
-                                                            but only {} are here",
-                self.rows
-            )))
+            Err(DataError::new(format!("{rows} were asked for, but only {} are here", self.rows)))
         }
     }
 

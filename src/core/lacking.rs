@@ -25,8 +25,7 @@ pub const NEEDED: [Needed; 11] = [
     Needed {
         path: "front_end.alpha",
         example: "\"12 ms\"",
-        about: "how the time constant grows in the \
-                                                            dark: time times photocurrent unit",
+        about: "how the time constant grows in the dark: time times photocurrent unit",
     },
     Needed { path: "comparator.threshold_on", example: "0.2", about: "ON threshold, natural-log units" },
     Needed { path: "comparator.threshold_off", example: "0.2", about: "OFF threshold, natural-log units" },
@@ -46,14 +45,12 @@ pub const NEEDED: [Needed; 11] = [
     Needed {
         path: "frames.row_time",
         example: "\"0 us\"",
-        about: "delay from one row's exposure to the \
-                                                            next; 0 is a global shutter",
+        about: "delay from one row's exposure to the next; 0 is a global shutter",
     },
     Needed {
         path: "optics.photocurrent_per_lux",
         example: "0.001",
-        about: "photocurrent units per lux on \
-                                                            the scene",
+        about: "photocurrent units per lux on the scene",
     },
 ];
 

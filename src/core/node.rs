@@ -221,8 +221,7 @@ impl Catalogue {
         for (i, kind) in kinds.iter().enumerate() {
             assert!(
                 kinds[..i].iter().all(|other| other.decl.kind != kind.decl.kind),
-                "node kind {} is \
-                                                            listed twice",
+                "node kind {} is listed twice",
                 kind.decl.kind
             );
         }

@@ -124,10 +124,7 @@ impl Checker<'_> {
                 if let Some(bound) = bound {
                     problems.push(Problem::at(
                         &tree.origin,
-                        format!(
-                            "a list of {bound} is needed, found \
-                                                            {found}"
-                        ),
+                        format!("a list of {bound} is needed, found {found}"),
                     ));
                 }
                 for (i, item) in items.iter().enumerate() {
@@ -151,10 +148,9 @@ impl Checker<'_> {
                         .label(format!("expected {expected}"));
                 problems.push(match (schema["x-example"].as_str(), tree.as_str()) {
                     (Some(example), _) => problem.help(format!("such as {example}")),
-                    (None, Some(text)) if expected == "a list" => problem.help(format!(
-                        "a list of one is \
-                                                            [\"{text}\"]"
-                    )),
+                    (None, Some(text)) if expected == "a list" => {
+                        problem.help(format!("a list of one is [\"{text}\"]"))
+                    }
                     _ => problem,
                 });
             }
@@ -454,8 +450,7 @@ mod tests {
     #[test]
     fn every_mistake_is_reported_at_its_place() {
         let (problems, _) = check(
-            "rate = 5\nexposure = \"2 s\"\nweight = -1.0\nshutter = \
-                                   \"roling\"\nlabels = [3]\nwieght = 1\n",
+            "rate = 5\nexposure = \"2 s\"\nweight = -1.0\nshutter = \"roling\"\nlabels = [3]\nwieght = 1\n",
         );
         assert_eq!(
             problems,

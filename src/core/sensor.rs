@@ -314,8 +314,7 @@ impl Sensor {
         let called = if self.name.is_empty() { String::new() } else { format!(" \"{}\"", self.name) };
         let them = if fields.len() == 1 { "it" } else { "them" };
         let error = NodeError::usage(format!(
-            "{who} needs {list}, and the sensor description{called} does \
-                                              not state {them}"
+            "{who} needs {list}, and the sensor description{called} does not state {them}"
         ))
         .hint(format!("add {list} to the sensor description"))
         .blames(DataType::Sensor);
@@ -374,8 +373,7 @@ leak_events = { rate = "0.1 Hz" }
             .unwrap_err();
         assert_eq!(
             error.message,
-            "somebody needs `a`, `c` and `d`, and the sensor description does not \
-                                   state them"
+            "somebody needs `a`, `c` and `d`, and the sensor description does not state them"
         );
         assert_eq!(error.hint.as_deref(), Some("add `a`, `c` and `d` to the sensor description"));
     }
@@ -399,8 +397,7 @@ leak_events = { rate = "0.1 Hz" }
     fn colours_are_three_numbers() {
         let text = HYBRID.replace(
             "gain = 850",
-            "gain = 850\nchannel_gain = [1.0, 2.0, \
-                                                 0.5]\n[optics]\nevent_weights = [1, 2, 1]",
+            "gain = 850\nchannel_gain = [1.0, 2.0, 0.5]\n[optics]\nevent_weights = [1, 2, 1]",
         );
         let sensor = Sensor::parse(&Source::new("s.toml", "", text.clone())).unwrap();
         assert_eq!(

@@ -148,8 +148,7 @@ impl Table {
     pub fn with(mut self, name: &str, column: Column) -> Table {
         assert!(
             self.columns.is_empty() || self.columns[0].1.len() == column.len(),
-            "columns of one table \
-                                                            have one length"
+            "columns of one table have one length"
         );
         self.columns.push((name.into(), column));
         self

@@ -189,8 +189,7 @@ impl Meta {
             Meta::Tracks(_) => Meta::Tracks(Arc::new(join_tracks(&metas!(Tracks))?)),
             other => {
                 return Err(DataError::new(format!(
-                    "each block of time has {} of its own, and nothing \
-                                                        says what they are together",
+                    "each block of time has {} of its own, and nothing says what they are together",
                     other.data_type()
                 )));
             }

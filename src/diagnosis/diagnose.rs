@@ -145,10 +145,7 @@ pub fn confirm(
             answer.verdict = Verdict::Insufficient;
             let is_unstated = unstated::without_scene(&case.sensor).is_some();
             integrity.lacking.push(if is_unstated {
-                format!(
-                    "no direct test contradicts the description, \
-                                                            and {why}"
-                )
+                format!("no direct test contradicts the description, and {why}")
             } else {
                 why.clone()
             });
@@ -502,10 +499,7 @@ fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<
     let near = if near.is_empty() {
         near
     } else {
-        format!(
-            "; near the detection threshold, and not \
-                                                           reported: {near}"
-        )
+        format!("; near the detection threshold, and not reported: {near}")
     };
     format!("{said} ({}){near}", looked_at_of(decided))
 }
@@ -545,12 +539,10 @@ fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTe
     let why = match proposed {
         Proposed::Decided(_) => return Vec::new(),
         _ if case.frame_count() < FEWEST_FRAMES => {
-            "it needs events and frames of the same scene, and there \
-                                                    are not enough frames"
+            "it needs events and frames of the same scene, and there are not enough frames"
         }
         _ if case.events.len() < FEWEST_EVENTS => {
-            "it needs events and frames of the same scene, and there \
-                                                   are not enough events"
+            "it needs events and frames of the same scene, and there are not enough events"
         }
         Proposed::Nothing(why) => why,
         Proposed::NotAsked => "it needs the scene, and no test that estimates the scene took part",

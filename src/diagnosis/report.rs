@@ -389,8 +389,7 @@ mod tests {
         assert_eq!(value["fit"]["heldout_frame_psnr_db"]["after"], 31.0);
         assert!(
             value["fit"].get("calibration_ks").is_none(),
-            "what was not measured is absent, not null: \
-                                                            {text}"
+            "what was not measured is absent, not null: {text}"
         );
         assert_eq!(value["provenance"]["seed"], 7);
         // What was written is read again as it was.

@@ -30,8 +30,7 @@ pub fn without_scene(sensor: &Sensor) -> Option<String> {
     let fields = front_end(sensor);
     (!fields.is_empty()).then(|| {
         format!(
-            "{}: events are not compared with a scene, which needs the front \
-                                          end's answer to the light",
+            "{}: events are not compared with a scene, which needs the front end's answer to the light",
             not_stated(&fields)
         )
     })
@@ -57,8 +56,7 @@ const HOW: &str = "values are in the maker's sheet (tau = 1 / (2 pi f) of a -3 d
 
 /// What a constant lateness of events is.
 pub const LATENESS: &str = "events that are late by one time have a clock that is off, or a front end and a \
-                            readout that are slow; \
-                            this recording does not separate the two";
+                            readout that are slow; this recording does not separate the two";
 
 fn not_stated(fields: &[&str]) -> String {
     format!("{} {} not stated", fields.join(" and "), if fields.len() == 1 { "is" } else { "are" })
@@ -125,17 +123,14 @@ pub fn alike(sensor: &Sensor, finding: &Finding) -> Option<(&'static str, &'stat
         "clock_offset" if value("offset") > 0.0 => LATENESS,
         "dark_current" => "a front end that is slow in dim light weakens changes there, which looks alike",
         "threshold_scale" if value("fraction") > 0.0 => {
-            "a front end that is slow weakens fast changes, \
-                                                         which looks alike"
+            "a front end that is slow weakens fast changes, which looks alike"
         }
         "threshold_asymmetry" if value("fraction") < 0.0 => {
-            "a front end is slower in the dark, where OFF \
-                                                            changes end, which looks alike"
+            "a front end is slower in the dark, where OFF changes end, which looks alike"
         }
         // Lost light, not the shortest intervals.
         "refractory" if finding.heldout.is_some() => {
-            "a front end that is slow weakens fast changes, which \
-                                                      looks alike"
+            "a front end that is slow weakens fast changes, which looks alike"
         }
         _ => return None,
     };

@@ -124,11 +124,7 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
     let said = alone.unexplained.unwrap();
     assert_eq!(
         (said.covariate.as_str(), said.equation.as_str()),
-        (
-            "row_parity",
-            "rate of events * (1 + c), \
-                                                            c(row_parity) = +10.0 % at 0, -10.0 % at 1"
-        )
+        ("row_parity", "rate of events * (1 + c), c(row_parity) = +10.0 % at 0, -10.0 % at 1")
     );
     assert!(said.score >= 1.0);
     let hot = Finding {

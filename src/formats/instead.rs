@@ -195,7 +195,8 @@ fn container(probe: &Probe) -> Option<Instead> {
                 `numpy.savez(\"events.npz\", t=t, x=x, y=y, p=p)`";
     let film = || {
         format!(
-            "make pictures of it: `ffmpeg -i {name} -fps_mode passthrough frames/%06d.png`, and write the time of each into frames/timestamps.txt; a film's rate is not \
+            "make pictures of it: `ffmpeg -i {name} -fps_mode passthrough frames/%06d.png`, and write the \
+             time of each into frames/timestamps.txt; a film's rate is not \
              the time at which frames were taken"
         )
     };

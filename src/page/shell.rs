@@ -80,8 +80,7 @@ impl Page {
         html.push_str("<a class=\"skip\" href=\"#main\">Skip to content</a>\n<header>\n");
         let _ = writeln!(html, "<h1>{}</h1>", escaped(&self.title));
         html.push_str(
-            "<button type=\"button\" id=\"theme\" class=\"quiet\" hidden>Theme: \
-                       system</button>\n</header>\n",
+            "<button type=\"button\" id=\"theme\" class=\"quiet\" hidden>Theme: system</button>\n</header>\n",
         );
         html.push_str("<nav aria-label=\"Parts of this page\">\n");
         for section in &sections {
@@ -95,8 +94,7 @@ impl Page {
         for section in &sections {
             let _ = writeln!(
                 html,
-                "<section id=\"{0}\" aria-labelledby=\"{0}-title\">\n<h2 \
-                                    id=\"{0}-title\">{1}</h2>",
+                "<section id=\"{0}\" aria-labelledby=\"{0}-title\">\n<h2 id=\"{0}-title\">{1}</h2>",
                 section.id,
                 escaped(&section.title)
             );

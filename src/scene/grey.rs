@@ -44,16 +44,14 @@ impl Grey {
             (sensor.optics.event_weights.unwrap_or([1.0; 3]), sensor.frames.channel_gain.unwrap_or([1.0; 3]));
         if !gains.iter().all(|gain| *gain > 0.0 && gain.is_finite()) {
             return Err(DataError::new(format!(
-                "`frames.channel_gain` is {gains:?}, and must be three \
-                                               positive numbers: red, green, blue"
+                "`frames.channel_gain` is {gains:?}, and must be three positive numbers: red, green, blue"
             )));
         }
         if !weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite())
             || weights.iter().sum::<f64>() <= 0.0
         {
             return Err(DataError::new(format!(
-                "`optics.event_weights` is {weights:?}, and must be three \
-                                               numbers, not negative and not all 0"
+                "`optics.event_weights` is {weights:?}, and must be three numbers, not negative and not all 0"
             )));
         }
         let (black, full) = (

@@ -37,12 +37,8 @@ impl Case {
                 let add = error.hint.clone().unwrap_or_default();
                 error.hint(format!("{add}; `photocurrent init` writes one with values to begin with"))
             })?;
-        from_description(&sensor.effects).map_err(|why| {
-            NodeError::usage(why).hint(
-                "`photocurrent effects` \
-                                                            lists what there is",
-            )
-        })?;
+        from_description(&sensor.effects)
+            .map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
         let mut nominal = Nominal::of(sensor);
         nominal.pixel.latency_spread_ns = latency_spread_ns(self, nominal.pixel.latency_ns);
         nominal.row_time_ns = self.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns);

@@ -199,8 +199,7 @@ mod tests {
             // Central differences lose about 1e-10 to rounding and 1e-11 to the third derivative here.
             assert!(
                 (got - expected).abs() < 1e-7 * expected.abs().max(1.0),
-                "at {x}: {got} against \
-                                                            {expected}"
+                "at {x}: {got} against {expected}"
             );
         }
     }

@@ -38,8 +38,7 @@ impl CoLocated {
         })?;
         if frames.row_values() > MOST_VALUES {
             return Err(NodeError::usage(format!(
-                "a row of the frames has {} values, and {MOST_VALUES} are \
-                                                 the most",
+                "a row of the frames has {} values, and {MOST_VALUES} are the most",
                 frames.row_values()
             )));
         }
@@ -73,11 +72,7 @@ impl CoLocated {
         let pixels = if self.ratio == 1 {
             String::new()
         } else {
-            format!(
-                " with {0} x {0} pixels on each \
-                                                            event pixel",
-                self.ratio
-            )
+            format!(" with {0} x {0} pixels on each event pixel", self.ratio)
         };
         format!("{}{pixels}", self.colour)
     }
@@ -152,8 +147,7 @@ pub fn channel_gains(sensor: &Sensor) -> Result<[f64; 3], NodeError> {
         return Ok(gains);
     }
     Err(NodeError::usage(format!(
-        "`frames.channel_gain` of \"{}\" is {gains:?}, and must be three positive \
-                                  numbers: red, green, blue",
+        "`frames.channel_gain` of \"{}\" is {gains:?}, and must be three positive numbers: red, green, blue",
         sensor.name
     )))
 }

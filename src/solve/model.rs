@@ -149,8 +149,7 @@ impl Model {
         let front_end = front_end(options.front_end, sensor)?;
         if events.has_step {
             return Err(NodeError::usage(
-                "the events carry compensated steps, and solve/map undoes the \
-                                         readout itself",
+                "the events carry compensated steps, and solve/map undoes the readout itself",
             )
             .hint("connect the events as recorded, or set `kind = \"solve/paper\"`"));
         }
@@ -281,8 +280,7 @@ fn tracks_meta(
     let lie = CoLocated::new(events, frames)?;
     if frames.scale != FrameScale::Captured {
         return Err(NodeError::usage(
-            "frames are rendered, not captured: their values do not belong to their \
-                                     exposures",
+            "frames are rendered, not captured: their values do not belong to their exposures",
         )
         .hint("connect the recording's frames"));
     }

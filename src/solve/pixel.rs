@@ -63,8 +63,7 @@ pub fn solve_pixel(
     let (Some(start_ns), Some(end_ns), false) = (instants().min(), instants().max(), frames.is_empty())
     else {
         return Err(NodeError::usage(
-            "there is no frame value, and events alone leave the photocurrent's \
-                                     level open",
+            "there is no frame value, and events alone leave the photocurrent's level open",
         )
         .hint("give at least one frame"));
     };

@@ -141,8 +141,7 @@ pub fn left_out(sensor: &Sensor) -> Option<String> {
 pub fn check_events(events: &EventsMeta, who: &str, without: &str) -> Result<(), NodeError> {
     if events.has_step {
         return Err(NodeError::usage(format!(
-            "{who} compensates the readout itself, and `events` were compensated \
-                                      before"
+            "{who} compensates the readout itself, and `events` were compensated before"
         ))
         .hint("connect the events as recorded"));
     }

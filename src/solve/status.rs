@@ -108,14 +108,12 @@ impl Report {
         [
             (
                 self.fell_back,
-                "pixels did not converge in some window and fell back to the double-integral \
-                              estimate there"
+                "pixels did not converge in some window and fell back to the double-integral estimate there"
                     .into(),
             ),
             (
                 self.saturated,
-                "pixels were saturated in every frame of some window: their light is a lower \
-                              bound there"
+                "pixels were saturated in every frame of some window: their light is a lower bound there"
                     .into(),
             ),
             (

@@ -103,8 +103,7 @@ impl ForeignFile {
             return Err(self.opened.content(
                 &at,
                 "something else than numbers",
-                "integers or floating-point \
-                                                            numbers, or a compound of them",
+                "integers or floating-point numbers, or a compound of them",
                 hint,
             ));
         }
@@ -115,8 +114,7 @@ impl ForeignFile {
             return Err(self.opened.content(
                 &at,
                 format!("numbers packed by {filter}"),
-                "a filter that is \
-                                                            known (docs/formats.md lists them)",
+                "a filter that is known (docs/formats.md lists them)",
                 hint,
             ));
         }

@@ -281,8 +281,7 @@ fn write_frames(
     let misuse = |what: String| StoreError::Misuse { path: path.into(), what };
     if frames.extent.multiple_of(sensor).is_none() {
         return Err(misuse(format!(
-            "frames of {} pixels are no whole multiple of the {sensor} event pixels: \
-                                   crop or bin them",
+            "frames of {} pixels are no whole multiple of the {sensor} event pixels: crop or bin them",
             frames.extent
         )));
     }

@@ -57,10 +57,7 @@ impl Npy {
             .ok_or_else(damaged)?;
         let sizes: Vec<u32> = shape.split(',').filter_map(|size| size.trim().parse().ok()).collect();
         let [height, width] = sizes[..] else {
-            return Err(format!(
-                "has the shape ({shape}), and a grey \
-                                                            picture has (height, width)"
-            ));
+            return Err(format!("has the shape ({shape}), and a grey picture has (height, width)"));
         };
         let count = height as usize * width as usize;
         let (size, white) = match descr {

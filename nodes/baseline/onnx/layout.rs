@@ -232,8 +232,7 @@ impl Layout<'_> {
         for (n, (param, name)) in inputs.iter().enumerate() {
             if let Some((first, _)) = inputs[..n].iter().find(|(_, other)| other == name) {
                 return Err(NodeError::usage(format!(
-                    "the input `{name}` stands in `{first}` and again in \
-                                                     `{param}`"
+                    "the input `{name}` stands in `{first}` and again in `{param}`"
                 ))
                 .hint("each input of the network is one thing: take one of them out")
                 .param(*param));
@@ -286,8 +285,7 @@ impl Layout<'_> {
             sockets.inputs.iter().find(|input| !given.iter().any(|(_, name)| name == input))
         {
             return Err(has(NodeError::input(format!(
-                "the network {network} takes `{missing}`, and nothing \
-                                                     says what that is"
+                "the network {network} takes `{missing}`, and nothing says what that is"
             )))
             .hint("say so in `frames`, `voxels`, `time` or `states`")
             .param("network"));

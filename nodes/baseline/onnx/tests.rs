@@ -197,11 +197,7 @@ fn a_layout_that_does_not_fit_the_network_is_reported_with_what_it_has() {
     let error = refused(Params { time: Some("time".into()), ..blend() });
     assert_eq!(
         (error.message.as_str(), error.param.as_deref()),
-        (
-            "the network blend.onnx has no input \
-                                                            `time`",
-            Some("time")
-        )
+        ("the network blend.onnx has no input `time`", Some("time"))
     );
     assert_eq!(error.notes, ["its inputs: `before`, `after`, `voxel`, `t`", "its outputs: `image`"]);
     let error = refused(Params { time: None, ..blend() });
@@ -211,11 +207,7 @@ fn a_layout_that_does_not_fit_the_network_is_reported_with_what_it_has() {
     let error = refused(Params { voxels: vec![voxel("t", 3, Window::Between, Signs::Signed)], ..blend() });
     assert_eq!(
         (error.message.as_str(), error.param.as_deref()),
-        (
-            "the input `t` stands in `voxels` and \
-                                                            again in `time`",
-            Some("time")
-        )
+        ("the input `t` stands in `voxels` and again in `time`", Some("time"))
     );
     // A grid of two bins for a network of three.
     let error =
@@ -246,8 +238,7 @@ fn instants_without_a_frame_on_either_side_and_missing_events_are_reported() {
     };
     assert_eq!(
         node.plan(&metas(&one, true)).unwrap_err().message,
-        "no wanted instant lies between two \
-                                                            captured frames"
+        "no wanted instant lies between two captured frames"
     );
     assert_eq!(node.plan(&metas(&frames(), false)).unwrap_err().param.as_deref(), Some("voxels"));
     let Meta::Frames(meta) = &node.plan(&metas(&frames(), true)).unwrap()[0] else { panic!("frames") };

@@ -144,24 +144,21 @@ fn without_evidence_the_description_stays_and_the_note_says_why() {
     stays(
         &(events, frames.clone()),
         &description,
-        "the description's thresholds stay: of 3 frames none can \
-                                                    be held out, as 4 are needed",
+        "the description's thresholds stay: of 3 frames none can be held out, as 4 are needed",
     );
     let (_, many) = recording(6);
     let few = vec![Event { x: 3, y: 3, polarity: Polarity::On, t: 5_000_000, t_in: Some(4_990_000) }];
     stays(
         &(testing::stream(EXTENT, few), many),
         &description,
-        "0 events of 0 pixels in 0 tiles are too \
-                                                            few, as 40 in 6 tiles are needed",
+        "0 events of 0 pixels in 0 tiles are too few, as 40 in 6 tiles are needed",
     );
     let mut unknown = (*description).clone();
     unknown.frames.gain = None;
     stays(
         &recording(6),
         &Arc::new(unknown.clone()),
-        "the description's thresholds stay: solve/map needs \
-                                                      `frames.gain`",
+        "the description's thresholds stay: solve/map needs `frames.gain`",
     );
     unknown.comparator.threshold_on = None;
     stays(&recording(6), &Arc::new(unknown), "does not state both thresholds");

@@ -78,8 +78,7 @@ fn a_gaussian_edge_is_as_wide_as_its_sigma_says() {
             );
             assert!(
                 (edge.gaussian_width / truth - 1.0).abs() < 0.02,
-                "sigma {sigma}, tilt {tilt}: {} for \
-                                                            {truth}",
+                "sigma {sigma}, tilt {tilt}: {} for {truth}",
                 edge.gaussian_width
             );
             assert!((edge.angle - tilt.abs()).abs() < 0.3, "{} for {tilt}", edge.angle);
@@ -127,8 +126,7 @@ fn motion_blur_under_square_pixels_has_the_width_of_both() {
             // Bins widen narrow edges, and a tilted pixel is wider than an upright one.
             assert!(
                 (truth - 0.01..truth + 0.07).contains(&edge.width),
-                "{length}, tilt {tilt}: {} for \
-                                                            {truth}",
+                "{length}, tilt {tilt}: {} for {truth}",
                 edge.width
             );
         }

@@ -72,8 +72,7 @@ impl Refusal {
                                 of 4 sub-pixel phases are seen"
             }
             Refusal::NoPlateau => {
-                "no plateau: values still change by a tenth of the contrast near the \
-                                   region's border"
+                "no plateau: values still change by a tenth of the contrast near the region's border"
             }
             Refusal::Holes => "the profile has holes near the edge, or does not reach the thresholds",
             Refusal::Ghosts => "ghosts: the profile crosses 50 % more than once",

@@ -125,8 +125,7 @@ mod tests {
                 let found = wheel.channel(channel, x, y, i64::from(turns) * 20_000_000);
                 assert!(
                     (found - COLOURS[sector as usize][channel]).abs() < 1e-9,
-                    "sector {sector}, channel \
-                                                            {channel}: {found}"
+                    "sector {sector}, channel {channel}: {found}"
                 );
             }
         }

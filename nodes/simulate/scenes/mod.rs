@@ -170,8 +170,7 @@ pub(crate) mod tests {
                     let value = scene.reflectance(x, y, t);
                     assert!(
                         (DARKEST - 1e-9..=BRIGHTEST + 1e-9).contains(&value),
-                        "{name:?} is {value} at \
-                                                            ({x}, {y}), {t} ns"
+                        "{name:?} is {value} at ({x}, {y}), {t} ns"
                     );
                     (least, most) = (least.min(value), most.max(value));
                 }
@@ -227,8 +226,7 @@ pub(crate) mod tests {
                     let change = (scene.reflectance(x, y, t + step) - scene.reflectance(x, y, t)).abs();
                     assert!(
                         change <= 2.0 * range * speed * step as f64 + 1e-9,
-                        "{name:?} at ({x}, {y}), \
-                                                            {t} ns: {change} at {speed} px/ns"
+                        "{name:?} at ({x}, {y}), {t} ns: {change} at {speed} px/ns"
                     );
                 }
             }

@@ -168,8 +168,7 @@ impl Window {
         let (width, height) = (stored.width / factor * factor, stored.height / factor * factor);
         if width == 0 || height == 0 {
             return Err(NodeError::usage(format!(
-                "{stored} pixels are less than one square of {factor} x \
-                                                 {factor}"
+                "{stored} pixels are less than one square of {factor} x {factor}"
             ))
             .hint("take a smaller `shrink`")
             .param("shrink"));
@@ -226,10 +225,7 @@ pub fn short_name(path: &Path) -> String {
 /// A file that could not be read, in the reader's terms.
 pub fn cannot_read(path: &Path, error: &std::io::Error) -> NodeError {
     NodeError::files(photocurrent_core::error::cannot_read(path, error))
-        .hint(
-            "paths are relative to the \
-                                                            manifest that names them",
-        )
+        .hint("paths are relative to the manifest that names them")
         .param("path")
 }
 

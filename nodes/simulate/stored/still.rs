@@ -19,15 +19,13 @@ pub fn extent(path: &Path) -> Result<Extent, NodeError> {
     if head.has_alpha {
         return refuse(
             "transparency, and light has none".into(),
-            "save it without an alpha channel: grey or \
-                                                            RGB, 8 or 16 bits",
+            "save it without an alpha channel: grey or RGB, 8 or 16 bits",
         );
     }
     if head.bits > 16 {
         return refuse(
             format!("values of {} bits", head.bits),
-            "save it with 8 or 16 bits a value: what is \
-                                                            white in it is not known otherwise",
+            "save it with 8 or 16 bits a value: what is white in it is not known otherwise",
         );
     }
     Ok(head.extent)

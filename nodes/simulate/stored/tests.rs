@@ -124,10 +124,12 @@ fn tiff_pictures_are_light_too() {
         (whole(&film, 0), rows(&film, 0, Rows { start: 1, end: 2 }).unwrap()),
         (vec![0.0, 0.2, 0.4, 1.0], vec![0.4, 1.0])
     );
-    assert!(rows(&film, 0, Rows { start: 1, end: 3 }).unwrap_err().message.starts_with(
-        "a.tif: the picture \
-                                                            cannot be read: it ends after 2 rows"
-    ));
+    assert!(
+        rows(&film, 0, Rows { start: 1, end: 3 })
+            .unwrap_err()
+            .message
+            .starts_with("a.tif: the picture cannot be read: it ends after 2 rows")
+    );
 }
 
 #[test]
@@ -143,8 +145,7 @@ fn transparent_damaged_and_differing_pictures_are_refused() {
     save(&path("b.png"), 3, 3, (ColorType::Grayscale, BitDepth::Eight), &[0; 9]);
     assert_eq!(
         refused(vec![path("a.png"), path("a.png"), path("b.png")]),
-        "b.png has 3 x 3 pixels, and \
-                                                            a.png has 3 x 2"
+        "b.png has 3 x 3 pixels, and a.png has 3 x 2"
     );
     assert!(refused(vec![path("gone.png")]).ends_with("gone.png: there is no such file"));
     // Cut off inside its pixels: that shows before anything is decoded. Changed there: only decoding finds
@@ -185,19 +186,14 @@ fn windows_that_do_not_fit_are_refused() {
     let outside = refused(Some(Crop { x: 4, y: 0, width: 9, height: 8 }), None, None);
     assert_eq!(
         (outside.message.as_str(), outside.param.as_deref()),
-        (
-            "`crop` asks for 9 x 8 pixels at (4, \
-                                                            0), and the pictures have 12 x 8",
-            Some("crop")
-        )
+        ("`crop` asks for 9 x 8 pixels at (4, 0), and the pictures have 12 x 8", Some("crop"))
     );
     let uneven = refused(None, Some(5), None);
     assert_eq!(uneven.message, "12 x 8 pixels do not shrink to a width of 5 by one whole factor");
     assert_eq!(uneven.hint.as_deref(), Some("it shrinks to 6 x 4, 3 x 2; for others, name a `crop` first"));
     assert_eq!(
         refused(None, Some(6), Some(8)).message,
-        "12 x 8 pixels do not shrink to 6 x 8 by one whole \
-                                                         factor"
+        "12 x 8 pixels do not shrink to 6 x 8 by one whole factor"
     );
     // A stretch is no shrinking.
     assert_eq!(refused(None, None, Some(16)).param.as_deref(), Some("height"));
@@ -319,8 +315,7 @@ fn what_cannot_be_read_as_y4m_is_named_with_its_place() {
     assert_eq!(refused(b"YUV4MPEG2 W4 H2"), "film.y4m: it is cut off: its header has no end within 15 bytes");
     assert_eq!(
         refused(&film_of("W4 H2 F25:1 It Cmono", &[])),
-        "the header of film.y4m says that its frames \
-                                                            are interlaced (`It`)"
+        "the header of film.y4m says that its frames are interlaced (`It`)"
     );
     assert_eq!(
         refused(&film_of("W4 H2 F25:1 C444alpha", &[])),
@@ -332,8 +327,7 @@ fn what_cannot_be_read_as_y4m_is_named_with_its_place() {
     );
     assert_eq!(
         refused(&film_of("W4 F25:1", &[])),
-        "film.y4m: the header: it states no size that can be: \
-                                                    `YUV4MPEG2 W4 F25:1`"
+        "film.y4m: the header: it states no size that can be: `YUV4MPEG2 W4 F25:1`"
     );
     let shifted = film_of("W4 H2 F25:1 Cmono", &[&[16; 9], &[16; 9]]);
     let other = "film.y4m: it has no frame where one should begin: at byte 42; a frame of 4 x 2 pixels has \

@@ -32,8 +32,7 @@ impl Y4m {
         let name = short_name(path);
         if let Some(word) = file.interlaced() {
             return Err(NodeError::input(format!(
-                "the header of {name} says that its frames are interlaced \
-                                                 (`{word}`)"
+                "the header of {name} says that its frames are interlaced (`{word}`)"
             ))
             .hint(
                 "make it progressive first, such as `ffmpeg -i in.y4m -vf yadif out.y4m`: half a \
@@ -48,19 +47,12 @@ impl Y4m {
         }
         file.whole().map_err(refused)?;
         let stated = range.or(file.range());
-        let silent = stated.is_none().then(|| {
-            format!(
-                "{name} does not state the range of its values; taken \
-                                                       as limited (`range`)"
-            )
-        });
+        let silent = stated
+            .is_none()
+            .then(|| format!("{name} does not state the range of its values; taken as limited (`range`)"));
         let coloured = file.colour().channels() > 1;
-        let matrix = coloured.then(|| {
-            format!(
-                "{name} does not state the matrix of its colours; taken as \
-                                               that of {MATRIX}"
-            )
-        });
+        let matrix = coloured
+            .then(|| format!("{name} does not state the matrix of its colours; taken as that of {MATRIX}"));
         let levels = Levels::new(stated.unwrap_or(Range::Limited), file.bits());
         let grey = (0..=if file.bits() > 8 { u16::MAX } else { 255 })
             .map(|luma| transfer.light(levels.luma(luma)))

@@ -293,19 +293,16 @@ fn what_cannot_be_drawn_is_refused_before_any_data() {
     let refused = |params: Params, metas: Vec<Meta>| plan(params, metas).unwrap_err().message;
     assert_eq!(
         refused(params(&["a", "b"]), vec![meta(&disc)]),
-        "`labels` has 2 texts, and 1 input is \
-                                                            connected to `frames`"
+        "`labels` has 2 texts, and 1 input is connected to `frames`"
     );
     assert_eq!(
         refused(params(&["a", "b"]), vec![meta(&disc), meta(&other)]),
-        "\"b\" has 5 x 5 pixels, and \
-                                                            \"a\" has 48 x 32"
+        "\"b\" has 5 x 5 pixels, and \"a\" has 48 x 32"
     );
     let crop = Some(Crop { x: 40, y: 0, width: 9, height: 1 });
     assert_eq!(
         refused(Params { crop, ..params(&["a"]) }, vec![meta(&disc)]),
-        "`crop` asks for 9 x 1 pixels \
-                                                            at (40, 0), and the frames have 48 x 32"
+        "`crop` asks for 9 x 1 pixels at (40, 0), and the frames have 48 x 32"
     );
     let events = Meta::Events(testing::events(5, 5).meta);
     let metas = PortMetas::new(BTreeMap::from([

@@ -73,8 +73,7 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
     let is_known = found.scene == KINDS[1];
     if !is_known && found.left[0] > decision.most_left {
         return Err(format!(
-            "events miss their thresholds by {:.2} of them, and no effect explains it on \
-                            this scene",
+            "events miss their thresholds by {:.2} of them, and no effect explains it on this scene",
             found.left[0]
         ));
     }

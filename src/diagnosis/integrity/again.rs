@@ -161,8 +161,7 @@ mod tests {
             });
             assert!(
                 pixels.iter().flatten().all(|share| (0.8..1.25).contains(share)),
-                "{width} x {height}: \
-                                                            {pixels:?}"
+                "{width} x {height}: {pixels:?}"
             );
         }
     }

@@ -70,8 +70,7 @@ fn hold(seeds: u64) {
     for (what, (intervals, holding, mean)) in all {
         assert!(
             10 * intervals >= 8 * seeds as usize && (0.8..1.25).contains(&mean),
-            "{what}: {intervals} \
-                                                            {holding} {mean}"
+            "{what}: {intervals} {holding} {mean}"
         );
         assert!(
             seeds < 10 || 10 * holding >= 8 * intervals,

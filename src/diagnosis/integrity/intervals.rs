@@ -152,8 +152,7 @@ fn blind_time(case: &Case, nominal: &Nominal, blind: &[i64]) -> Option<Finding> 
     // As dense again in the next fifth would be a scene that is fast, not a pixel that is blind.
     let is_sharp = near / 0.03 > 3.0 * next / 0.17;
     let seen = format!(
-        "{:.1} % of the intervals lie within 3 % of the shortest, {:.1} us: pixels are blind \
-                        that long",
+        "{:.1} % of the intervals lie within 3 % of the shortest, {:.1} us: pixels are blind that long",
         100.0 * near,
         shortest as f64 * 1e-3
     );

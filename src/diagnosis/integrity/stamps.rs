@@ -173,8 +173,7 @@ fn off_grid(case: &Case) -> Option<Finding> {
         polarity: "both",
         pixels: Vec::new(),
         seen: format!(
-            "stamps are stated to {:.3} us, and lie anywhere between: they were moved after they \
-                       were taken",
+            "stamps are stated to {:.3} us, and lie anywhere between: they were moved after they were taken",
             step * 1e-3
         ),
         heldout: None,

@@ -513,10 +513,7 @@ fn clocks_that_share_no_time_are_broken_data_with_both_times_in_the_message() {
     assert!(
         why.len() == 1
             && why[0].contains("share no time")
-            && why[0].contains(
-                "frames are exposed \
-                                                            0.000000 to"
-            ),
+            && why[0].contains("frames are exposed 0.000000 to"),
         "{why:?}"
     );
 }

@@ -97,11 +97,8 @@ fn map(case: &Case, found: &Located) -> String {
     let (wide, high) = (size * width as f64, size * height as f64);
     let mut svg =
         open("The scene with the gain of each place over it", f64::max(wide, 460.0) + 4.0, TOP + high + 28.0);
-    let _ = write!(
-        svg,
-        "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" \
-                         fill=\"#e6e8eb\"/>"
-    );
+    let _ =
+        write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
     grey(&mut svg, case, size, TOP);
     let of = &found.map;
     let mut known: Vec<f64> = of
@@ -162,8 +159,7 @@ fn map(case: &Case, found: &Located) -> String {
     let text = format!("{} nats an event; grey: the frame in the middle", number(most));
     let _ = writeln!(
         svg,
-        "<text x=\"0\" y=\"{0:.1}\">-{1}</text><text x=\"176\" \
-                           y=\"{0:.1}\">{2}</text></svg>",
+        "<text x=\"0\" y=\"{0:.1}\">-{1}</text><text x=\"176\" y=\"{0:.1}\">{2}</text></svg>",
         y + 10.0,
         number(most),
         escaped(&text)

@@ -98,8 +98,7 @@ pub fn with_names(page: &str, recording: Option<&str>, description: Option<&str>
     let title = escaped(&format!("{TITLE}: {recording}"));
     let description = description.map_or_else(|| "in the recording".to_owned(), escaped);
     let names = format!(
-        "<dl><dt>recording</dt><dd>{}</dd><dt>sensor \
-                         description</dt><dd>{description}</dd></dl>",
+        "<dl><dt>recording</dt><dd>{}</dd><dt>sensor description</dt><dd>{description}</dd></dl>",
         escaped(recording)
     );
     page.replacen(&format!("<title>{TITLE}</title>"), &format!("<title>{title}</title>"), 1)
@@ -162,8 +161,7 @@ fn effects(html: &mut String, report: &Report) {
         if !effect.parameters.is_empty() {
             let _ = write!(
                 html,
-                "<div class=\"wide\" tabindex=\"0\" role=\"region\" \
-                                  aria-label=\"Parameters of {}\">",
+                "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Parameters of {}\">",
                 escaped(&effect.id)
             );
             html.push_str(
@@ -402,8 +400,7 @@ fn fits(html: &mut String, report: &Report) {
             || "<td class=\"number\" colspan=\"2\">not measured</td>".to_owned(),
             |BeforeAfter { before, after }| {
                 format!(
-                    "<td class=\"number\">{}</td><td \
-                                                     class=\"number\">{}</td>",
+                    "<td class=\"number\">{}</td><td class=\"number\">{}</td>",
                     number(before),
                     number(after)
                 )

@@ -20,11 +20,8 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
     let mut svg = open("The scene with what was looked at and what tests name", wide + 4.0, TOP + high + 4.0);
-    let _ = write!(
-        svg,
-        "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" \
-                         fill=\"#e6e8eb\"/>"
-    );
+    let _ =
+        write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
     grey(&mut svg, case, size, TOP);
     let mut said: Vec<String> = vec![if case.frames.is_some() {
         "The frame in the middle of the recording".into()

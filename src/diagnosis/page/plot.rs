@@ -73,8 +73,7 @@ impl Plot {
         let (left, bottom) = (MARGIN.0, plot.bottom());
         let _ = write!(
             plot.svg,
-            "<path d=\"M{left} {}V{bottom:.1}H{:.1}\" fill=\"none\" \
-                                  stroke=\"#787878\"/>",
+            "<path d=\"M{left} {}V{bottom:.1}H{:.1}\" fill=\"none\" stroke=\"#787878\"/>",
             MARGIN.2,
             width - MARGIN.1
         );
@@ -82,14 +81,12 @@ impl Plot {
             let y = plot.row(row);
             let _ = write!(
                 plot.svg,
-                "<line x1=\"{left}\" x2=\"{:.1}\" y1=\"{y:.1}\" y2=\"{y:.1}\" \
-                                      stroke=\"#d0d7de\"/>",
+                "<line x1=\"{left}\" x2=\"{:.1}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"#d0d7de\"/>",
                 width - MARGIN.1
             );
             let _ = write!(
                 plot.svg,
-                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\" \
-                                      font-size=\"11\">{}</text>",
+                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\" font-size=\"11\">{}</text>",
                 left - 6.0,
                 y + 4.0,
                 escaped(name)
@@ -136,8 +133,7 @@ impl Plot {
         let dashes = dashes.map(|dashes| format!(" stroke-dasharray=\"{dashes}\"")).unwrap_or_default();
         let _ = write!(
             self.svg,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" \
-                                  stroke-width=\"1.5\"{dashes}/>",
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"{dashes}/>",
             path.trim_end()
         );
     }
@@ -151,8 +147,7 @@ impl Plot {
             let x = x + shift;
             let _ = write!(
                 self.svg,
-                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{high:.1}\" y2=\"{low:.1}\" \
-                                      stroke=\"{colour}\"/>"
+                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{high:.1}\" y2=\"{low:.1}\" stroke=\"{colour}\"/>"
             );
             let _ = write!(self.svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{colour}\"/>");
         }
@@ -174,8 +169,7 @@ impl Plot {
         let to = if up { middle - 9.0 } else { middle + 9.0 };
         let _ = write!(
             self.svg,
-            "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{middle:.1}\" y2=\"{to:.1}\" \
-                                  stroke=\"{colour}\"/>"
+            "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{middle:.1}\" y2=\"{to:.1}\" stroke=\"{colour}\"/>"
         );
     }
 
@@ -187,8 +181,7 @@ impl Plot {
             let y = self.place((self.x.0, at)).1;
             let _ = write!(
                 self.svg,
-                "<line x1=\"{}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" \
-                                      stroke=\"#787878\"/>",
+                "<line x1=\"{}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"#787878\"/>",
                 MARGIN.0 - 4.0,
                 MARGIN.0
             );
@@ -206,8 +199,7 @@ impl Plot {
             let x = self.place((at, self.y.0)).0;
             let _ = write!(
                 self.svg,
-                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{bottom:.1}\" y2=\"{:.1}\" \
-                                      stroke=\"#787878\"/>",
+                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{bottom:.1}\" y2=\"{:.1}\" stroke=\"#787878\"/>",
                 bottom + 4.0
             );
             let _ = write!(
@@ -229,8 +221,7 @@ impl Plot {
         for (colour, name) in self.legend.iter().rev() {
             let _ = write!(
                 self.svg,
-                "<text x=\"{x:.1}\" y=\"14\" text-anchor=\"end\" \
-                                      fill=\"{colour}\">{}</text>",
+                "<text x=\"{x:.1}\" y=\"14\" text-anchor=\"end\" fill=\"{colour}\">{}</text>",
                 escaped(name)
             );
             x -= LETTER * name.chars().count() as f64 + 16.0;

@@ -40,8 +40,7 @@ pub fn bars(bars: &[Bar]) -> String {
         );
         let _ = write!(
             svg,
-            "<rect x=\"{LEFT:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"16\" \
-                             fill=\"{colour}\"/>",
+            "<rect x=\"{LEFT:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"16\" fill=\"{colour}\"/>",
             f64::max(x(bar.value) - LEFT, 1.0)
         );
         let _ = write!(
@@ -100,16 +99,14 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
         let _ = write!(svg, "<text x=\"{left:.1}\" y=\"13\">{}</text>", escaped(title));
         let _ = write!(
             svg,
-            "<rect x=\"{left:.1}\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" \
-                             fill=\"#e6e8eb\"/>"
+            "<rect x=\"{left:.1}\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>"
         );
         for (k, cell) in cells.iter().enumerate().filter(|(_, cell)| cell.1 > 0.0) {
             let (x, y) = (left + size * (k % across) as f64, TOP + size * (k / across) as f64);
             let fill = colour(cell.0 / cell.1 / most);
             let _ = write!(
                 svg,
-                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{size:.1}\" height=\"{size:.1}\" \
-                                 fill=\"{fill}\"/>"
+                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{size:.1}\" height=\"{size:.1}\" fill=\"{fill}\"/>"
             );
         }
     }

@@ -211,10 +211,10 @@ fn what_nearly_reached_its_threshold_is_said_first() {
         page(&found.report, Some(&case), Some(&found))
     };
     let lead = |html: &str| html.split("<section").next().unwrap().to_owned();
-    assert!(lead(&with(0.8)).contains(
-        "; near the detection threshold, and not reported: leak_events.rate \
-                                       (80 % of it)"
-    ));
+    assert!(
+        lead(&with(0.8))
+            .contains("; near the detection threshold, and not reported: leak_events.rate (80 % of it)")
+    );
     assert!(!lead(&with(0.2)).contains("near the detection threshold"));
 }
 

@@ -175,8 +175,7 @@ mod tests {
         let (sharp, soft) = (ratio(PictureSetting::default().sharpest), ratio(0.0));
         assert!(
             (0.3..3.0).contains(&sharp) && soft < 0.5 * sharp,
-            "the control misses by {sharp} of what \
-                                                            the recording does, on the picture by {soft}"
+            "the control misses by {sharp} of what the recording does, on the picture by {soft}"
         );
     }
 }

@@ -546,8 +546,7 @@ mod tests {
         assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003, "{with:?}");
         assert!(
             (0.05..without.gain).contains(&half.gain),
-            "only as much is subtracted as is allowed: \
-                                                            {half:?}"
+            "only as much is subtracted as is allowed: {half:?}"
         );
         let left = without_softness(
             &residual,

@@ -152,8 +152,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
         let (found, without) = (median(&mut of_picture), median(&mut of_ground));
         assert!(
             found < most && found < 0.3 * without,
-            "{name}: {found}, of the ground alone {without}, in \
-                                                        {} places",
+            "{name}: {found}, of the ground alone {without}, in {} places",
             of_picture.len()
         );
     }

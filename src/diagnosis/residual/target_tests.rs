@@ -92,8 +92,7 @@ fn derivatives_by_free_parameters_are_those_of_the_residuals() {
         let size = |of: &[f64]| libm::sqrt(of.iter().map(|a| a * a).sum());
         assert!(
             size(&one) > 0.0 && product > 0.95 * size(&one) * size(&other),
-            "parameter {k}: {product} \
-                                                            of {} and {}",
+            "parameter {k}: {product} of {} and {}",
             size(&one),
             size(&other)
         );

@@ -24,7 +24,8 @@ pub(super) fn words(probe: &Probe) -> Option<Instead> {
     let short = kind.trim_end_matches(".0").replace('.', "");
     let name = probe.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let todo = format!(
-        "write the header that is missing, with the size of your sensor: `printf '%% evt {kind}\\n%% format EVT{short};height=720;width=1280\\n%% end\\n' | cat - {name} > \
+        "write the header that is missing, with the size of your sensor: `printf '%% evt {kind}\\n\
+         %% format EVT{short};height=720;width=1280\\n%% end\\n' | cat - {name} > \
          with_header.raw`"
     );
     Some(Instead::new(

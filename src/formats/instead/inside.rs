@@ -27,8 +27,10 @@ pub(super) fn hdf5(path: &Path) -> Option<Instead> {
         Some((group, [t, x, y, p])) => {
             let from = if group.is_empty() { String::new() } else { format!("{group}/") };
             format!(
-                "the layout of DSEC would be read, /events/t (in microseconds), /events/x, /events/y, /events/p: `python3 -c \"import h5py; f = h5py.File('{name}', 'r+'); \
-                 [f.move('{from}' + a, 'events/' + b) for a, b in [('{t}', 't'), ('{x}', 'x'), ('{y}', 'y'), ('{p}', 'p')]]\"`"
+                "the layout of DSEC would be read, /events/t (in microseconds), /events/x, /events/y, \
+                 /events/p: `python3 -c \"import h5py; f = h5py.File('{name}', 'r+'); \
+                 [f.move('{from}' + a, 'events/' + b) for a, b in [('{t}', 't'), ('{x}', 'x'), ('{y}', 'y'), \
+                 ('{p}', 'p')]]\"`"
             )
         }
         None => "the layouts that are read are in docs/recordings.md; the simplest is DSEC's: /events/t (in \

@@ -28,7 +28,8 @@ pub(super) fn matlab(probe: &Probe) -> Option<Instead> {
         n if n > LISTED => format!("it holds {} and {} more", variables[..LISTED].join(", "), n - LISTED),
         _ => format!("it holds {}", variables.join(", ")),
     };
-    let todo = "save it as text from MATLAB, `writematrix([t(:) x(:) y(:) p(:)], \"events.csv\")`, or as npz from Python: `m = scipy.io.loadmat(...)` (h5py for version 7.3), \
+    let todo = "save it as text from MATLAB, `writematrix([t(:) x(:) y(:) p(:)], \"events.csv\")`, or as npz \
+                from Python: `m = scipy.io.loadmat(...)` (h5py for version 7.3), \
                 `numpy.savez(\"events.npz\", t=..., x=..., y=..., p=...)`; coordinates of MATLAB often \
                                begin at 1: state `origin = 1` then";
     Some(Instead::new(format!("a file of MATLAB ({version}); {holds}"), todo))

@@ -95,7 +95,8 @@ fn row_note(head: &ImageHead<'_>, pixels: &Pixels) -> Option<String> {
     if Some(*pixels) != self::pixels(head.encoding) {
         let channels = pixels.stored;
         return Some(format!(
-            "rows have {step} bytes, and {encoding} of {width} columns needs {}: {channels} channels under a wrong name, read as {} (blue first, as ROS has it; should red stand first, \
+            "rows have {step} bytes, and {encoding} of {width} columns needs {}: {channels} channels under a \
+             wrong name, read as {} (blue first, as ROS has it; should red stand first, \
              red and blue are exchanged and grey stays as it is)",
             u64::from(width),
             if channels == 3 { "bgr8" } else { "bgra8" },

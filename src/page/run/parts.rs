@@ -226,20 +226,16 @@ pub(super) fn graphs(page: &RunPage) -> String {
         }
         let _ = writeln!(
             html,
-            "<div class=\"dag\" tabindex=\"0\" role=\"region\" aria-label=\"Graph of \
-                                {}\">{}</div>",
+            "<div class=\"dag\" tabindex=\"0\" role=\"region\" aria-label=\"Graph of {}\">{}</div>",
             escaped(&graph.name),
             graph.svg
         );
         html += "<details><summary>Nodes as a table: time, cache, parameters</summary>\n<div class=\"wide\" \
                  tabindex=\"0\" role=\"region\" aria-label=\"Nodes\">\n<table><thead><tr>";
         ["node", "kind", "state"].iter().for_each(|name| html += &format!("<th scope=\"col\">{name}</th>"));
-        ["time", "stored"].iter().for_each(|name| {
-            html += &format!(
-                "<th scope=\"col\" \
-                                                            class=\"number\">{name}</th>"
-            )
-        });
+        ["time", "stored"]
+            .iter()
+            .for_each(|name| html += &format!("<th scope=\"col\" class=\"number\">{name}</th>"));
         html += "<th scope=\"col\">key</th><th scope=\"col\">parameters that differ from their \
                  defaults</th></tr></thead>\n<tbody>\n";
         for node in &graph.nodes {

@@ -52,10 +52,7 @@ fn a_failed_cell_is_visible_and_says_why() {
     assert!(html.contains("<p class=\"failed\">render failed: no memory</p>"), "for those who have no mouse");
     assert!(
         html.contains("class=\"number best\"")
-            && html.contains(
-                ">31.7<span class=\"hidden\">, the \
-                                                            best</span>"
-            )
+            && html.contains(">31.7<span class=\"hidden\">, the best</span>")
     );
     assert_eq!(data(&html)["copies"][0], "method,psnr_db\n");
 }
@@ -69,10 +66,7 @@ fn what_is_missing_is_said_with_how_to_get_it() {
     .html();
     assert!(
         html.contains("The run has no scores")
-            && html.contains(
-                "No pictures: run <code>photocurrent \
-                                                            run x.toml</code>."
-            )
+            && html.contains("No pictures: run <code>photocurrent run x.toml</code>.")
     );
     assert!(html.contains("no curves"));
     assert!(!html.contains("data-part=\"canvas\" tabindex"), "no empty viewer");

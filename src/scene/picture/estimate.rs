@@ -169,10 +169,11 @@ impl Picture {
         setting: &PictureSetting,
         selected: Option<&[bool]>,
     ) -> Result<Picture, String> {
-        let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 3).ok_or(
-            "a moving picture \
-                                                            needs at least three frames",
-        )?;
+        let frames = case
+            .frames
+            .as_ref()
+            .filter(|frames| frames.times.len() >= 3)
+            .ok_or("a moving picture needs at least three frames")?;
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         if width.min(height) < 8 {
             return Err(format!(
@@ -185,8 +186,7 @@ impl Picture {
             count * selected.map_or(width * height, |selected| selected.iter().filter(|is| **is).count());
         if values > setting.most_values {
             return Err(format!(
-                "a moving picture is fitted to at most {} frame values, the recording has \
-                                {values}",
+                "a moving picture is fitted to at most {} frame values, the recording has {values}",
                 setting.most_values
             ));
         }

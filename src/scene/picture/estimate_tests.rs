@@ -59,8 +59,7 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
             };
             assert!(
                 (own - finite).abs() < 0.02 * own.abs() + 1.5,
-                "knot {knot}, degree {degree}, row {r}: \
-                                                            {own} is {finite}"
+                "knot {knot}, degree {degree}, row {r}: {own} is {finite}"
             );
         }
     }

@@ -45,8 +45,7 @@ fn main() {
             let solution = solve(&pixel.problem(), &five_steps(), &mut group);
             assert!(
                 solution.status != MapStatus::Failed,
-                "a bench of double-integral estimates would \
-                                                           flatter"
+                "a bench of double-integral estimates would flatter"
             );
             knots += solution.t_ns.len();
             steps += solution.iterations * solution.t_ns.len();

@@ -36,18 +36,15 @@ pub const KIND: EffectKind = EffectKind {
         apart: &[
             (
                 "time_constant",
-                "the same scene in brighter light: the delay of a time constant shrinks, an \
-                               offset stays",
+                "the same scene in brighter light: the delay of a time constant shrinks, an offset stays",
             ),
             (
                 "second_pole",
-                "the same scene at twice the speed, and in brighter light: an offset changes \
-                             with neither",
+                "the same scene at twice the speed, and in brighter light: an offset changes with neither",
             ),
             (
                 "misalignment",
-                "the same scene moving the other way: a shift changes its sign in time, an \
-                              offset does not",
+                "the same scene moving the other way: a shift changes its sign in time, an offset does not",
             ),
         ],
         search: Search::For(&[Sought {

@@ -64,8 +64,7 @@ pub(super) const KIND: EffectKind = EffectKind {
         source: "EMVA 1288",
         apart: &[(
             "black_level",
-            "a series of exposures of a static scene: a straight line that misses \
-                                  zero, or a curve",
+            "a series of exposures of a static scene: a straight line that misses zero, or a curve",
         )],
         search: Search::For(&[
             Sought {

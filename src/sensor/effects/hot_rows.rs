@@ -169,8 +169,7 @@ mod tests {
     fn rows_are_listed_or_drawn() {
         assert_eq!(
             refused("hot_rows", json!({ "rate": "1 Hz" })),
-            "`effects.hot_rows` needs `rows` or \
-                                                            `fraction`"
+            "`effects.hot_rows` needs `rows` or `fraction`"
         );
         let both = json!({ "rate": "1 Hz", "rows": [1], "fraction": 0.1 });
         assert_eq!(refused("hot_rows", both), "`effects.hot_rows` takes `rows` or `fraction`, not both");

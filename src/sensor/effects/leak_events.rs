@@ -34,14 +34,12 @@ pub(super) const KIND: EffectKind = EffectKind {
         apart: &[
             (
                 "parasitic_leak",
-                "a static scene in dim and in bright light: only a parasitic leak fires more \
-                                in bright light",
+                "a static scene in dim and in bright light: only a parasitic leak fires more in bright light",
             ),
             ("threshold_asymmetry", "a static scene: a leak fires without motion, an asymmetry does not"),
             (
                 "background_activity",
-                "a static scene: a leak fires ON only and regularly, noise both signs \
-                                     and irregularly",
+                "a static scene: a leak fires ON only and regularly, noise both signs and irregularly",
             ),
         ],
         search: Search::For(&[Sought {

@@ -36,8 +36,7 @@ pub(super) const KIND: EffectKind = EffectKind {
             ("refractory_light", "the same scene in twice the light: only one of the blind times changes"),
             (
                 "refractory_spread",
-                "a fast blinking lamp over the whole array: each pixel shows its own \
-                                   blind time",
+                "a fast blinking lamp over the whole array: each pixel shows its own blind time",
             ),
             (
                 "reset_memory",

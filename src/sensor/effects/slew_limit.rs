@@ -37,8 +37,7 @@ pub(super) const KIND: EffectKind = EffectKind {
             RISE,
             ParameterDecl {
                 name: "fall",
-                about: "largest fall of the voltage, ln/s, \
-                                                            positive; 1e9 or absent = no limit",
+                about: "largest fall of the voltage, ln/s, positive; 1e9 or absent = no limit",
                 ..RISE
             },
         ],

@@ -14,10 +14,8 @@ pub(crate) fn sites() -> impl Iterator<Item = Site> {
 }
 
 fn read(id: &str, parameters: &Value) -> Result<Box<dyn Effect>, String> {
-    let kind = catalogue().into_iter().find(|kind| kind.decl.id == id).expect(
-        "the effect is in the \
-                                                            catalogue",
-    );
+    let kind =
+        catalogue().into_iter().find(|kind| kind.decl.id == id).expect("the effect is in the catalogue");
     kind.read(parameters.as_object().expect("parameters are a table"))
 }
 

@@ -115,11 +115,7 @@ fn sizes_follow_their_measures_and_say_how() {
     );
     assert_eq!(
         (DELAY.at(&measure), DELAY.to_string().as_str()),
-        (
-            0.55 * 20e-6,
-            "the larger of 0.000002 and \
-                                                            0.55 x width of a stamp"
-        )
+        (0.55 * 20e-6, "the larger of 0.000002 and 0.55 x width of a stamp")
     );
     assert_eq!(Size::Times(&SHARE, Measure::Rows).at(&measure), 0.004);
 }
@@ -143,13 +139,11 @@ fn mistakes_name_effect_key_found_and_expected() {
     );
     assert_eq!(
         refused(json!({ "leak_events": { "rate": 0.1 } })),
-        "`effects.leak_events.rate`: expected a \
-                                                            rate such as \"10 kHz\", found 0.1"
+        "`effects.leak_events.rate`: expected a rate such as \"10 kHz\", found 0.1"
     );
     assert_eq!(
         refused(json!({ "leak_events": { "rate": "-1 Hz" } })),
-        "`effects.leak_events.rate`: \
-                                                            expected 0 to 10000 Hz, found \"-1 Hz\""
+        "`effects.leak_events.rate`: expected 0 to 10000 Hz, found \"-1 Hz\""
     );
     assert_eq!(refused(json!({ "leak_events": {} })), "`effects.leak_events` needs `rate`");
 }

@@ -36,8 +36,7 @@ pub(super) const KIND: EffectKind = EffectKind {
         source: "Pelgrom, Duinmaijer, Welbers 1989",
         apart: &[(
             "bandwidth_gradient",
-            "the same scene in brighter light: a bandwidth matters less, a \
-                                         threshold as before",
+            "the same scene in brighter light: a bandwidth matters less, a threshold as before",
         )],
         search: Search::For(&[Sought {
             typical: Size::Fixed(0.2),

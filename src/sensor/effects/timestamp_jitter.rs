@@ -109,13 +109,11 @@ mod tests {
         assert!(correlation(&errors[1..], &errors[..errors.len() - 1]).abs() < 5.0 / 20_000f64.sqrt());
         assert!(
             events.iter().all(|event| event.t_off_ns - event.t_in_ns == 1_000),
-            "an event does not \
-                                                            leave before it fired"
+            "an event does not leave before it fired"
         );
         assert!(
             events.is_sorted_by(|a, b| a.t_in_ns < b.t_in_ns),
-            "events more than eight sigma apart keep \
-                                                            their order"
+            "events more than eight sigma apart keep their order"
         );
     }
 }

@@ -26,8 +26,7 @@ impl<'a> LinearLight<'a> {
     pub fn new(t_ns: &'a [i64], photocurrent: &'a [f64]) -> Self {
         assert!(
             !t_ns.is_empty() && t_ns.len() == photocurrent.len(),
-            "light has one photocurrent per \
-                                                            instant"
+            "light has one photocurrent per instant"
         );
         assert!(t_ns.is_sorted_by(|before, after| before < after), "instants of light increase");
         assert!(

@@ -249,8 +249,7 @@ mod tests {
                 let expected = by_sum(x, power);
                 assert!(
                     (weight - expected).abs() < 2e-7 * expected,
-                    "x = {x}, power {power}: {weight} \
-                                                            {expected}"
+                    "x = {x}, power {power}: {weight} {expected}"
                 );
             }
         }

@@ -334,8 +334,7 @@ fn ill_posed_problems_are_refused_with_the_place() {
     let error = refused(PixelProblem { frames: &weightless, ..problem() });
     assert_eq!(
         error.to_string(),
-        "frames.weight[0] is 0, which is out of range; leave an untrusted frame \
-                                   out instead"
+        "frames.weight[0] is 0, which is out of range; leave an untrusted frame out instead"
     );
 }
 

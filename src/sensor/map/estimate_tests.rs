@@ -93,8 +93,7 @@ fn standard_deviations_are_widened_where_frames_are_missed_by_more() {
     let (reported_right, reported_wrong) = (factor(right, 60), factor(wrong, 60));
     assert!(
         reported_right < 2.0 && reported_wrong > 1.5 * reported_right,
-        "{reported_right} and \
-                                                            {reported_wrong}"
+        "{reported_right} and {reported_wrong}"
     );
     // One frame of each is held out: too few to decide.
     assert_eq!(factor(wrong, 10), 1.0);
@@ -247,8 +246,7 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
             (error(&tasks[0], &[]), error(&tasks[1], &[]), error(&tasks[1], &lost[1]));
         assert!(
             trusted > 3.0 * before && doubted < 1.5 * before,
-            "{reset:?}: {before} whole, {trusted} \
-                                                            trusted, {doubted} doubted"
+            "{reset:?}: {before} whole, {trusted} trusted, {doubted} doubted"
         );
     }
 }

@@ -341,8 +341,7 @@ fn thresholds_that_are_stated_wrong_are_found_from_the_frames() {
         // third of that.
         assert!(
             (found.0 - on).abs() < 0.08 && (found.1 - off).abs() < 0.08,
-            "{on} and {off}: found \
-                                                            {found:?}"
+            "{on} and {off}: found {found:?}"
         );
         assert!(
             on != 1.0 || ((found.0 - 1.0).abs() < 0.05 && (found.1 - 1.0).abs() < 0.05),

@@ -115,12 +115,8 @@ impl Cache {
         if record.compute_key() != record.key {
             return Err(misuse("the key of a record is not that of its ingredients".into()));
         }
-        let text = toml::to_string(record).map_err(|error| {
-            misuse(format!(
-                "the record cannot be written as \
-                                                            TOML: {error}"
-            ))
-        })?;
+        let text = toml::to_string(record)
+            .map_err(|error| misuse(format!("the record cannot be written as TOML: {error}")))?;
         self.owner.write(&path, text.as_bytes())
     }
 

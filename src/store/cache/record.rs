@@ -157,11 +157,9 @@ impl Ingredients {
             Change::Other(old, new) if old.digest != new.digest && old.path == new.path => {
                 lines.push(format!("file {} changed content", new.path))
             }
-            Change::Other(old, new) if old.digest != new.digest => lines.push(format!(
-                "file {} -> {}, with \
-                                                            another content",
-                old.path, new.path
-            )),
+            Change::Other(old, new) if old.digest != new.digest => {
+                lines.push(format!("file {} -> {}, with another content", old.path, new.path))
+            }
             Change::Other(..) => {}
         });
         if self.seed != new.seed {
@@ -298,8 +296,7 @@ mod outputs_text {
             Output::Stored(stored) => Ok(Some(stored)),
             Output::None(text) if text == "none" => Ok(None),
             Output::None(text) => Err(serde::de::Error::custom(format!(
-                "an output is a stored value or \
-                                                            \"none\", found \"{text}\""
+                "an output is a stored value or \"none\", found \"{text}\""
             ))),
         };
         outputs.into_iter().map(|(port, found)| Ok((port, output(found)?))).collect()

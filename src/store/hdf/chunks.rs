@@ -216,12 +216,7 @@ impl Chunks {
         let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
         // Of a cut file all chunks behind the cut have one reason, so that they make one gap.
         let failed = |doing: &str| {
-            self.opened.cut().unwrap_or_else(|| {
-                format!(
-                    "the library cannot {doing} \
-                                                            the chunk at {origin:?}"
-                )
-            })
+            self.opened.cut().unwrap_or_else(|| format!("the library cannot {doing} the chunk at {origin:?}"))
         };
         locked(|| {
             let mut size: hsize_t = 0;
@@ -331,8 +326,7 @@ impl Chunks {
             };
             if status < 0 {
                 Err(hdf5::Error::from(
-                    "stored numbers are damaged, cut short, or use a filter \
-                                                   that is not built in",
+                    "stored numbers are damaged, cut short, or use a filter that is not built in",
                 ))
             } else {
                 Ok(())

@@ -29,10 +29,7 @@ impl<T: Item> Grid<T> {
             return Err(opened.content(
                 &at,
                 format!("numbers of type {found}"),
-                format!(
-                    "numbers of type \
-                                                            {expected}"
-                ),
+                format!("numbers of type {expected}"),
                 hint,
             ));
         }

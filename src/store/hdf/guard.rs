@@ -345,11 +345,7 @@ mod tests {
         });
         assert_eq!(
             (death.at.as_str(), death.how.as_str()),
-            (
-                "/events/x ",
-                "it ends the process (signal 8, \
-                                                            a division by zero)"
-            )
+            ("/events/x ", "it ends the process (signal 8, a division by zero)")
         );
         let death = died(|_| panic!("a mistake of ours"));
         assert_eq!((death.at.as_str(), death.how.as_str()), ("", "it ends the process (exit code 1)"));

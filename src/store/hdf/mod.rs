@@ -169,8 +169,7 @@ impl Opened {
             return Err(self.content(
                 at,
                 "a dataset whose bytes lie in other files",
-                "a dataset that is \
-                                                            stored in this file",
+                "a dataset that is stored in this file",
                 "copy the data into one file",
             ));
         }

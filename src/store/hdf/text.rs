@@ -42,13 +42,7 @@ impl Opened {
         let Some(attribute) = self.attribute(location, at, name)? else { return Ok(None) };
         let at = format!("{at}: attribute `{name}`");
         let wrong = |found: String| {
-            self.content(
-                &at,
-                found,
-                "one integer",
-                "write the attribute as an \
-                                                            integer scalar",
-            )
+            self.content(&at, found, "one integer", "write the attribute as an integer scalar")
         };
         let kind = self.wrap(
             &at,
@@ -116,15 +110,8 @@ impl Opened {
     }
 
     fn variable_text(&self, at: &str, container: &Container, ascii: bool) -> Result<String, StoreError> {
-        let wrong = || {
-            self.content(
-                at,
-                "bytes that are no UTF-8",
-                "one UTF-8 text",
-                "write it as a scalar \
-                                                            string",
-            )
-        };
+        let wrong =
+            || self.content(at, "bytes that are no UTF-8", "one UTF-8 text", "write it as a scalar string");
         let bytes = if ascii {
             let texts =
                 self.wrap(at, "read the text", locked(|| container.read_raw::<hdf5::types::VarLenAscii>()))?;

@@ -70,9 +70,7 @@ impl EventsBody {
             if band.t_in.is_some() != self.t_in.is_some() || band.step.is_some() != self.step.is_some() {
                 return Err(StoreError::Misuse {
                     path: opened.path.clone(),
-                    what: "a band has other event \
-                                                            columns than its stream announces"
-                        .into(),
+                    what: "a band has other event columns than its stream announces".into(),
                 });
             }
             let before = self.t.len() as u64;

@@ -70,10 +70,7 @@ impl ValueWriter {
         if let Meta::Absent { data_type, why } = meta {
             return Err(StoreError::Misuse {
                 path: path.into(),
-                what: format!(
-                    "there are no {data_type} to \
-                                                            write: {why}"
-                ),
+                what: format!("there are no {data_type} to write: {why}"),
             });
         }
         // A new file and not a truncated one: whoever has the old one open goes on reading it.
@@ -178,11 +175,7 @@ impl ValueWriter {
             Body::Whole(None) => {
                 return Err(StoreError::Misuse {
                     path: opened.path.clone(),
-                    what: format!(
-                        "the value is not \
-                                                            complete: the {} is missing",
-                        meta.data_type()
-                    ),
+                    what: format!("the value is not complete: the {} is missing", meta.data_type()),
                 });
             }
         }
@@ -276,15 +269,7 @@ fn value_of(opened: &Opened) -> Result<Value, StoreError> {
     let dataset = opened.dataset("meta")?.ok_or_else(|| missing("/meta"))?;
     let text = opened.text("/meta", &dataset)?;
     let meta: Meta = serde_json::from_str(&text).map_err(|error| {
-        opened.content(
-            "/meta",
-            format!(
-                "a text that cannot be \
-                                                            read ({error})"
-            ),
-            "a description",
-            hint,
-        )
+        opened.content("/meta", format!("a text that cannot be read ({error})"), "a description", hint)
     })?;
     if meta.data_type().name() != data_type {
         return Err(opened.content("/meta", meta.data_type().name(), data_type, hint));

@@ -42,10 +42,7 @@ fn check_unit(opened: &Opened, name: &str, unit: &str) -> Result<(), StoreError>
         &at,
         found,
         format!("unit = \"{unit}\""),
-        format!(
-            "write times as i64 nanoseconds \
-                                                            and set the attribute `unit` to \"{unit}\""
-        ),
+        format!("write times as i64 nanoseconds and set the attribute `unit` to \"{unit}\""),
     ))
 }
 

@@ -97,11 +97,7 @@ impl Recording {
         if !self.extent().rows().contains(rows) {
             return Err(StoreError::Misuse {
                 path: self.path().into(),
-                what: format!(
-                    "{rows} were asked for, \
-                                                            but the sensor has {}",
-                    self.extent().rows()
-                ),
+                what: format!("{rows} were asked for, but the sensor has {}", self.extent().rows()),
             });
         }
         match &self.inner.events {

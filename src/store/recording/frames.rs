@@ -78,8 +78,7 @@ impl Numbers {
                 &at,
                 format!("the shape {shape:?}"),
                 expected,
-                "write all frames as \
-                                                            one dataset",
+                "write all frames as one dataset",
             ));
         }
         let (height, width, channels) = (shape[1], shape[2], shape.get(3).copied().unwrap_or(1));
@@ -87,8 +86,7 @@ impl Numbers {
         let extent = Extent { width: side(width), height: side(height) };
         if let Some(events) = events.filter(|events| extent.multiple_of(*events).is_none()) {
             let expected = format!(
-                "{events}, as the attributes say, or a whole multiple of it (the same \
-                                    for width and height)"
+                "{events}, as the attributes say, or a whole multiple of it (the same for width and height)"
             );
             let hint = "crop or bin the frames to the pixels of the event sensor";
             return Err(opened.content(&at, format!("frames of {width} x {height} pixels"), expected, hint));
@@ -98,8 +96,7 @@ impl Numbers {
                 &at,
                 "no channel at all",
                 "at least one",
-                "leave the last dimension \
-                                                            out for grey frames",
+                "leave the last dimension out for grey frames",
             ));
         }
         let count = shape[0];

@@ -90,10 +90,7 @@ fn covers(
     if multiple.is_none() || times.is_some_and(|times| multiple != Some(times)) || rows != extent.rows() {
         return Err(StoreError::Misuse {
             path: path.into(),
-            what: format!(
-                "the {what} cover {rows} of \
-                                                            {extent} pixels, and the sensor has {sensor}"
-            ),
+            what: format!("the {what} cover {rows} of {extent} pixels, and the sensor has {sensor}"),
         });
     }
     Ok(())

@@ -259,8 +259,7 @@ fn a_cut_file_gives_rows_before_the_cut_and_gaps_behind_it() {
                 assert_eq!(
                     found[i],
                     i64::from(right[i]),
-                    "row {i} of cut {k}, latest {latest}, chunked \
-                                                           {chunked}"
+                    "row {i} of cut {k}, latest {latest}, chunked {chunked}"
                 );
             }
             assert!(

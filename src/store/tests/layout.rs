@@ -333,22 +333,22 @@ fn a_writer_refuses_what_does_not_fit() {
     let value = Value::Tracks(testing::tracks(3, 10));
     let message = |result: Result<(), StoreError>| result.unwrap_err().to_string();
     let mut writer = ValueWriter::create(&path, &value.meta()).unwrap();
-    assert!(message(writer.append(&value.cut(Rows { start: 1, end: 3 }))).contains(
-        "rows 1..3 were appended \
-                                                            where rows 0..10 are missing"
-    ));
+    assert!(
+        message(writer.append(&value.cut(Rows { start: 1, end: 3 })))
+            .contains("rows 1..3 were appended where rows 0..10 are missing")
+    );
     assert!(message(writer.append(&Value::Tracks(testing::tracks(4, 10)))).contains("announced as"));
-    assert!(message(writer.append(&Value::Frames(testing::frames(3, 10, 1)))).contains(
-        "a part is frames, \
-                                                            but the value was announced as tracks"
-    ));
+    assert!(
+        message(writer.append(&Value::Frames(testing::frames(3, 10, 1))))
+            .contains("a part is frames, but the value was announced as tracks")
+    );
     writer.append(&value.cut(Rows { start: 0, end: 4 })).unwrap();
     assert!(message(writer.finish().map(drop)).contains("the value is not complete: rows 4..10 are missing"));
     let absent = Meta::Absent { data_type: DataType::Frames, why: "the recording has no frames".into() };
-    assert!(message(ValueWriter::create(&path, &absent).map(drop)).contains(
-        "there are no frames to write: \
-                                                            the recording has no frames"
-    ));
+    assert!(
+        message(ValueWriter::create(&path, &absent).map(drop))
+            .contains("there are no frames to write: the recording has no frames")
+    );
     let empty = ValueWriter::create(&path, &Meta::Table(Arc::new(TableMeta { scores: false }))).unwrap();
     assert!(message(empty.finish().map(drop)).contains("the table is missing"));
 }
@@ -358,10 +358,12 @@ fn a_file_that_is_no_artefact_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("value.h5");
     hdf5::File::create(&path).unwrap().close().unwrap();
-    assert!(open_value(&path).unwrap_err().to_string().contains(
-        "found no attribute `format`, expected \
-                                                            format = \"photocurrent-artefact/1\""
-    ));
+    assert!(
+        open_value(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("found no attribute `format`, expected format = \"photocurrent-artefact/1\"")
+    );
     std::fs::write(&path, "hello, world").unwrap();
     assert!(open_value(&path).unwrap_err().to_string().contains("is no HDF5 file"));
     assert!(

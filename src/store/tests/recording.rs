@@ -197,10 +197,13 @@ fn whole_numbers_and_colour_are_read_as_f32() {
     let file = hdf5::File::append(&path).unwrap();
     file.group("frames").unwrap().delete_attr("colour").unwrap();
     file.close().unwrap();
-    assert!(Recording::open(&path).err().unwrap().to_string().contains(
-        "/frames/dn: found 3 channels, \
-                                                            expected 1 for colour = \"mono\""
-    ));
+    assert!(
+        Recording::open(&path)
+            .err()
+            .unwrap()
+            .to_string()
+            .contains("/frames/dn: found 3 channels, expected 1 for colour = \"mono\"")
+    );
 }
 
 #[test]
@@ -341,8 +344,7 @@ fn events_that_contradict_the_format_are_reported_with_count_and_place() {
     let cases = [
         (
             Plain { x: vec![1, 3, 2, 9], ..good() },
-            "/events/x, /events/y: found 2 events outside the sensor, \
-                                                   the first at index 1 (x = 3, y = 1)",
+            "/events/x, /events/y: found 2 events outside the sensor, the first at index 1 (x = 3, y = 1)",
         ),
         (
             Plain { y: vec![0, 1, 1, 2], ..good() },
@@ -351,13 +353,11 @@ fn events_that_contradict_the_format_are_reported_with_count_and_place() {
         ),
         (
             Plain { p: vec![1, 255, 1, 1], ..good() },
-            "/events/p: found 1 event with another polarity, the \
-                                                     first at index 1 (p = 255)",
+            "/events/p: found 1 event with another polarity, the first at index 1 (p = 255)",
         ),
         (
             Plain { t: vec![10, 20, 19, 35], ..good() },
-            "/events/t: found 1 event earlier than the event \
-                                                       ahead, the first at index 2 (19 ns after 20 ns)",
+            "/events/t: found 1 event earlier than the event ahead, the first at index 2 (19 ns after 20 ns)",
         ),
         (
             Plain { t_in: Some(vec![9, 21, 19, 36]), ..good() },
@@ -417,13 +417,11 @@ fn a_header_that_contradicts_the_format_is_reported() {
     );
     says(
         Box::new(|path| Plain::good().write(path).unlink("events/p").unwrap()),
-        "/events/p: found nothing, \
-                                                            expected a dataset of uint8",
+        "/events/p: found nothing, expected a dataset of uint8",
     );
     says(
         Box::new(|path| Plain::good().write(path).unlink("events/t").unwrap()),
-        "/events/t: found nothing, \
-                                                            expected a dataset of int64",
+        "/events/t: found nothing, expected a dataset of int64",
     );
     says(
         Box::new(|path| Plain::good().write(path).dataset("events/t").unwrap().delete_attr("unit").unwrap()),
@@ -441,13 +439,11 @@ fn a_header_that_contradicts_the_format_is_reported() {
     );
     says(
         Box::new(with_frames((2, 2, 3), &[10, 0], &[15, 5])),
-        "/frames/exposure_start: found frame 1 \
-                                                            starting at 0 ns, before frame 0 at 10 ns",
+        "/frames/exposure_start: found frame 1 starting at 0 ns, before frame 0 at 10 ns",
     );
     says(
         Box::new(with_frames((2, 2, 3), &[0], &[5])),
-        "/frames/exposure_start: found the shape [1], \
-                                                        expected [2], as /frames/dn has",
+        "/frames/exposure_start: found the shape [1], expected [2], as /frames/dn has",
     );
     for (height, width) in [(3, 3), (4, 9), (1, 1)] {
         let expected = format!(
@@ -464,8 +460,7 @@ fn a_header_that_contradicts_the_format_is_reported() {
     };
     says(
         Box::new(coloured("bayer_rgbg")),
-        "/frames: attribute `colour`: found \"bayer_rgbg\", expected \
-                                            mono, rgb, bayer_rggb",
+        "/frames: attribute `colour`: found \"bayer_rgbg\", expected mono, rgb, bayer_rggb",
     );
     says(Box::new(coloured("rgb")), "/frames/dn: found 1 channels, expected 3 for colour = \"rgb\"");
     says(Box::new(|path| std::fs::write(path, "not at all").unwrap()), "is no HDF5 file");
@@ -590,8 +585,7 @@ fn an_absurd_claim_takes_no_memory() {
     let error = Recording::open(&path).err().unwrap().to_string();
     assert!(
         error.contains(
-            "/events/t: found a shape [1125899906842624] of 8-byte numbers, but only 0 bytes \
-                            are stored"
+            "/events/t: found a shape [1125899906842624] of 8-byte numbers, but only 0 bytes are stored"
         ),
         "{error}"
     );

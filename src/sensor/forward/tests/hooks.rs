@@ -144,8 +144,7 @@ fn an_effect_draws_from_streams_of_its_own() {
     assert_eq!(
         both.iter().map(|fired| fired.event).collect::<Vec<_>>(),
         alone,
-        "stamping does not disturb \
-                                                            thresholds"
+        "stamping does not disturb thresholds"
     );
     assert!(both.iter().any(|fired| fired.recorded != Some(fired.event)));
     let other = Site { x: SITE.x + 1, ..SITE };

@@ -228,16 +228,14 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
             for (moved, expected) in [by.reference, by.on, by.off].into_iter().zip(expected.iter().skip(n)) {
                 assert!(
                     (moved - expected).abs() < 1e-4 * (0.01 + expected.abs()),
-                    "{of} {damping}: {moved} \
-                                                            against {expected}"
+                    "{of} {damping}: {moved} against {expected}"
                 );
             }
             if damping == 0.0 {
                 for (j, variance) in pixel.judge().1.into_iter().enumerate() {
                     assert!(
                         (variance / covariance[(j, j)] - 1.0).abs() < 1e-3,
-                        "{of} knot {j}: {variance} \
-                                                            against {}",
+                        "{of} knot {j}: {variance} against {}",
                         covariance[(j, j)]
                     );
                 }
@@ -256,8 +254,7 @@ fn the_evidence_is_the_density_of_the_measurements() {
         let log_evidence = pixel.judge().0;
         assert!(
             (log_evidence - expected).abs() < 1e-3 * (1.0 + expected.abs()),
-            "{of}: {log_evidence} \
-                                                            against {expected}"
+            "{of}: {log_evidence} against {expected}"
         );
     });
 }
@@ -345,8 +342,7 @@ fn the_weights_of_both_walks_have_the_gradient_of_students_t() {
             // Rounding of second-order terms over differences of a millionth.
             assert!(
                 (found - expected).abs() < 1e-4 * (1.0 + expected.abs()),
-                "{prior:?} at {j}: {found} \
-                                                            against {expected}"
+                "{prior:?} at {j}: {found} against {expected}"
             );
         }
     }
