@@ -17,7 +17,7 @@ use crate::key;
 use crate::observer::{End, Observer};
 use crate::outcome::Outcome;
 use crate::plan::Plan;
-use crate::schedule::{Cutter, Options, checked, cut, guarded, halo_of, inputs_of};
+use crate::schedule::{Cutter, Options, checked, cut, guarded, halo_of, inputs_of, wanted};
 use crate::task::{PlannedVariant, Task, TaskId};
 use photocurrent_core::context::{Common, Notes, Silent};
 use photocurrent_core::ports::PortValues;
@@ -351,6 +351,25 @@ impl Part<'_> {
         needed
     }
 
+    /// The values that a task takes, out of those that were made.
+    fn inputs(
+        &self,
+        task: &Task,
+        made: &BTreeMap<TaskId, BTreeMap<String, Value>>,
+    ) -> Result<PortValues, NodeError> {
+        let mut inputs = PortValues::new();
+        for input in &task.inputs {
+            let values = extracted(&input.from, |from, port| {
+                let value = made.get(&from).and_then(|outputs| outputs.get(port)).cloned();
+                value.ok_or_else(|| {
+                    NodeError::failed(format!("{} has no stored `{port}`", self.plan.tasks[from].label))
+                })
+            })?;
+            inputs.insert(input.port, values);
+        }
+        Ok(inputs)
+    }
+
     /// Makes the needed rows of a task: its own and those around, in bands that end where its own do.
     fn make(
         &mut self,
@@ -362,25 +381,11 @@ impl Part<'_> {
         let task = &self.plan.tasks[id];
         let identity = self.identities[id]
             .ok_or_else(|| NodeError::failed("a task that is made in parts has an identity"))?;
-        let mut inputs = PortValues::new();
-        for input in &task.inputs {
-            let values = extracted(&input.from, |from, port| {
-                let value = made.get(&from).and_then(|outputs| outputs.get(port)).cloned();
-                value.ok_or_else(|| {
-                    NodeError::failed(format!("{} has no stored `{port}`", self.plan.tasks[from].label))
-                })
-            })?;
-            inputs.insert(input.port, values);
-        }
+        let inputs = self.inputs(task, made)?;
         let share = self.options.memory / 4 * 3;
         let bands = cut(self.plan, task, share, self.options.band_rows);
         let metas: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
-        let wanted: BTreeSet<String> = task
-            .outputs
-            .iter()
-            .filter(|output| output.wanted)
-            .map(|output| output.port.to_string())
-            .collect();
+        let wanted = wanted(task);
         let mut parts: BTreeMap<String, Vec<Value>> = BTreeMap::new();
         let common = Common::default();
         let pieces =

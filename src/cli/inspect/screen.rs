@@ -67,33 +67,7 @@ fn of_events(events: &EventsSurvey) -> String {
         thousands(events.count),
         percent(events.on_share())
     );
-    if let Some((first, last)) = events.span_ns {
-        let rate = events.rate_of_pixel_hz().map_or_else(String::new, |rate| {
-            format!(
-                ", {} a second, {rate:.3} a pixel and second",
-                rough(events.count as f64 / events.seconds())
-            )
-        });
-        let _ = writeln!(
-            text,
-            "{:<9}{} to {}: {}{rate}",
-            "",
-            time(first as f64),
-            time(last as f64),
-            time(events.seconds() * 1e9)
-        );
-        let bin = events.rate.bin_ns as f64 * (events.rate.counts.len() as f64 / WIDE as f64).max(1.0);
-        let most =
-            events.rate.counts.iter().copied().max().unwrap_or(0) as f64 / (events.rate.bin_ns as f64 * 1e-9);
-        let _ = writeln!(
-            text,
-            "{:<9}{}  a column is {}, the top {} a second",
-            "rate",
-            curve(&events.rate.counts),
-            time(bin),
-            rough(most)
-        );
-    }
+    text.push_str(&of_rate(events));
     let stamps = &events.stamps;
     let stored =
         if events.stored_as.is_empty() { String::new() } else { format!(", stored as {}", events.stored_as) };
@@ -140,6 +114,39 @@ fn of_events(events: &EventsSurvey) -> String {
         if places.hot_pixels > 0 { format!(", {} of them hot", places.hot_pixels) } else { String::new() }
     );
     events.notes.iter().for_each(|note| text.push_str(&format!("{:<9}{note}\n", "")));
+    text
+}
+
+/// When events begin and end, and how many there are over time.
+fn of_rate(events: &EventsSurvey) -> String {
+    let mut text = String::new();
+    if let Some((first, last)) = events.span_ns {
+        let rate = events.rate_of_pixel_hz().map_or_else(String::new, |rate| {
+            format!(
+                ", {} a second, {rate:.3} a pixel and second",
+                rough(events.count as f64 / events.seconds())
+            )
+        });
+        let _ = writeln!(
+            text,
+            "{:<9}{} to {}: {}{rate}",
+            "",
+            time(first as f64),
+            time(last as f64),
+            time(events.seconds() * 1e9)
+        );
+        let bin = events.rate.bin_ns as f64 * (events.rate.counts.len() as f64 / WIDE as f64).max(1.0);
+        let most =
+            events.rate.counts.iter().copied().max().unwrap_or(0) as f64 / (events.rate.bin_ns as f64 * 1e-9);
+        let _ = writeln!(
+            text,
+            "{:<9}{}  a column is {}, the top {} a second",
+            "rate",
+            curve(&events.rate.counts),
+            time(bin),
+            rough(most)
+        );
+    }
     text
 }
 

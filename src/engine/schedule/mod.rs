@@ -30,7 +30,7 @@ use state::{Claim, Phase, State};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
-pub(crate) use task::checked;
+pub(crate) use task::{checked, wanted};
 pub(crate) use writer::guarded;
 
 /// Runs a plan. What goes wrong in a node is in the outcome; the run itself always comes to an end.

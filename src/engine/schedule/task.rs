@@ -1,6 +1,7 @@
 //! One task: looked up, and when the cache does not have it, run band by band, stored, and recorded last.
 
-use super::bands::{self, Cutter, same_meta};
+use super::bands::{self, Bands, Cutter, same_meta};
+use super::kept::Found;
 use super::shared::{Keep, Shared};
 use super::writer::{Message, Stored, guarded};
 use crate::blocks::extracted;
@@ -16,6 +17,7 @@ use photocurrent_core::ports::PortValues;
 use photocurrent_core::{Context, Digest, Meta, NodeError, Rows, Value};
 use photocurrent_store::{Cache, Export, Ingredients, Lookup, Record, StoredOutput, TOOL_VERSION};
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
@@ -213,115 +215,12 @@ fn produce(
         .as_ref()
         .map(|folder| Staging::create(&shared.options.out_dir.join(folder)))
         .transpose()?;
-    let (notes, common) = (Notes::default(), Common::default());
-    let mut kept = BTreeMap::new();
-    let stored: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
-    let mut cutter = Cutter::new(&bands, bands.rows, &stored, &inputs);
-    let mut progress = TaskProgress { observer: shared.observer, task: id, of_band: None };
-    let mut written: Option<Receiver<()>> = None;
-    let may_reuse = bands.halo.is_some() && !shared.state().slots[id].force;
-    let kept_bands = if may_reuse { shared.kept.of(id) } else { Vec::new() };
-    let (mut is_kept, mut is_warned) = (false, false);
-    loop {
-        if let Some(stored) =
-            cutter.at().and_then(|row| kept_bands.iter().find_map(|band| shared.kept.load(band, row, task)))
-        {
-            let (rows, outputs, said) = stored;
-            notes.absorb(said);
-            for (port, value) in outputs {
-                let message = Message::Write { task: id, port, meta: value.meta(), value };
-                writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
-            }
-            cutter.skip_to(rows.end);
-            is_kept = true;
-            continue;
-        }
-        let limit = kept_bands
-            .iter()
-            .map(|band| band.rows().start)
-            .filter(|start| Some(*start) > cutter.at())
-            .min()
-            .unwrap_or(u32::MAX);
-        let Some(band) = cutter.next(limit) else { break };
-        let whole = band == bands.rows;
-        if !whole {
-            if progress.of_band.is_none() {
-                // What is there already carries no information of how fast the rest goes.
-                let there: u64 = kept_bands.iter().map(|band| band.rows().len() as u64).sum();
-                shared.observer.progress_begin(
-                    id,
-                    (bands.rows.len() as u64).saturating_sub(there).max(1),
-                    "rows",
-                );
-            }
-            progress.of_band = Some(OfBand { rows: band.len() as u64, ..OfBand::default() });
-        }
-        if shared.cancel.load(Ordering::Relaxed) {
-            return Err(NodeError::interrupted());
-        }
-        let wanted: BTreeSet<String> = task
-            .outputs
-            .iter()
-            .filter(|output| output.wanted)
-            .map(|output| output.port.to_string())
-            .collect();
-        let export = staging.as_ref().map(Staging::path);
-        let of_band = Notes::default();
-        let context =
-            Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &of_band)
-                .sharing(&common);
-        let began = Instant::now();
-        let given = guarded(|| task.node.run(bands::inputs_of(&inputs, &bands, band), &context))?;
-        // One band of a task waits for the writer while the next is computed, and no more.
-        if let Some(written) = written.take() {
-            written.recv().map_err(|_| NodeError::failed("the writer has stopped"))?;
-        }
-        let seconds = began.elapsed().as_secs_f64();
-        notes.absorb(of_band.content());
-        let (mut bytes, mut outputs) = (0, Vec::new());
-        for (port, meta, value) in checked(task, given, (!whole).then_some(band))? {
-            bytes += value.bytes(band);
-            if whole {
-                kept.insert(port, value.clone());
-            }
-            outputs.push((port, value.clone()));
-            let message = Message::Write { task: id, port, meta, value };
-            writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
-        }
-        cutter.learn(band, bytes);
-        if task.local_in_time
-            && !is_warned
-            && let Some((needed, share)) = cutter.too_much()
-        {
-            is_warned = true;
-            shared.warn(format!(
-                "{}: a single row takes about {}, and its share of --memory is {}: blocks of time take less \
-                 (`pipeline.blocks`)",
-                task.label,
-                size(needed),
-                size(share)
-            ));
-        }
-        if !whole
-            && let Some((store, identity)) = shared.kept.own(id)
-            && (shared.options.keep == Keep::All || seconds * COSTLY_BYTES_PER_S > bytes as f64)
-        {
-            let message = Message::Keep { store, identity, rows: band, outputs, said: of_band.content() };
-            writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
-            is_kept = true;
-        }
-        let (reply, answer) = bounded(1);
-        writer.send(Message::Reached { reply }).map_err(|_| NodeError::failed("the writer has stopped"))?;
-        written = Some(answer);
-        progress.end_of_band();
-        if seconds > WORTH_GIVING_BACK_S {
-            give_back();
-        }
-    }
+    let mut production = Production::new(shared, id, writer, &bands, &inputs);
+    while production.reuse_band()? || production.produce_band(staging.as_ref().map(Staging::path))? {}
+    let Production { notes, values, is_kept, .. } = production;
     let (reply, answer) = bounded(1);
-    let finish = Message::Finish { task: id, reply };
-    writer.send(finish).map_err(|_| NodeError::failed("the writer has stopped"))?;
-    let stored = answer.recv().map_err(|_| NodeError::failed("the writer has stopped"))??;
+    send(writer, Message::Finish { task: id, reply })?;
+    let stored = answer.recv().map_err(|_| writer_stopped())??;
     let exports = staging.map(|staging| staging.publish(key)).transpose()?.unwrap_or_default();
     let notes = notes.lines();
     shared.cache.commit(&record(
@@ -337,7 +236,181 @@ fn produce(
         // What stays is found again at worst, and removed by gc.
         let _ = store.remove(&identity);
     }
-    Ok(Product { stored, notes, values: kept })
+    Ok(Product { stored, notes, values })
+}
+
+fn send(writer: &Sender<Message>, message: Message) -> Result<(), NodeError> {
+    writer.send(message).map_err(|_| writer_stopped())
+}
+
+fn writer_stopped() -> NodeError {
+    NodeError::failed("the writer has stopped")
+}
+
+/// A task while its bands are produced.
+struct Production<'a> {
+    shared: &'a Shared<'a>,
+    id: TaskId,
+    task: &'a Task,
+    writer: &'a Sender<Message>,
+    bands: &'a Bands,
+    inputs: &'a PortValues,
+    cutter: Cutter<'a>,
+    /// Bands that are there already.
+    kept_bands: Vec<Found>,
+    progress: TaskProgress<'a>,
+    notes: Notes,
+    common: Common,
+    /// The values, when the task runs in one band.
+    values: BTreeMap<&'static str, Value>,
+    /// Rings when the writer has written the band before.
+    written: Option<Receiver<()>>,
+    /// Are bands of it kept?
+    is_kept: bool,
+    /// Was it warned that a row takes too much memory?
+    is_warned: bool,
+}
+
+impl<'a> Production<'a> {
+    fn new(
+        shared: &'a Shared<'a>,
+        id: TaskId,
+        writer: &'a Sender<Message>,
+        bands: &'a Bands,
+        inputs: &'a PortValues,
+    ) -> Production<'a> {
+        let task = &shared.plan.tasks[id];
+        let stored: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
+        let may_reuse = bands.halo.is_some() && !shared.state().slots[id].force;
+        Production {
+            shared,
+            id,
+            task,
+            writer,
+            bands,
+            inputs,
+            cutter: Cutter::new(bands, bands.rows, &stored, inputs),
+            kept_bands: if may_reuse { shared.kept.of(id) } else { Vec::new() },
+            progress: TaskProgress { observer: shared.observer, task: id, of_band: None },
+            notes: Notes::default(),
+            common: Common::default(),
+            values: BTreeMap::new(),
+            written: None,
+            is_kept: false,
+            is_warned: false,
+        }
+    }
+
+    /// Takes the next rows from a band that is there already; false when there is none.
+    fn reuse_band(&mut self) -> Result<bool, NodeError> {
+        let load = |row| self.kept_bands.iter().find_map(|band| self.shared.kept.load(band, row, self.task));
+        let Some((rows, outputs, said)) = self.cutter.at().and_then(load) else { return Ok(false) };
+        self.notes.absorb(said);
+        for (port, value) in outputs {
+            let message = Message::Write { task: self.id, port, meta: value.meta(), value };
+            send(self.writer, message)?;
+        }
+        self.cutter.skip_to(rows.end);
+        self.is_kept = true;
+        Ok(true)
+    }
+
+    /// Computes the next band and sends it to the writer; false when there is none left.
+    fn produce_band(&mut self, export: Option<&Path>) -> Result<bool, NodeError> {
+        let next_kept = self
+            .kept_bands
+            .iter()
+            .map(|band| band.rows().start)
+            .filter(|start| Some(*start) > self.cutter.at())
+            .min();
+        let Some(band) = self.cutter.next(next_kept.unwrap_or(u32::MAX)) else { return Ok(false) };
+        let whole = band == self.bands.rows;
+        if !whole {
+            self.begin_progress(band);
+        }
+        if self.shared.cancel.load(Ordering::Relaxed) {
+            return Err(NodeError::interrupted());
+        }
+        let of_band = Notes::default();
+        let began = Instant::now();
+        let computed = self.compute(band, export, &of_band)?;
+        // One band of a task waits for the writer while the next is computed, and no more.
+        if let Some(written) = self.written.take() {
+            written.recv().map_err(|_| writer_stopped())?;
+        }
+        let seconds = began.elapsed().as_secs_f64();
+        self.notes.absorb(of_band.content());
+        let (mut bytes, mut outputs) = (0, Vec::new());
+        for (port, meta, value) in checked(self.task, computed, (!whole).then_some(band))? {
+            bytes += value.bytes(band);
+            if whole {
+                self.values.insert(port, value.clone());
+            }
+            outputs.push((port, value.clone()));
+            send(self.writer, Message::Write { task: self.id, port, meta, value })?;
+        }
+        self.cutter.learn(band, bytes);
+        self.warn_of_memory();
+        if !whole
+            && let Some((store, identity)) = self.shared.kept.own(self.id)
+            && (self.shared.options.keep == Keep::All || seconds * COSTLY_BYTES_PER_S > bytes as f64)
+        {
+            let message = Message::Keep { store, identity, rows: band, outputs, said: of_band.content() };
+            send(self.writer, message)?;
+            self.is_kept = true;
+        }
+        let (reply, answer) = bounded(1);
+        send(self.writer, Message::Reached { reply })?;
+        self.written = Some(answer);
+        self.progress.end_of_band();
+        if seconds > WORTH_GIVING_BACK_S {
+            give_back();
+        }
+        Ok(true)
+    }
+
+    /// Counts rows from the first band on that is not the whole.
+    fn begin_progress(&mut self, band: Rows) {
+        if self.progress.of_band.is_none() {
+            // What is there already carries no information of how fast the rest goes.
+            let there: u64 = self.kept_bands.iter().map(|band| band.rows().len() as u64).sum();
+            let left = (self.bands.rows.len() as u64).saturating_sub(there).max(1);
+            self.shared.observer.progress_begin(self.id, left, "rows");
+        }
+        self.progress.of_band = Some(OfBand { rows: band.len() as u64, ..OfBand::default() });
+    }
+
+    /// Runs the node for a band.
+    fn compute(&self, band: Rows, export: Option<&Path>, notes: &Notes) -> Result<PortValues, NodeError> {
+        let wanted = wanted(self.task);
+        let seed = self.task.seed.unwrap_or(0);
+        let context = Context::new(band, seed, &wanted, &self.progress, self.shared.cancel, export, notes)
+            .sharing(&self.common);
+        guarded(|| self.task.node.run(bands::inputs_of(self.inputs, self.bands, band), &context))
+    }
+
+    /// Warns once where a single row takes more memory than its share.
+    fn warn_of_memory(&mut self) {
+        if self.task.local_in_time
+            && !self.is_warned
+            && let Some((needed, share)) = self.cutter.too_much()
+        {
+            self.is_warned = true;
+            self.shared.warn(format!(
+                "{}: a single row takes about {}, and its share of --memory is {}: blocks of time take less \
+                 (`pipeline.blocks`)",
+                self.task.label,
+                size(needed),
+                size(share)
+            ));
+        }
+    }
+}
+
+/// The ports of a task whose outputs something wants.
+pub(crate) fn wanted(task: &Task) -> BTreeSet<String> {
+    let wanted = task.outputs.iter().filter(|output| output.wanted);
+    wanted.map(|output| output.port.to_string()).collect()
 }
 
 fn record(
