@@ -231,9 +231,10 @@ impl Report {
         let columns: Vec<Value> = self
             .metrics
             .iter()
-            .map(
-                |metric| json!({"metric": metric.name, "unit": metric.unit, "higher_is_better": metric.higher_is_better(), "statistic": self.statistic.name()}),
-            )
+            .map(|metric| {
+                json!({"metric": metric.name, "unit": metric.unit,
+                "higher_is_better": metric.higher_is_better(), "statistic": self.statistic.name()})
+            })
             .collect();
         let row = |row: usize| {
             let cells = self.cells[row].iter();

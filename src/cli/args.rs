@@ -444,7 +444,10 @@ pub struct DiagnoseOptions {
     #[arg(long)]
     pub direct: bool,
     /// Seed of everything random
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(
+        long, value_name = "N", default_value_t = 1,
+        value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64),
+    )]
     pub seed: u64,
     /// Where results of the stages are kept for later runs
     #[arg(long, value_name = "FOLDER", default_value = ".photocurrent")]

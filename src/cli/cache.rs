@@ -35,7 +35,12 @@ fn now_unix_s() -> u64 {
 fn ls(options: &CacheOptions) -> Done {
     let listings = Cache::open(&options.cache)?.ls()?;
     if options.json {
-        let of = |l: &photocurrent_store::Listing| json!({"key": l.key, "kind": l.kind, "bytes": l.bytes, "seconds": l.seconds, "created_unix_s": l.created_unix_s, "used_unix_s": l.used_unix_s, "outputs": l.outputs});
+        let of = |l: &photocurrent_store::Listing| {
+            json!({
+                "key": l.key, "kind": l.kind, "bytes": l.bytes, "seconds": l.seconds,
+                "created_unix_s": l.created_unix_s, "used_unix_s": l.used_unix_s, "outputs": l.outputs,
+            })
+        };
         print_json(&listings.iter().map(of).collect())?;
         return Ok(0);
     }
@@ -57,9 +62,10 @@ fn ls(options: &CacheOptions) -> Done {
 fn du(options: &CacheOptions) -> Done {
     let used = Cache::open(&options.cache)?.du()?;
     if options.json {
-        print_json(
-            &json!({"records": used.records, "contents": used.contents, "content_bytes": used.content_bytes, "unreferenced_bytes": used.unreferenced_bytes, "temporary_bytes": used.temporary_bytes}),
-        )?;
+        print_json(&json!({
+            "records": used.records, "contents": used.contents, "content_bytes": used.content_bytes,
+            "unreferenced_bytes": used.unreferenced_bytes, "temporary_bytes": used.temporary_bytes,
+        }))?;
     } else {
         print(&format!(
             "{} in {} contents, named by {} records\n{} of it named by no record (cache gc removes it)\n{} \
@@ -79,9 +85,10 @@ fn gc(options: &CacheOptions, older_than_days: Option<u64>, max_bytes: Option<u6
     let report =
         Cache::gc(&options.cache, &GcOptions { max_bytes, older_than, dry_run, ..GcOptions::default() })?;
     if options.json {
-        print_json(
-            &json!({"dry_run": dry_run, "records": report.records, "contents": report.contents, "freed_bytes": report.freed_bytes, "kept_bytes": report.kept_bytes}),
-        )?;
+        print_json(&json!({
+            "dry_run": dry_run, "records": report.records, "contents": report.contents,
+            "freed_bytes": report.freed_bytes, "kept_bytes": report.kept_bytes,
+        }))?;
     } else {
         let verb = if dry_run { "would remove" } else { "removed" };
         print(&format!(
@@ -98,9 +105,10 @@ fn gc(options: &CacheOptions, older_than_days: Option<u64>, max_bytes: Option<u6
 fn verify(options: &CacheOptions) -> Done {
     let report = Cache::open(&options.cache)?.verify()?;
     if options.json {
-        print_json(
-            &json!({"good_records": report.good_records, "good_contents": report.good_contents, "damaged": report.damaged, "orphans": report.orphans}),
-        )?;
+        print_json(&json!({
+            "good_records": report.good_records, "good_contents": report.good_contents,
+            "damaged": report.damaged, "orphans": report.orphans,
+        }))?;
     } else {
         let mut text =
             format!("{} records and {} contents are whole\n", report.good_records, report.good_contents);

@@ -179,14 +179,17 @@ impl Findings {
         let place = |problem: &Problem| {
             let place = problem.at.as_ref().map(|at| (at.source.name.clone(), at.line_column()));
             json!({
-                "message": problem.message, "notes": problem.notes, "help": problem.help, "file": place.as_ref().map(|(file, _)| file),
-                "line": place.as_ref().map(|(_, (line, _))| line), "column": place.as_ref().map(|(_, (_, column))| column),
+                "message": problem.message, "notes": problem.notes, "help": problem.help,
+                "file": place.as_ref().map(|(file, _)| file),
+                "line": place.as_ref().map(|(_, (line, _))| line),
+                "column": place.as_ref().map(|(_, (_, column))| column),
             })
         };
         let mistakes =
             self.lines.iter().map(|line| json!({"message": line})).chain(self.problems.iter().map(place));
         print_json(&json!({
-            "schema": "photocurrent-check/1", "file": self.path.display().to_string(), "checked": self.what, "mistakes": mistakes.collect::<Vec<_>>(),
+            "schema": "photocurrent-check/1", "file": self.path.display().to_string(), "checked": self.what,
+            "mistakes": mistakes.collect::<Vec<_>>(),
             "hazards": self.hazards, "notes": self.notes, "exit_code": self.exit_code(),
         }))?;
         Ok(self.exit_code())

@@ -49,10 +49,17 @@ pub fn effects(options: &EffectsOptions) -> Done {
 }
 
 fn describe(decl: &EffectDecl) -> Value {
-    let parameter = |p: &ParameterDecl| json!({"name": p.name, "unit": p.unit.text(), "null": p.null, "allowed": bounds(p.allowed), "plausible": bounds(p.plausible), "about": p.about});
+    let parameter = |p: &ParameterDecl| {
+        json!({
+            "name": p.name, "unit": p.unit.text(), "null": p.null, "allowed": bounds(p.allowed),
+            "plausible": bounds(p.plausible), "about": p.about,
+        })
+    };
     json!({
-        "id": decl.id, "stage": decl.stage.name(), "about": decl.about, "equation": decl.equation, "covariate": decl.covariate, "signature": decl.signature,
-        "confused_with": decl.confused_with, "source": decl.source, "parameters": decl.parameters.iter().map(parameter).collect::<Vec<_>>(),
+        "id": decl.id, "stage": decl.stage.name(), "about": decl.about, "equation": decl.equation,
+        "covariate": decl.covariate, "signature": decl.signature,
+        "confused_with": decl.confused_with, "source": decl.source,
+        "parameters": decl.parameters.iter().map(parameter).collect::<Vec<_>>(),
     })
 }
 

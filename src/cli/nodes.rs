@@ -52,12 +52,20 @@ pub fn schema() -> Done {
 
 fn describe(kind: &Kind) -> Value {
     let ports = |ports: &[PortSpec]| -> Value {
-        ports.iter().map(|p| json!({"name": p.name, "type": p.data_type.name(), "takes": takes(p.arity), "about": p.about})).collect()
+        ports
+            .iter()
+            .map(|p| {
+                json!({"name": p.name, "type": p.data_type.name(), "takes": takes(p.arity),
+        "about": p.about})
+            })
+            .collect()
     };
     let decl = &kind.decl;
     json!({
-        "kind": decl.kind, "about": decl.about, "revision": decl.revision, "grain": grain(decl.grain), "local_in_time": kind.local_in_time, "uses_seed": decl.draws, "writes_files": decl.exports,
-        "inputs": ports(&kind.inputs), "outputs": ports(&kind.outputs), "params": kind.schema, "sources": decl.sources, "example": decl.example.trim(),
+        "kind": decl.kind, "about": decl.about, "revision": decl.revision, "grain": grain(decl.grain),
+        "local_in_time": kind.local_in_time, "uses_seed": decl.draws, "writes_files": decl.exports,
+        "inputs": ports(&kind.inputs), "outputs": ports(&kind.outputs), "params": kind.schema,
+        "sources": decl.sources, "example": decl.example.trim(),
     })
 }
 

@@ -47,7 +47,8 @@ fn reasons(state: &State) -> Vec<String> {
 fn as_json(plan: &Plan, status: &TaskStatus) -> Value {
     let task = &plan.tasks[status.task];
     json!({
-        "node": task.label, "kind": task.decl.kind, "uses": task.uses, "params": task.params, "changed_params": task.changed_params,
+        "node": task.label, "kind": task.decl.kind, "uses": task.uses, "params": task.params,
+        "changed_params": task.changed_params,
         "state": word(&status.state), "reasons": reasons(&status.state), "key": status.key,
         "predicted_bytes": status.predicted_bytes, "predicted_seconds": status.predicted_seconds,
     })
@@ -60,9 +61,10 @@ pub fn plan(options: &PlanOptions) -> Done {
     let look = Look::new(&options.target)?;
     let all = status(&plan, &look.cache, &options.target.out_dir());
     if options.json {
-        print_json(
-            &json!({"variants": plan.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "tasks": all.iter().map(|s| as_json(&plan, s)).collect::<Vec<_>>()}),
-        )?;
+        print_json(&json!({
+            "variants": plan.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(),
+            "tasks": all.iter().map(|s| as_json(&plan, s)).collect::<Vec<_>>(),
+        }))?;
         return Ok(0);
     }
     let mut rows = vec![
@@ -109,7 +111,15 @@ pub fn explain(options: &ExplainOptions) -> Done {
     let found = photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node)
         .map_err(|problem| Failure::Problems(vec![problem]))?;
     if options.json {
-        print_json(&found.iter().map(|e| json!({"variants": e.variants, "status": as_json(&plan, &e.status), "lines": e.lines})).collect())?;
+        print_json(
+            &found
+                .iter()
+                .map(|e| {
+                    json!({"variants": e.variants, "status": as_json(&plan, &e.status),
+        "lines": e.lines})
+                })
+                .collect(),
+        )?;
         return Ok(0);
     }
     let mut text = String::new();

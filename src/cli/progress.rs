@@ -214,9 +214,10 @@ impl Observer for Watcher {
                 if now > *tenth {
                     *tenth = now;
                     let Pace { done: at, total, .. } = *pace;
-                    line(
-                        json!({"event": "progress", "node": lines.labels[task].0, "done": at, "total": total, "seconds_left": pace.left()}),
-                    );
+                    line(json!({
+                        "event": "progress", "node": lines.labels[task].0, "done": at, "total": total,
+                        "seconds_left": pace.left(),
+                    }));
                 }
             }
             Watcher::Plain(_) | Watcher::Quiet => {}
@@ -245,9 +246,10 @@ impl Observer for Watcher {
                 let (label, kind) = &labels[task];
                 say!("{:<8} {label} ({kind}), {}, {}", word(end), human_seconds(seconds), human_bytes(bytes));
             }
-            Watcher::Lines(lines) => line(
-                json!({"event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(), "seconds": seconds, "bytes": bytes}),
-            ),
+            Watcher::Lines(lines) => line(json!({
+                "event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(),
+                "seconds": seconds, "bytes": bytes,
+            })),
             Watcher::Quiet => {}
         }
     }

@@ -99,9 +99,10 @@ fn part_report(
     };
     let (first, end) = (rows.start, rows.end);
     if options.running.json {
-        print_json(
-            &json!({ "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes, "seconds": seconds }),
-        )?;
+        print_json(&json!({
+            "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes,
+            "seconds": seconds,
+        }))?;
     }
     if !options.running.quiet {
         let made = if nodes.is_empty() {
@@ -194,14 +195,21 @@ fn as_json(outcome: &Outcome, seconds: f64) -> serde_json::Value {
     let end = |end: End| format!("{end:?}").to_lowercase();
     let tasks = outcome.tasks.iter().map(|task| {
         json!({
-            "node": task.label, "kind": task.kind, "uses": task.uses, "end": end(task.end), "seconds": task.seconds, "key": task.key, "outputs": task.outputs,
-            "notes": task.notes, "error": task.error.as_ref().map(ToString::to_string), "because": task.because, "files": task.export,
+            "node": task.label, "kind": task.kind, "uses": task.uses, "end": end(task.end),
+            "seconds": task.seconds, "key": task.key, "outputs": task.outputs,
+            "notes": task.notes, "error": task.error.as_ref().map(ToString::to_string),
+            "because": task.because, "files": task.export,
         })
     });
     json!({
-        "executed": outcome.count(End::Executed), "reused": outcome.count(End::Reused), "failed": outcome.count(End::Failed),
-        "skipped": outcome.count(End::Skipped), "interrupted": outcome.count(End::Interrupted), "seconds": seconds,
-        "variants": outcome.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "warnings": outcome.warnings, "left_out": outcome.variants.iter().flat_map(|v| &v.left_out).map(|l| json!({ "node": l.node, "missing": l.missing, "why": l.why })).collect::<Vec<_>>(),
+        "executed": outcome.count(End::Executed), "reused": outcome.count(End::Reused),
+        "failed": outcome.count(End::Failed),
+        "skipped": outcome.count(End::Skipped), "interrupted": outcome.count(End::Interrupted),
+        "seconds": seconds,
+        "variants": outcome.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(),
+        "warnings": outcome.warnings,
+        "left_out": outcome.variants.iter().flat_map(|v| &v.left_out).map(|l| json!({ "node": l.node,
+        "missing": l.missing, "why": l.why })).collect::<Vec<_>>(),
         "tasks": tasks.collect::<Vec<_>>(),
     })
 }

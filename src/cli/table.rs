@@ -152,9 +152,10 @@ mod tests {
 
     #[test]
     fn choices_and_names_need_both_sides() {
-        assert!(
-            matches!(choice("scene=fan,texture"), Ok((axis, levels)) if axis == "scene" && levels == ["fan", "texture"])
-        );
+        assert!(matches!(
+            choice("scene=fan,texture"),
+            Ok((axis, levels)) if axis == "scene" && levels == ["fan", "texture"],
+        ));
         assert!(message(choice("scene").unwrap_err()).starts_with("--where scene: expected"));
         assert!(message(names(&["edi".into()]).unwrap_err()).starts_with("--rename edi: expected"));
     }

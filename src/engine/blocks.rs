@@ -46,8 +46,14 @@ impl Blocks {
             "description": "Cut a recording into blocks of time, run nodes that are local in time for each, \
                             and join what they give.",
             "properties": {
-                "length": { "type": "string", "x-quantity": "time", "examples": ["2 s"], "x-min": "1 ms", "description": "Length of a block, without its overlap." },
-                "overlap": { "type": "string", "x-quantity": "time", "examples": ["50 ms"], "x-min": "0 ns", "description": overlap },
+                "length": {
+                    "type": "string", "x-quantity": "time", "examples": ["2 s"], "x-min": "1 ms",
+                    "description": "Length of a block, without its overlap.",
+                },
+                "overlap": {
+                    "type": "string", "x-quantity": "time", "examples": ["50 ms"], "x-min": "0 ns",
+                    "description": overlap,
+                },
             },
         })
     }

@@ -42,7 +42,8 @@ pub(crate) fn least_bytes(task: &Task) -> u64 {
 }
 
 /// What to do about a plan that is too large.
-pub(crate) const LESS: &str = "make less of it: a shorter part of the recording, blocks of time (`pipeline.blocks`), a lower `rate`, fewer pixels; \
+pub(crate) const LESS: &str = "make less of it: a shorter part of the recording, blocks of time \
+                               (`pipeline.blocks`), a lower `rate`, fewer pixels; \
                     or allow more with --memory, where the machine has it";
 
 /// A number of bytes for people: `1.2 GB`.

@@ -185,8 +185,12 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
     let point = "`{ front_end = \"off\" }`: axes with their levels";
     let level = || such_as(any_table(), "`off = { nodes.solve.params.readout = \"none\" }`");
     let ablation = object(json!({
-        "about": text(), "metrics": such_as(list_of(text()), "`metrics = [\"psnr.psnr_db\"]`"), "baseline": such_as(any_table(), point),
-        "skip": such_as(list_of(such_as(any_table(), point)), "`skip = [{ front_end = \"off\" }]`"), "axes": table_of(table_of(level())),
+        "about": text(), "metrics": such_as(
+            list_of(text()), "`metrics = [\"psnr.psnr_db\"]`",
+        ), "baseline": such_as(any_table(), point),
+        "skip": such_as(
+            list_of(such_as(any_table(), point)), "`skip = [{ front_end = \"off\" }]`",
+        ), "axes": table_of(table_of(level())),
         "sweep": such_as(any_table(), "`[ablation.sweep]` with `\"nodes.solve.params.cis_weight\" = [0.5, \
                                        1.0]` below it"),
     }));

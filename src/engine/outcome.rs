@@ -134,9 +134,11 @@ impl Outcome {
                     let scores = table.as_scores().unwrap_or_default();
                     for score in &scores {
                         let mut line = json!({
-                            "variant": variant.name, "node": node, "metric": score.metric, "frame": score.frame, "t_ns": score.t_ns,
+                            "variant": variant.name, "node": node, "metric": score.metric,
+                            "frame": score.frame, "t_ns": score.t_ns,
                             // JSON has no NaN: what could not be measured is null.
-                            "value": score.value.is_finite().then_some(score.value), "unit": score.unit, "card": card,
+                            "value": score.value.is_finite().then_some(score.value), "unit": score.unit,
+                            "card": card,
                         });
                         if score.frame >= 0 {
                             single.push(line);
@@ -162,8 +164,14 @@ impl Outcome {
                 .iter()
                 .map(|(node, task)| (node, &self.tasks[*task]))
                 .filter(|(_, task)| !matches!(task.end, End::Executed | End::Reused));
-            pooled.extend(failed.map(|(node, task)| json!({ "variant": variant.name, "node": node, "missing": "result", "why": task.trouble() })));
-            pooled.extend(variant.left_out.iter().map(|left| json!({ "variant": variant.name, "node": left.node, "missing": left.missing, "why": left.why })));
+            pooled.extend(failed.map(|(node, task)| {
+                json!({ "variant": variant.name, "node": node,
+            "missing": "result", "why": task.trouble() })
+            }));
+            pooled.extend(variant.left_out.iter().map(|left| {
+                json!({ "variant": variant.name,
+            "node": left.node, "missing": left.missing, "why": left.why })
+            }));
         }
         Ok((single, pooled))
     }

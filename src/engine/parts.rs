@@ -465,7 +465,8 @@ pub fn join(plan: &Plan, cache: &Cache, parts: &[PathBuf]) -> Result<Vec<PathBuf
         for (node, identity) in &known {
             if promise.nodes.get(*node) != Some(identity) {
                 return Err(NodeError::input(format!(
-                    "{}: it is a part of another pipeline: `{node}` has other parameters, inputs or files there",
+                    "{}: it is a part of another pipeline: `{node}` has other parameters, inputs or files \
+                     there",
                     folder.display()
                 ))
                 .hint("merge with the manifest, --set, --variant and --to that made the parts"));

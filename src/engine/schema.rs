@@ -17,9 +17,15 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
     // A manifest that extends another one may lay over a node without naming its kind again.
     let overlay = json!({
         "type": "object", "additionalProperties": false,
-        "properties": { "in": { "type": "object" }, "params": { "type": "object" }, "bypass": { "type": "boolean" }, "optional": { "type": "boolean" } },
+        "properties": {
+            "in": { "type": "object" }, "params": { "type": "object" }, "bypass": { "type": "boolean" },
+            "optional": { "type": "boolean" },
+        },
     });
-    let layer = json!({ "type": "object", "additionalProperties": false, "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } } });
+    let layer = json!({
+        "type": "object", "additionalProperties": false,
+        "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } },
+    });
     let ends = json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 });
     json!({
         "$schema": "http://json-schema.org/draft-07/schema#",
@@ -29,7 +35,9 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
         "required": ["format"],
         "properties": {
             "format": { "const": crate::manifest::FORMAT, "description": "Version of the manifest's form." },
-            "extends": { "type": "string", "description": "Path of the manifest that this one is laid over." },
+            "extends": {
+                "type": "string", "description": "Path of the manifest that this one is laid over.",
+            },
             "pipeline": { "$ref": "#/$defs/pipeline" },
             "nodes": {
                 "type": "object",
@@ -41,10 +49,16 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                 "additionalProperties": false,
                 "properties": {
                     "about": { "type": "string", "description": "What the ablation is for." },
-                    "metrics": { "type": "array", "items": { "type": "string" }, "description": "Numbers to compare: node.metric." },
+                    "metrics": {
+                        "type": "array", "items": { "type": "string" },
+                        "description": "Numbers to compare: node.metric.",
+                    },
                     "baseline": { "type": "object", "description": "The variant to compare with: a level \
                                                             for every axis." },
-                    "skip": { "type": "array", "items": { "type": "object" }, "description": "Combinations to leave out." },
+                    "skip": {
+                        "type": "array", "items": { "type": "object" },
+                        "description": "Combinations to leave out.",
+                    },
                     "axes": {
                         "type": "object", "description": "Named axes, each with named levels: tables that \
                                                           are laid over the manifest.",
@@ -54,8 +68,18 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                         "type": "object", "description": "Paths of parameters, in quotes, with their values.",
                         "additionalProperties": { "oneOf": [
                             { "type": "array", "minItems": 1 },
-                            { "type": "object", "additionalProperties": false, "required": ["log", "steps"], "properties": { "log": ends, "steps": { "type": "integer", "minimum": 2 } } },
-                            { "type": "object", "additionalProperties": false, "required": ["linear", "steps"], "properties": { "linear": ends, "steps": { "type": "integer", "minimum": 2 } } },
+                            {
+                                "type": "object", "additionalProperties": false,
+                                "required": ["log", "steps"],
+                                "properties": { "log": ends, "steps": { "type": "integer", "minimum": 2 } },
+                            },
+                            {
+                                "type": "object", "additionalProperties": false,
+                                "required": ["linear", "steps"],
+                                "properties": {
+                                    "linear": ends, "steps": { "type": "integer", "minimum": 2 },
+                                },
+                            },
                         ] },
                     },
                 },
@@ -69,7 +93,10 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                     "about": { "type": "string", "description": "What the pipeline is for." },
                     "seed": { "type": "integer", "minimum": 0, "description": "For nodes that draw random \
                                                             numbers." },
-                    "keep": { "type": "array", "items": { "type": "string" }, "description": "Outputs to store though nothing takes them: node.port." },
+                    "keep": {
+                        "type": "array", "items": { "type": "string" },
+                        "description": "Outputs to store though nothing takes them: node.port.",
+                    },
                     "blocks": crate::blocks::Blocks::schema(),
                 },
             },
@@ -110,7 +137,8 @@ fn node(kind: &Kind) -> Json {
             "params": params,
             "bypass": { "type": "boolean", "description": "Leave the node out and pass its input on." },
             "optional": { "type": "boolean", "description": "Leave the node out, with all that take \
-                                                            something from it, while its files are missing." },
+                something from it, while its files are \
+                missing." },
         },
     })
 }

@@ -447,7 +447,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn random_bytes_never_panic(kind in 1..3u8, tail in proptest::collection::vec(any::<u8>(), 0..300), at in 0..20usize, flip in any::<u8>()) {
+        fn random_bytes_never_panic(kind in 1..3u8, tail in proptest::collection::vec(any::<u8>(), 0..300),
+        at in 0..20usize, flip in any::<u8>()) {
             let mut bytes = file(kind, &tail);
             read(&bytes);
             bytes[at] ^= flip;

@@ -27,8 +27,10 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
     let all = &facts.all;
     let file = all.path.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut text = format!(
-        "# Sharp frames of {file} ({}): made by `photocurrent init`. It runs as it is: photocurrent run {name}.toml\n\
-         # Lines marked FILL state what the files do not; the picture depends on them, so check them first.\n{}format = 1\n\n\
+        "# Sharp frames of {file} ({}): made by `photocurrent init`. It runs as it is: photocurrent run \
+         {name}.toml\n\
+         # Lines marked FILL state what the files do not; the picture depends on them, so check them first.\n\
+         {}format = 1\n\n\
          [pipeline]\nabout = {}\n\n",
         facts.format.name,
         facts.marks.iter().map(|mark| format!("# FILL: {}\n", one_line(mark))).collect::<String>(),
@@ -145,7 +147,8 @@ pub fn sensor(facts: &Facts) -> String {
     let offset = fill("clock_offset");
     let effects = if offset.is_empty() { offset } else { format!("\n[effects]\n{offset}") };
     format!(
-        "# The camera of {file}: what its files state, and starting values for the rest. Made by `photocurrent init`.\n\
+        "# The camera of {file}: what its files state, and starting values for the rest. Made by \
+         `photocurrent init`.\n\
          # Measured thresholds are better: photocurrent nodes estimate/thresholds.\n\
          {camera}format = \"photocurrent-sensor/1\"\nname   = {}\n\n\
          [comparator]\n{}{}\n[readout]\n{}\n[frames]\n\

@@ -283,7 +283,10 @@ mod tests {
 
     #[test]
     fn a_field_of_the_card_is_an_axis_when_it_is_asked_for() {
-        let line = json!({"variant": "recording=a", "node": "right", "metric": "count", "frame": -1, "value": 1.0, "unit": "", "card": "d.v1: truth = blur; said = none"});
+        let line = json!({
+            "variant": "recording=a", "node": "right", "metric": "count", "frame": -1, "value": 1.0,
+            "unit": "", "card": "d.v1: truth = blur; said = none",
+        });
         let asked = Choice { card: vec!["truth".into(), "colour".into()], ..wish(false) };
         let found = record(&line, "concealed", &asked).expect("a line").expect("pooled");
         assert_eq!(
@@ -294,7 +297,10 @@ mod tests {
 
     #[test]
     fn a_pooled_line_stands_on_the_axes_of_its_variant_and_node() {
-        let line = json!({"variant": "scene=fan,light=50lx", "node": "psnr_akf_late", "metric": "psnr_db", "frame": -1, "value": 30.5, "unit": "dB", "min": 20.0});
+        let line = json!({
+            "variant": "scene=fan,light=50lx", "node": "psnr_akf_late", "metric": "psnr_db", "frame": -1,
+            "value": 30.5, "unit": "dB", "min": 20.0,
+        });
         let found = record(&line, "table1", &wish(false)).expect("a line").expect("pooled");
         let place: Vec<String> = found.place.iter().map(|(axis, level)| format!("{axis}={level}")).collect();
         assert_eq!(
@@ -316,8 +322,17 @@ mod tests {
 
     #[test]
     fn what_is_missing_stands_where_other_methods_have_numbers() {
-        let number = |node: &str, metric: &str| json!({"variant": "scene=fan", "node": node, "metric": metric, "frame": -1, "value": 1.0, "unit": "dB"});
-        let absent = |node: &str| json!({"variant": "scene=fan", "node": node, "missing": "film.onnx", "why": "cannot read weights/film.onnx"});
+        let number = |node: &str, metric: &str| {
+            json!({
+                "variant": "scene=fan", "node": node, "metric": metric, "frame": -1, "value": 1.0, "unit": "dB",
+            })
+        };
+        let absent = |node: &str| {
+            json!({
+                "variant": "scene=fan", "node": node, "missing": "film.onnx",
+                "why": "cannot read weights/film.onnx",
+            })
+        };
         let lines = [
             number("psnr_edi", "psnr_db"),
             number("psnr_edi", "sharpness"),
@@ -340,7 +355,11 @@ mod tests {
 
     #[test]
     fn what_write_table_writes_has_labels_and_what_was_not_measured_is_no_number() {
-        let line = |value: Value| json!({"variant": "EDI, late = 2", "node": "", "metric": "psnr_db", "value": value, "unit": "dB"});
+        let line = |value: Value| {
+            json!({
+                "variant": "EDI, late = 2", "node": "", "metric": "psnr_db", "value": value, "unit": "dB",
+            })
+        };
         let found = record(&line(Value::Null), "", &wish(false)).expect("a line").expect("pooled");
         assert_eq!(found.level("label"), Some("EDI, late = 2"));
         assert!(found.value.is_nan());
@@ -353,7 +372,12 @@ mod tests {
 
     #[test]
     fn levels_come_in_the_order_in_which_they_are_asked_for() {
-        let line = |scene: &str| json!({"variant": format!("scene={scene}"), "node": "psnr", "metric": "psnr_db", "frame": -1, "value": 1.0});
+        let line = |scene: &str| {
+            json!({
+                "variant": format!("scene={scene}"), "node": "psnr", "metric": "psnr_db", "frame": -1,
+                "value": 1.0,
+            })
+        };
         let all: Vec<Record> = ["fan", "ball", "text"]
             .iter()
             .filter_map(|scene| record(&line(scene), "", &wish(false)).expect("a line"))

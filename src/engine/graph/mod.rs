@@ -224,7 +224,12 @@ fn mermaid(drawing: &Drawing) -> String {
 fn json_text(drawing: &Drawing) -> String {
     let layers = drawing.layers(|_| true);
     let nodes = drawing.nodes.iter().zip(&layers);
-    let nodes: Vec<_> = nodes.map(|(node, layer)| json!({ "id": node.id, "kind": node.kind, "family": node.family(), "layer": layer })).collect();
+    let nodes: Vec<_> = nodes
+        .map(|(node, layer)| {
+            json!({ "id": node.id, "kind": node.kind,
+    "family": node.family(), "layer": layer })
+        })
+        .collect();
     let edge = |edge: &Edge| {
         json!({
             "from": drawing.nodes[edge.from].id, "from_port": edge.from_port,

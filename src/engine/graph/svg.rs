@@ -53,9 +53,11 @@ pub(super) fn draw(drawing: &Drawing) -> String {
     let places = Places { layout: &layout, box_height };
 
     let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {width:.0} {height:.0}\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 \
+         {width:.0} {height:.0}\" \
          font-family=\"sans-serif\" font-size=\"13\">\n<title>{title}</title>\n\
-         <defs><marker id=\"arrow\" viewBox=\"0 0 8 8\" refX=\"8\" refY=\"4\" markerWidth=\"7\" markerHeight=\"7\" orient=\"auto\">\
+         <defs><marker id=\"arrow\" viewBox=\"0 0 8 8\" refX=\"8\" refY=\"4\" markerWidth=\"7\" \
+         markerHeight=\"7\" orient=\"auto\">\
          <path class=\"head\" d=\"M0,0 L8,4 L0,8 z\" fill=\"#555\"/></marker></defs>\n\
          <rect class=\"page\" width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n<text x=\"{MARGIN}\" \
                        y=\"{y}\" font-weight=\"bold\">{title}</text>\n",

@@ -62,9 +62,12 @@ fn nodes_that_are_local_in_time_see_a_window_and_others_all_of_it_once() {
         plan.tasks[labels.iter().position(|other| *other == label).unwrap()].inputs[0].from.clone()
     };
     let ms = |t: i64| t / 1_000_000;
-    assert!(
-        matches!(windows("seen[2]")[..], [only] if matches!(only.extract, Extract::Window(span) if (ms(span.start.0), ms(span.end.0)) == (15, 45)))
-    );
+    assert!(matches!(
+        windows("seen[2]")[..],
+        [only] if matches!(
+            only.extract, Extract::Window(span) if (ms(span.start.0), ms(span.end.0)) == (15, 45),
+        ),
+    ));
     assert!(matches!(windows("again[2]")[..], [only] if only.extract == Extract::All && only.task == 2));
     assert_eq!(windows("last").iter().map(|part| part.task).collect::<Vec<_>>(), [4, 5, 6]);
     bench.run_well(&plan, &bench.options());

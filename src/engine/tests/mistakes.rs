@@ -113,7 +113,8 @@ fn kinds_and_parameters_are_checked() {
     let add = "[nodes.solve]\nkind = \"solve/add\"\nin.plane = \"source\"\n";
     assert_eq!(
         said_after(&format!("{add}params = {{ rate = 5, amount = 200.0, direction = \"upp\" }}\n")),
-        "m.toml:7:19: expected a rate with its unit, found the integer 5\n  hint: write it as text with a unit, such as \"10 kHz\" (units: Hz, fps, kHz, MHz)\n\
+        "m.toml:7:19: expected a rate with its unit, found the integer 5\n  hint: write it as text with a \
+         unit, such as \"10 kHz\" (units: Hz, fps, kHz, MHz)\n\
          m.toml:7:31: `amount` must be from -100 to 100, found 200\n\
          m.toml:7:50: \"upp\" is not one of \"up\", \"down\"\n  hint: did you mean \"up\"?\n"
     );
@@ -256,7 +257,8 @@ fn what_is_sound_is_planned_with_what_is_not() {
         )),
         "m.toml:13:2: `pipelin` is not a key of a manifest\n  hint: did you mean `pipeline`?\n\
          m.toml:9:8: there is no node kind `solve/ad`\n  hint: did you mean `solve/add`?\n\
-         m.toml:7:21: nodes.solve: `amount` must not be 13 here\n  somebody is superstitious\n  hint: take 15\n"
+         m.toml:7:21: nodes.solve: `amount` must not be 13 here\n  somebody is superstitious\n  hint: take \
+         15\n"
     );
 }
 
@@ -366,7 +368,8 @@ fn an_ablation_is_checked() {
 
 #[test]
 fn every_independent_mistake_is_reported_at_once_and_none_that_only_follows() {
-    let text = "[nodes.a]\nkind = \"solve/ad\"\n[nodes.b]\nkind = \"solve/add\"\nin.plane = \"a\"\nparams.amont = 1\n[nodes.c]\nkind = \"solve/add\"\nin.plane = \"b\"\n\
+    let text = "[nodes.a]\nkind = \"solve/ad\"\n[nodes.b]\nkind = \"solve/add\"\nin.plane = \"a\"\n\
+                params.amont = 1\n[nodes.c]\nkind = \"solve/add\"\nin.plane = \"b\"\n\
                 [nodes.d]\nkind = \"solve/add\"\nin.plan = \"source\"\n";
     let places: Vec<String> = said_after(text)
         .lines()

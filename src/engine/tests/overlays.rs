@@ -166,7 +166,8 @@ fn a_sweep_over_text_names_its_levels_without_spaces() {
 fn variants_are_chosen_whole_or_in_part() {
     let folder = Folder::new();
     let axes = "[ablation.axes.way]\nup = {}\ndown = \
-                { nodes.solve.params.direction = \"down\" }\n[ablation.sweep]\n\"nodes.source.params.offset\" = [1, 2]\n";
+                { nodes.solve.params.direction = \"down\" }\n[ablation.sweep]\n\
+                \"nodes.source.params.offset\" = [1, 2]\n";
     let project = load(&folder.write("m.toml", &format!("{BASE}{axes}")), &[]);
     let names = |variants: &[&str]| -> Vec<String> {
         let selection = Selection {

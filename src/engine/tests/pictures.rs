@@ -36,7 +36,9 @@ fn json_has_every_node_and_edge() {
     assert_eq!(json["edges"].as_array().unwrap().len(), 5);
     assert_eq!(
         json["edges"][1],
-        serde_json::json!({"from": "halves", "from_port": "low", "to": "smooth", "to_port": "plane", "type": "map"})
+        serde_json::json!({
+            "from": "halves", "from_port": "low", "to": "smooth", "to_port": "plane", "type": "map",
+        })
     );
     assert_eq!(json["nodes"][3]["layer"], 3);
 }
