@@ -12,12 +12,14 @@ const COLUMNS: usize = 110;
 const LINES: usize = 80;
 
 /// Most lines of a source file: what has more is two files.
-const FILE_LINES: usize = 850;
+const FILE_LINES: usize = 900;
 
 /// Functions that may be longer. The first is an inner loop whose phases share so many locals that parts would
-/// only pass them on; those of the command are still to be split, and may only become fewer.
-const LONGER: [(&str, &str); 6] = [
+/// only pass them on, the second one JSON document; those of the command are still to be split, and may only
+/// become fewer.
+const LONGER: [(&str, &str); 7] = [
     ("src/sensor/map/group/columns.rs", "run"),
+    ("src/engine/schema.rs", "manifest_schema"),
     ("src/cli/init/facts.rs", "collect"),
     ("src/cli/init/readings.rs", "best"),
     ("src/cli/init/hazards.rs", "act"),

@@ -24,8 +24,10 @@
 //! let path = folder.path().join("m.toml");
 //! let text = "format = \"photocurrent-pipeline/1\"\n[nodes.a]\nkind = \"read/nothing\"\n[nodes.b]\nkind = 7\n";
 //! std::fs::write(&path, text).unwrap();
-//! let problems = Plan::load(&path, &[], &Catalogue::new(Vec::new()), &Selection::default()).err().unwrap();
-//! let lines: Vec<usize> = problems.iter().map(|problem| problem.at.as_ref().unwrap().line_column().0).collect();
+//! let (catalogue, all) = (Catalogue::new(Vec::new()), Selection::default());
+//! let problems = Plan::load(&path, &[], &catalogue, &all).err().unwrap();
+//! let line = |problem: &photocurrent_core::document::Problem| problem.at.as_ref().unwrap().line_column().0;
+//! let lines: Vec<usize> = problems.iter().map(line).collect();
 //! assert_eq!(lines, [5, 3], "{problems:?}");
 //! ```
 

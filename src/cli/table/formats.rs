@@ -412,7 +412,9 @@ mod tests {
 \\toprule
  & \\multicolumn{2}{c}{ours} & \\multicolumn{2}{c}{EDI} & \\multicolumn{2}{c}{akf} \\\\
 \\cmidrule(lr){2-3}\\cmidrule(lr){4-5}\\cmidrule(lr){6-7}
-scene & psnr\\_db [dB] $\\uparrow$ & lpips $\\downarrow$ & psnr\\_db [dB] $\\uparrow$ & lpips $\\downarrow$ & psnr\\_db [dB] $\\uparrow$ & lpips $\\downarrow$ \\\\
+scene & psnr\\_db [dB] $\\uparrow$ & lpips $\\downarrow$ \
+& psnr\\_db [dB] $\\uparrow$ & lpips $\\downarrow$ \
+& psnr\\_db [dB] $\\uparrow$ & lpips $\\downarrow$ \\\\
 \\midrule
 fan & \\textbf{30.0} & 0.30 & 28.0 & \\textbf{0.28} & \\underline{29.0} & \\underline{0.29} \\\\
 ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
@@ -428,7 +430,10 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
         let lines: Vec<serde_json::Value> =
             text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
         assert_eq!(lines.len(), 12);
-        let expected = json!({"scene": "fan", "method": "edi", "metric": "lpips", "value": 0.28, "unit": "", "higher_is_better": false, "mark": "best", "card": "a card"});
+        let expected = json!({
+            "scene": "fan", "method": "edi", "metric": "lpips", "value": 0.28, "unit": "",
+            "higher_is_better": false, "mark": "best", "card": "a card",
+        });
         assert_eq!(lines[3], expected);
         assert_eq!(lines[10]["value"], serde_json::Value::Null);
         let array = super::json(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));

@@ -324,7 +324,8 @@ mod tests {
     fn what_is_missing_stands_where_other_methods_have_numbers() {
         let number = |node: &str, metric: &str| {
             json!({
-                "variant": "scene=fan", "node": node, "metric": metric, "frame": -1, "value": 1.0, "unit": "dB",
+                "variant": "scene=fan", "node": node, "metric": metric, "frame": -1, "value": 1.0,
+                "unit": "dB",
             })
         };
         let absent = |node: &str| {
