@@ -130,11 +130,11 @@ fn has_messages(group: &&Group) -> bool {
     group.messages != Some(0)
 }
 
+/// Topics with events, the first message of each, and topics with triggers.
+type Topics = (Vec<Group>, Vec<First>, Vec<Group>);
+
 /// Topics with events, their first messages, and topics with triggers.
-fn event_topics(
-    contents: &Arc<Contents>,
-    groups: &[Group],
-) -> Result<(Vec<Group>, Vec<First>, Vec<Group>), FormatError> {
+fn event_topics(contents: &Arc<Contents>, groups: &[Group]) -> Result<Topics, FormatError> {
     let mut candidates: Vec<Group> = Vec::new();
     let mut firsts: Vec<First> = Vec::new();
     let mut trigger_topics = Vec::new();
