@@ -14,8 +14,8 @@ const LINES: usize = 80;
 /// Most lines of a source file: what has more is two files.
 const FILE_LINES: usize = 900;
 
-/// Functions that may be longer. The first is an inner loop whose phases share so many locals that parts would
-/// only pass them on, the second one JSON document; those of the command are still to be split, and may only
+/// Functions that may be longer. The first is an inner loop whose phases share so many locals that parts
+/// would only pass them on, the second one JSON document; those of the command are still to be split, and may only
 /// become fewer.
 const LONGER: [(&str, &str); 7] = [
     ("src/sensor/map/group/columns.rs", "run"),
@@ -51,7 +51,8 @@ fn too_long(text: &str) -> Vec<(usize, usize)> {
         let words = line.trim_start_matches(['/', '!', ' ']);
         let is_one_word = !words.contains(' ') || words.starts_with('|');
         let columns = line.chars().count();
-        if columns > COLUMNS && !is_one_word && open.is_none() {
+        let is_raw = open.is_some() || line.contains("r#\"");
+        if columns > COLUMNS && !is_one_word && !is_raw {
             found.push((number + 1, columns));
         }
     }

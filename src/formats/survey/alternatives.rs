@@ -18,7 +18,7 @@
 //! let scored = compare(recording, &alternatives, &Much::default())?;
 //! match decided(&scored) {
 //!     Some(best) => println!("{}: explains {:.2}", best.name, best.explained.value),
-//!     None => println!("a question for the user: {:?}", scored.iter().map(|one| &one.name).collect::<Vec<_>>()),
+//!     None => scored.iter().for_each(|one| println!("a question for the user: {}", one.name)),
 //! }
 //! # Ok(())
 //! # }

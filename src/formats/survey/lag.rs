@@ -321,8 +321,8 @@ impl Panel {
     }
 }
 
-/// Adds the stretches of the frames to the panel, as far as memory allows: of each frame its stretch and place
-/// in it. Neighbours whose middles rise belong to one stretch.
+/// Adds the stretches of the frames to the panel, as far as memory allows: of each frame its stretch and
+/// place in it. Neighbours whose middles rise belong to one stretch.
 fn stretches(
     chosen: &[usize],
     mids: &[i64],
