@@ -15,8 +15,8 @@ const LINES: usize = 80;
 const FILE_LINES: usize = 900;
 
 /// Functions that may be longer. The first is an inner loop whose phases share so many locals that parts
-/// would only pass them on, the second one JSON document; those of the command are still to be split, and may only
-/// become fewer.
+/// would only pass them on, the second one JSON document; those of the command are still to be split, and
+/// may only become fewer.
 const LONGER: [(&str, &str); 7] = [
     ("src/sensor/map/group/columns.rs", "run"),
     ("src/engine/schema.rs", "manifest_schema"),
