@@ -22,8 +22,7 @@
 //! use photocurrent_engine::{Plan, Selection};
 //! let folder = tempfile::tempdir().unwrap();
 //! let path = folder.path().join("m.toml");
-//! let text = "format = \"photocurrent-pipeline/1\"\n[nodes.a]\nkind = \"read/nothing\"\n\
-//!             [nodes.b]\nkind = 7\n";
+//! let text = "format = 1\n[nodes.a]\nkind = \"read/nothing\"\n[nodes.b]\nkind = 7\n";
 //! std::fs::write(&path, text).unwrap();
 //! let (catalogue, all) = (Catalogue::new(Vec::new()), Selection::default());
 //! let problems = Plan::load(&path, &[], &catalogue, &all).err().unwrap();
