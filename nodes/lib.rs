@@ -10,6 +10,7 @@ pub mod baseline;
 pub mod catalog;
 mod command;
 pub mod compensate;
+pub mod crop;
 pub mod diagnose;
 pub mod estimate;
 pub mod held;

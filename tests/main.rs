@@ -27,6 +27,7 @@
 //! - `pairing`: pictures with the pulses of a trigger line, or with stamps, of which some are missing.
 //! - `parts`: rows made apart and merged are the bytes of one process.
 //! - `readers`: the Python and Octave readers of docs/readers against what the command writes.
+//! - `readme`: the commands of README.md exist; the changelog has a head.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `situations`: what real users met: units, sizes, pauses, strays, mirrored and shifted pictures; `disc`
@@ -62,6 +63,7 @@ mod pairing;
 mod parts;
 mod pipelines;
 mod readers;
+mod readme;
 mod recordings;
 mod reports;
 mod situations;

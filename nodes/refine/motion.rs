@@ -163,7 +163,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let (motion, trust) = (&MotionParams::default(), &TrustParams::default());
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &activity, (motion, DOUBT > 0.0));
+            let flow = Flow::of_tracks(&log, span, &activity, (motion, true));
             let neighbours =
                 Neighbours { log: &log, flow: &flow, motion, doubt: DOUBT, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);

@@ -16,7 +16,8 @@ use super::instants::Thinned;
 use super::source::{In, Metas, Out, Scale, TruthParams};
 use super::stored::folder::{self, Pictures};
 use super::stored::y4m::Y4m;
-use super::stored::{Crop, Film, Transfer, Window, cannot_read, short_name};
+use super::stored::{Film, Transfer, Window, cannot_read, short_name};
+use crate::crop::Crop;
 use photocurrent_core::quantity::{Duration, Illuminance, InputPath, Rate};
 use photocurrent_core::{
     Context, Decl, FileRef, FrameBlock, Grain, LightBand, Meta, Node, NodeError, PortMetas, Rows, Sensor,

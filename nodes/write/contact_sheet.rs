@@ -21,12 +21,12 @@ mod shown;
 
 use self::events::{Count, colour, counted};
 use self::sheet::{GAP, Layout, Sheet, displayed, grey_range};
-pub use self::shown::Crop;
 use self::shown::Shown;
 use super::font;
 use super::frames::nominal_exposure_ns;
 use super::picture::Picture;
 use crate::baseline::repeat::black_level;
+use crate::crop::Crop;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{

@@ -103,6 +103,7 @@ impl FrameTimes {
         }
     }
 
+    #[cfg(feature = "graph")]
     fn write_digest(&self, digest: &mut DigestBuilder) {
         let flat: Vec<i64> = self.exposures.iter().flat_map(|e| [e.start.0, e.end.0]).collect();
         digest.integer(self.row_time_ns).slice(&flat);
@@ -147,6 +148,7 @@ impl FramesMeta {
     }
 
     /// Writes every attribute that is part of the content.
+    #[cfg(feature = "graph")]
     pub(crate) fn write_digest(&self, digest: &mut DigestBuilder) {
         digest
             .text("frames/1")

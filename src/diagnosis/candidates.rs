@@ -281,7 +281,13 @@ impl Trial {
 
     /// The stated sensor with one effect.
     pub fn with(nominal: &Nominal, candidate: &Candidate, effect_size: f64, scales: &Scales) -> Trial {
-        let mut trial = Trial::stated(nominal);
+        Trial::stated(nominal).and(candidate, effect_size, scales)
+    }
+
+    /// The same sensor with one effect more.
+    #[must_use]
+    pub fn and(&self, candidate: &Candidate, effect_size: f64, scales: &Scales) -> Trial {
+        let mut trial = self.clone();
         candidate.apply(&mut trial, effect_size, scales);
         trial
     }

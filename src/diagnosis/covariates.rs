@@ -60,6 +60,18 @@ pub enum Covariate {
 }
 
 impl Covariate {
+    /// What frame values may depend on.
+    pub const OF_FRAMES: [Covariate; 8] = [
+        Covariate::Row,
+        Covariate::RowParity,
+        Covariate::Column,
+        Covariate::ColumnBlock,
+        Covariate::Radius,
+        Covariate::Time,
+        Covariate::Photocurrent,
+        Covariate::Slope,
+    ];
+
     /// All of them.
     pub const ALL: [Covariate; 21] = [
         Covariate::Row,

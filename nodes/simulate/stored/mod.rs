@@ -12,6 +12,7 @@ pub mod folder;
 pub mod still;
 pub mod y4m;
 
+use crate::crop::Crop;
 use photocurrent_core::{Extent, NodeError, Rows};
 use photocurrent_formats::FormatError;
 use schemars::JsonSchema;
@@ -87,22 +88,6 @@ pub trait Film: Send + Sync {
     /// # Errors
     /// When the file cannot be read or is damaged.
     fn read(&self, frame: usize, rows: Rows, each: &mut dyn FnMut(&[f64])) -> Result<(), NodeError>;
-}
-
-/// A part of a picture, in its pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Crop {
-    /// Leftmost column, counted from 0.
-    pub x: u32,
-    /// Topmost row, counted from 0.
-    pub y: u32,
-    /// Number of columns, 1 or more.
-    #[schemars(range(min = 1))]
-    pub width: u32,
-    /// Number of rows, 1 or more.
-    #[schemars(range(min = 1))]
-    pub height: u32,
 }
 
 /// What is taken of every picture: a part, with squares of pixels averaged to one.

@@ -4,7 +4,7 @@
 //! green away. So a pixel that saw only one polarity is a pure tint, and one that saw both (something narrow
 //! passed) is purple-grey to black instead of looking idle.
 
-use super::shown::Crop;
+use crate::crop::Crop;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::{Colour, EventStream, NodeError, Rows, TimeSpan};
 use photocurrent_solve::co_located::CoLocated;

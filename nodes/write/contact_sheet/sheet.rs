@@ -1,7 +1,8 @@
 //! The sheet itself: where things stand on it, and how a value becomes dots.
 
 use super::super::font;
-use super::shown::{Crop, Shown};
+use super::shown::Shown;
+use crate::crop::Crop;
 
 /// Dots between things.
 pub(super) const GAP: u32 = 6;

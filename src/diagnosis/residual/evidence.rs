@@ -16,7 +16,7 @@ use super::control::{Behind, control};
 use super::fit::EventNoise;
 use super::located::{Located, LocatedSetting};
 use super::open::{self, Open, OpenSetting};
-use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share, on_top};
+use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::rhythm::strongest_period_ns;
 use crate::verdict::is_material;
@@ -536,7 +536,7 @@ impl Ranking<'_> {
         let with = if is_random {
             self.stated.clone()
         } else {
-            on_top(self.stated, first.candidate, effect_size, seen.scales)
+            self.stated.and(&CANDIDATES[first.candidate], effect_size, seen.scales)
         };
         let shifted = parts
             .iter()

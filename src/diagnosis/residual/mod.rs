@@ -15,12 +15,14 @@
 //! - [`located`]: where the gain of an effect is.
 //! - [`evidence`]: all of it on one scene.
 
+mod axis;
 pub mod components;
 pub mod control;
 pub mod evidence;
 pub mod fit;
 pub mod located;
 pub mod open;
+mod places;
 mod prepared;
 mod table;
 

@@ -5,8 +5,9 @@ use super::evidence::{EvidenceSetting, Ranked};
 use super::fit::{
     self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
-use super::located::{Ground, Located};
+use super::located::Ground;
 use super::open::{self, Laid, Open, lay};
+use super::places::Places;
 use super::prepared::Prepared;
 use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
@@ -17,7 +18,6 @@ use photocurrent_scene::light::Light;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::median;
 use photocurrent_scene::{Cell, Scene};
-use photocurrent_sensor::effects::Stage;
 use photocurrent_sensor::effects::sought::Grows;
 use photocurrent_sensor::elementary::ln;
 use std::borrow::Cow;
@@ -193,38 +193,6 @@ pub(super) struct Refined {
     pub by: Vec<f64>,
 }
 
-/// What gains are located on.
-pub(super) struct Places<'a> {
-    events: Ground<'a>,
-    /// Of a known scene.
-    frames: Option<Ground<'a>>,
-}
-
-impl Places<'_> {
-    /// Where the gains of an effect are: of events, or of frame values where the effect is one of frames and
-    /// they were looked at.
-    fn locate(&self, gains: &[f64], candidate: usize) -> Located {
-        let decl = CANDIDATES[candidate].decl();
-        let (of_events, of_frames) = gains.split_at(self.events.pixel.len());
-        match &self.frames {
-            Some(frames) if decl.stage == Stage::Exposure => frames.locate(of_frames, decl.covariate),
-            _ => self.events.locate(of_events, decl.covariate),
-        }
-    }
-}
-
-/// What frame values may depend on.
-const OF_FRAMES: [Covariate; 8] = [
-    Covariate::Row,
-    Covariate::RowParity,
-    Covariate::Column,
-    Covariate::ColumnBlock,
-    Covariate::Radius,
-    Covariate::Time,
-    Covariate::Photocurrent,
-    Covariate::Slope,
-];
-
 /// Candidates whose columns each pixel may have a size of its own of: what [`SPREADS`] spread.
 pub(super) static OF_PIXELS: LazyLock<[(&str, &str); 2]> = LazyLock::new(|| {
     let spread_of =
@@ -390,7 +358,7 @@ impl Seen<'_> {
             ..Residuals::default()
         };
         let mut of_frames = if count > 0 { lay(&values, &surroundings, None) } else { Vec::new() };
-        of_frames.retain(|laid| OF_FRAMES.contains(&laid.covariate));
+        of_frames.retain(|laid| Covariate::OF_FRAMES.contains(&laid.covariate));
         [lay(&table.events, &surroundings, period_ns), of_frames]
     }
 
@@ -459,14 +427,15 @@ impl Seen<'_> {
     /// soft by `softest` at most.
     pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
-        let can_be =
-            |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
+        let can_be = |n: &usize| {
+            Prepared::new(self.case, &trial.and(&CANDIDATES[*n], self.probe(*n), self.scales)).is_ok()
+        };
         let chosen: Vec<usize> = (0..CANDIDATES.len())
             .filter(|&n| !CANDIDATES[n].is_random && Some(n) != without)
             .filter(can_be)
             .collect();
         let mut trials = vec![trial.clone()];
-        trials.extend(chosen.iter().map(|&n| on_top(trial, n, self.probe(n), self.scales)));
+        trials.extend(chosen.iter().map(|&n| trial.and(&CANDIDATES[n], self.probe(n), self.scales)));
         let found = self.evaluate(&trials, None)?;
         let block: Vec<u32> = found
             .events
@@ -596,10 +565,9 @@ impl Seen<'_> {
 
     /// A sensor with more effects, each of its size.
     fn with_effects(&self, trial: &Trial, which: &[usize], effect_sizes: &[f64]) -> Trial {
-        which
-            .iter()
-            .zip(effect_sizes)
-            .fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales))
+        which.iter().zip(effect_sizes).fold(trial.clone(), |trial, (&n, &effect_size)| {
+            trial.and(&CANDIDATES[n], effect_size, self.scales)
+        })
     }
 
     /// A sensor whose effects have these sizes, and those with one of the `free` ones moved by `further`.
@@ -724,13 +692,6 @@ pub(super) fn median_share(residual: &[f64], threshold: f64) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|residual| residual.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     sizes.get(sizes.len() / 2).copied().unwrap_or(f64::NAN) / threshold
-}
-
-/// A sensor with one more effect.
-pub(super) fn on_top(trial: &Trial, candidate: usize, effect_size: f64, scales: &Scales) -> Trial {
-    let mut trial = trial.clone();
-    CANDIDATES[candidate].apply(&mut trial, effect_size, scales);
-    trial
 }
 
 fn is_physics(candidate: usize, effect_size: f64) -> bool {

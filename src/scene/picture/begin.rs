@@ -1,8 +1,8 @@
 //! How the motion of a picture begins: frames for registration, and splines through the poses that it finds.
 
-use super::estimate::PictureSetting;
 use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
 use super::patches::moving;
+use super::setting::PictureSetting;
 use crate::case::Case;
 use crate::image::Image;
 use crate::nominal::Nominal;

@@ -3,112 +3,16 @@
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
 use super::coverage::coverage;
-use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
-use super::register::{Search, register};
-use super::shading::{self, TERMS};
-use super::spline::{Grid, ORDER, weights};
-use super::system::{
-    LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp,
-};
+use super::motion::{DEGREES, Map, Motion, RIGID, apply, compose};
+use super::register::register;
+use super::setting::PictureSetting;
+use super::shading::TERMS;
+use super::spline::Grid;
+use super::system::{LANES, Rows, Smoothness, Unknowns, add, again, draw, roughness, solve};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
-
-/// Gauss-Legendre instants of an exposure (of -1 to 1) and their shares of the mean.
-const INSTANTS: [(f64, f64); 6] = [
-    (-0.932_469_514_203_152, 0.085_662_246_189_585),
-    (-0.661_209_386_466_264_5, 0.180_380_786_524_069_3),
-    (-0.238_619_186_083_196_9, 0.233_956_967_286_345_5),
-    (0.238_619_186_083_196_9, 0.233_956_967_286_345_5),
-    (0.661_209_386_466_264_5, 0.180_380_786_524_069_3),
-    (0.932_469_514_203_152, 0.085_662_246_189_585),
-];
-
-/// How a picture is fitted.
-#[derive(Clone, Copy, Debug)]
-pub struct PictureSetting {
-    /// Distance of coefficients, pixels.
-    pub pitch: f64,
-    /// And while motion is found, pixels.
-    pub coarse_pitch: f64,
-    /// Shortest time between knots of the motion, ns.
-    pub knot_ns: i64,
-    /// Rounds of Gauss-Newton at most: on the coarse grid, and on the fine one.
-    pub rounds: (usize, usize),
-    /// And on each at least so many.
-    pub least_rounds: usize,
-    /// Conjugate gradients in each.
-    pub steps: (usize, usize),
-    /// Standard deviation of frame values beyond what is stated, DN.
-    pub frame_dn: f64,
-    /// And as a share of the signal.
-    pub frame_share: f64,
-    /// Residuals count half at this many standard deviations.
-    pub robust: f64,
-    /// Frame noise may be this much smaller than it is first assumed.
-    pub least_misfit: f64,
-    /// A further round is taken while the misfit falls by this share.
-    pub gain: f64,
-    /// Second differences of the picture that are always possible, as a share of its mean.
-    pub least_roughness: f64,
-    /// Share of the picture's overall roughness in the local one.
-    pub pooled: f64,
-    /// Weight of the second differences of the motion's knots, one over pixels.
-    pub motion_weight: f64,
-    /// Standard deviation of scale and shear, pixels at the array's edge.
-    pub stretch: f64,
-    /// Is the array's shading fitted?
-    pub is_shaded: bool,
-    /// Where more than this share of frame values does not change, a scene that stands still is tried as
-    /// well.
-    pub still: f64,
-    /// More frame values than this are not fitted: each takes some 300 bytes.
-    pub most_values: usize,
-    /// How motion begins.
-    pub search: Search,
-    /// So many times the picture is fitted to what it leaves, from where it stands.
-    pub again: usize,
-    /// Conjugate gradients of each of these times, and of a draw.
-    pub again_steps: usize,
-    /// See there.
-    pub draw_steps: usize,
-    /// Seed of draws of what frames leave open.
-    pub seed: u64,
-    /// What a picture is sharpened over to find what its fit removes, pixels.
-    pub sharpest: f64,
-}
-
-impl Default for PictureSetting {
-    fn default() -> PictureSetting {
-        PictureSetting {
-            pitch: 0.55,
-            coarse_pitch: 1.3,
-            knot_ns: 10_000_000,
-            rounds: (5, 5),
-            least_rounds: 3,
-            steps: (40, 50),
-            frame_dn: 1.0,
-            frame_share: 0.005,
-            robust: 4.0,
-            least_misfit: 0.02,
-            gain: 0.05,
-            least_roughness: 0.003,
-            pooled: 0.1,
-            motion_weight: 1.0,
-            stretch: 3.0,
-            is_shaded: true,
-            still: 0.4,
-            most_values: 1_000_000,
-            search: Search::default(),
-            again: 5,
-            again_steps: 30,
-            draw_steps: 25,
-            seed: 1,
-            sharpest: 0.4,
-        }
-    }
-}
 
 /// How well a picture explains the frames.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -296,81 +200,17 @@ pub struct Begin<'a> {
     pub selected: Option<&'a [bool]>,
 }
 
-/// One instant of a row's exposure.
-#[derive(Clone, Copy)]
-struct Moment {
-    map: Map,
-    pose: Pose,
-    knot: usize,
-    weights: [f64; ORDER],
-    share: f64,
-}
-
-/// How a row of a frame is exposed.
-struct RowExposure {
-    instants: [Moment; 6],
-    /// The first knot of the motion that it depends on.
-    knot: usize,
-    /// So many knots from there on.
-    touched: u8,
-    /// Digital numbers of a photocurrent of 1.
-    factor: f64,
-}
-
-/// Intervals of the grid in which the place of a pixel stands at the instants of its exposure.
-type Located = [(usize, usize, f64, f64); 6];
-
-/// The part of the grid that a pixel sees during its exposure.
-struct Footprint {
-    /// First column and line.
-    low: (usize, usize),
-    columns: usize,
-    lines: usize,
-}
-
-impl Footprint {
-    fn of(located: &Located, grid: &Grid) -> Footprint {
-        let low = (
-            located.iter().map(|at| at.0).min().unwrap_or(0),
-            located.iter().map(|at| at.1).min().unwrap_or(0),
-        );
-        let high = (
-            located.iter().map(|at| at.0).max().unwrap_or(0),
-            located.iter().map(|at| at.1).max().unwrap_or(0),
-        );
-        let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
-        // Padding stands within the grid.
-        Footprint { low: (low.0.min(grid.width - columns), low.1), columns, lines }
-    }
-
-    /// Shares of the coefficients of a signal in which a photocurrent of 1 is `scale`.
-    fn fill(&self, stencil: &mut Vec<f32>, located: &Located, instants: &[Moment; 6], scale: f64) {
-        stencil.clear();
-        stencil.resize(self.columns * self.lines, 0.0);
-        for ((i, j, f, g), instant) in located.iter().zip(instants) {
-            stamp(
-                stencil,
-                self.columns,
-                self.low,
-                (*i, *j),
-                &weights(*f),
-                &weights(*g),
-                scale * instant.share,
-            );
-        }
-    }
-}
-
-struct Fit<'a> {
-    case: &'a Case,
-    nominal: &'a Nominal,
-    setting: &'a PictureSetting,
-    counts: Option<&'a [bool]>,
-    selected: Option<&'a [bool]>,
-    picture: Picture,
+/// A fit under way.
+pub(super) struct Fit<'a> {
+    pub(super) case: &'a Case,
+    pub(super) nominal: &'a Nominal,
+    pub(super) setting: &'a PictureSetting,
+    pub(super) counts: Option<&'a [bool]>,
+    pub(super) selected: Option<&'a [bool]>,
+    pub(super) picture: Picture,
     /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
-    typical: f64,
-    scale: f64,
+    pub(super) typical: f64,
+    pub(super) scale: f64,
 }
 
 impl<'a> Fit<'a> {
@@ -577,7 +417,7 @@ impl<'a> Fit<'a> {
         self.sigma(f64::from(rows.signal[r]))
     }
 
-    fn sigma(&self, signal: f64) -> f64 {
+    pub(super) fn sigma(&self, signal: f64) -> f64 {
         self.picture.sigma(self.nominal, signal)
     }
 
@@ -693,171 +533,6 @@ impl<'a> Fit<'a> {
         }
         self.picture.residual = residual;
         self.picture.coverage = coverage(rows, &self.picture.grid);
-    }
-
-    /// Puts every frame value on the grid at the present motion.
-    fn lay(&self, with_rest: bool) -> Rows {
-        let height = self.case.extent.height as usize;
-        let count = self.case.frame_count();
-        let parts: Vec<Rows> = (0..count * height)
-            .into_par_iter()
-            .map(|n| self.lay_row(n / height, n % height, with_rest))
-            .collect();
-        let mut rows = Rows { first: vec![0], ..Rows::default() };
-        for part in parts {
-            let begun = rows.stencil.len() as u32;
-            rows.first.extend(part.first.iter().skip(1).map(|at| at + begun));
-            rows.unit.extend(part.unit);
-            rows.measured.extend(part.measured);
-            rows.is_saturated.extend(part.is_saturated);
-            rows.touched.extend(part.touched);
-            rows.corner.extend(part.corner);
-            rows.stencil.extend(part.stencil);
-            rows.residual.extend(part.residual);
-            rows.weight.extend(part.weight);
-            rows.knot.extend(part.knot);
-            rows.by_rest.extend(part.by_rest);
-            rows.rest_unit.extend(part.rest_unit);
-            rows.signal.extend(part.signal);
-            rows.index.extend(part.index);
-            rows.behind.extend(part.behind);
-        }
-        rows
-    }
-
-    /// How row `y` of frame `l` is exposed.
-    fn row_exposure(&self, l: usize, y: usize) -> RowExposure {
-        let motion = &self.picture.motion;
-        let times = &self.case.frames.as_ref().expect("frames are there").times;
-        let exposure = times.exposure(l, y as u32);
-        let (start, end) = (exposure.start.0, exposure.end.0);
-        let seconds = (end - start) as f64 * 1e-9;
-        let instants: [Moment; 6] = INSTANTS.map(|(place, share)| {
-            let t_ns = i64::midpoint(start, end) + (0.5 * place * (end - start) as f64) as i64;
-            let (knot, weights) = motion.weights(t_ns);
-            let pose = motion.pose(t_ns);
-            Moment { map: map_of(&pose, motion.half), pose, knot, weights, share }
-        });
-        let knot = instants[0].knot;
-        let touched = instants
-            .iter()
-            .map(|instant| (instant.knot - knot + ORDER).min(TOUCHED))
-            .max()
-            .unwrap_or(TOUCHED) as u8;
-        RowExposure { instants, knot, touched, factor: self.nominal.number.gain * seconds }
-    }
-
-    /// What the knots of the motion change of a frame value at a place; `scale`: of the signal, `behind`: the
-    /// ground there.
-    fn by_motion(
-        &self,
-        row: &RowExposure,
-        place: (f64, f64),
-        scale: f64,
-        behind: Option<f64>,
-    ) -> [f32; REST] {
-        let Picture { grid, surface, unit: of_hidden, motion, .. } = &self.picture;
-        let (surface, hidden) = surface.split_at(grid.coefficients());
-        let mut by_rest = [0.0_f32; REST];
-        for instant in &row.instants {
-            let (px, py) = apply(&instant.map, place.0, place.1);
-            let (mut gx, mut gy) = grid.gradient(surface, px, py);
-            if let Some(ground) = behind {
-                let (hx, hy) = grid.gradient(hidden, px, py);
-                (gx, gy) = (gx - ground / of_hidden * hx, gy - ground / of_hidden * hy);
-            }
-            let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1)
-                .map(|(dx, dy)| gx * dx + gy * dy);
-            for (n, weight) in instant.weights.iter().enumerate() {
-                let at = (instant.knot - row.knot + n).min(TOUCHED - 1);
-                let share = scale * instant.share * weight;
-                by_rest[POSES + at * DEGREES..][..DEGREES]
-                    .iter_mut()
-                    .zip(by)
-                    .for_each(|(sum, by)| *sum += (share * by) as f32);
-            }
-        }
-        by_rest
-    }
-
-    fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
-        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } =
-            &self.picture;
-        let (surface, hidden) = surface.split_at(grid.coefficients());
-        let row = self.row_exposure(l, y);
-        let RowExposure { instants, knot, touched, factor } = &row;
-        let number = self.nominal.number;
-        let mut rows = Rows { first: vec![0], ..Rows::default() };
-        let mut stencil: Vec<f32> = Vec::new();
-        for x in 0..self.case.extent.width as usize {
-            let pixel = y * self.case.extent.width as usize + x;
-            let dn = self.case.dn(l, pixel);
-            let behind = ground.get(pixel).map(|ground| f64::from(*ground));
-            if !dn.is_finite()
-                || self.selected.is_some_and(|selected| !selected[pixel])
-                || behind.is_some_and(|ground| !ground.is_finite())
-            {
-                continue;
-            }
-            let place = (x as f64 - centre.0, y as f64 - centre.1);
-            let unit = (place.0 / motion.half, place.1 / motion.half);
-            let basis = shading::basis(unit.0, unit.1);
-            let scale = factor * shading::factor(terms, &basis);
-            let located: [Option<(usize, usize, f64, f64)>; 6] = instants.map(|instant| {
-                let (px, py) = apply(&instant.map, place.0, place.1);
-                grid.locate(px, py)
-            });
-            if located.iter().any(Option::is_none) {
-                continue;
-            }
-            let located = located.map(Option::unwrap_or_default);
-            let footprint = Footprint::of(&located, grid);
-            footprint.fill(&mut stencil, &located, instants, scale);
-            let Footprint { low, columns, .. } = footprint;
-            let corner = low.1 * grid.width + low.0;
-            let along = |surface: &[f32]| -> f32 {
-                stencil
-                    .chunks_exact(columns)
-                    .enumerate()
-                    .map(|(j, line)| {
-                        line.iter().zip(&surface[corner + j * grid.width..]).map(|(a, c)| a * c).sum::<f32>()
-                    })
-                    .sum()
-            };
-            // A ground that nothing hides is no matter of the fit.
-            let (mut signal, mut still) = (along(surface), 0.0);
-            if let Some(ground) = behind {
-                signal -= (ground / of_hidden) as f32 * along(hidden);
-                still = scale * ground;
-                rows.behind.push((ground / of_hidden) as f32);
-            }
-            let mut residual = dn - number.black_level - still - f64::from(signal);
-            let signal_dn = f64::max(dn - number.black_level, 0.0);
-            let is_saturated = dn >= self.nominal.saturation_dn;
-            if is_saturated {
-                // At least that much.
-                residual = f64::max(residual, 0.0);
-            }
-            let mut by_rest =
-                if with_rest { self.by_motion(&row, place, scale, behind) } else { [0.0; REST] };
-            rows.push_stencil(corner as u32, columns as u32, &stencil);
-            rows.measured.push((dn - number.black_level - still) as f32);
-            rows.is_saturated.push(is_saturated);
-            rows.touched.push(*touched);
-            rows.residual.push(residual as f32);
-            let index = l * self.case.extent.pixels() + pixel;
-            let is_fitted = self.counts.is_none_or(|counts| counts[index]);
-            rows.weight.push(if is_fitted { (1.0 / self.sigma(signal_dn)) as f32 } else { 0.0 });
-            rows.knot.push(*knot as u32);
-            by_rest[..TERMS]
-                .iter_mut()
-                .zip(basis)
-                .for_each(|(by, b)| *by = b as f32 * (signal + still as f32));
-            rows.push_rest(&by_rest);
-            rows.signal.push(signal_dn as f32);
-            rows.index.push(index as u32);
-        }
-        rows
     }
 }
 

@@ -12,7 +12,7 @@
 //! - [`system`]: the sparse least-squares problem.
 //! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
-//! - [`estimate`]: the rounds.
+//! - [`estimate`]: the rounds. `setting`: how they are made. `lay`: frame values as rows of that problem.
 //! - `coverage`: its light on a pixel, and how many exposures cover each of its places.
 //! - [`sharpen`]: a picture as sharp as it may be.
 //! - [`patches`]: parts of the array with a picture each.
@@ -26,13 +26,16 @@
 pub mod begin;
 mod coverage;
 pub mod estimate;
+mod lay;
 pub mod motion;
 pub mod patches;
 mod products;
 pub mod register;
+mod setting;
 pub mod shading;
 pub mod sharpen;
 pub mod spline;
 pub mod system;
 
-pub use estimate::{Begin, Picture, PictureSetting, Report};
+pub use estimate::{Begin, Picture, Report};
+pub use setting::PictureSetting;

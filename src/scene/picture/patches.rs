@@ -9,8 +9,9 @@
 //! CVIU 1996). Limits: what comes out from behind something else is seen by too few frames, and one patch has
 //! one motion.
 
-use super::estimate::{Begin, Picture, PictureSetting};
+use super::estimate::{Begin, Picture};
 use super::motion::{Map, apply, compose};
+use super::setting::PictureSetting;
 use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
