@@ -38,7 +38,7 @@ fn the_readmes_commands_exist() {
                 {
                     assert!(
                         targets.contains(target),
-                        "README.md says `{line}`, and the Makefile has no \
+                        "README.md has `{line}`, and the Makefile has no \
                                                        target `{target}`: it has {targets:?}"
                     );
                 }
@@ -49,13 +49,13 @@ fn the_readmes_commands_exist() {
                     || help
                         .lines()
                         .any(|l| l.get(15..).is_some_and(|l| l.split(' ').next() == Some(subcommand)));
-                assert!(known, "README.md says `{line}`, and there is no command `{subcommand}`");
+                assert!(known, "README.md has `{line}`, and there is no command `{subcommand}`");
                 let named = words
                     .iter()
                     .take_while(|word| !word.starts_with('#'))
                     .filter(|word| word.starts_with("pipelines/") || word.starts_with("data/"));
                 named.for_each(|path| {
-                    assert!(root().join(path).exists(), "README.md says `{line}`, and {path} does not exist")
+                    assert!(root().join(path).exists(), "README.md has `{line}`, and {path} does not exist")
                 });
                 commands += 1;
             }

@@ -2,7 +2,7 @@
 //! effect it is, whether there is a second one, or that it is in no catalogue.
 //!
 //! One small model with calibrated numbers for each kind of scene, all of them parameters here;
-//! `photocurrent-calibrate` makes them anew from made-up recordings. Evidence is cached by itself, so that
+//! `photocurrent-calibrate` makes them anew from simulated recordings. Evidence is cached by itself, so that
 //! another model or threshold is tried in no time.
 //!
 //! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where what is left has no

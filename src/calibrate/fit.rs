@@ -55,7 +55,7 @@ fn log_of<const N: usize>(examples: &[([f64; N], bool)], weights: &[f64; N]) -> 
 pub fn calibrate(examples: &[&Example]) -> Model {
     let seen: Vec<(&Example, &Facts)> =
         examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
-    // A second one is looked for where the first is right.
+    // A second one counts where the first is right.
     let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
     let logistics = |discount: [f64; 2]| {
         let something: Vec<([f64; SOMETHING], bool)> =
@@ -243,11 +243,11 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
             sums.surplus += usize::from(second.is_some());
         }
         _ => {
-            let said: Vec<&str> = first.map(|((id, ..), _)| id.as_str()).into_iter().chain(second).collect();
-            let hits = said.iter().filter(|id| one.has(id)).count();
+            let named: Vec<&str> = first.map(|((id, ..), _)| id.as_str()).into_iter().chain(second).collect();
+            let hits = named.iter().filter(|id| one.has(id)).count();
             sums.two.0 += 1;
             sums.two.1 += usize::from(hits == 2);
-            sums.two.2 += if said.is_empty() { 0.0 } else { 2.0 * hits as f64 / (said.len() + 2) as f64 };
+            sums.two.2 += if named.is_empty() { 0.0 } else { 2.0 * hits as f64 / (named.len() + 2) as f64 };
         }
     }
 }
@@ -271,7 +271,7 @@ mod tests {
         }
     }
 
-    /// Recordings with an effect or without, whose gains say which by known odds.
+    /// Recordings with an effect or without, whose gains state which by known odds.
     fn examples(count: u64) -> Vec<Example> {
         let mut random = Random::new(8, &[]);
         (0..count)
@@ -313,14 +313,14 @@ mod tests {
         assert_eq!((examples.len(), without), (1000, 167));
         // Nothing wrong, claimed; one effect, claimed, first, in the set; two, both; in no catalogue,
         // unnamed, named: the table of docs/diagnosis.md.
-        let said = |kind: &str| {
+        let named = |kind: &str| {
             let of_kind: Vec<Example> = of_kind(&examples, kind).into_iter().cloned().collect();
             let Validation { nothing, one, two, other, .. } = validate(&of_kind, 5, &Decision::default());
             (nothing, one, (two.0, two.1), other)
         };
-        assert_eq!(said("picture"), ((214, 6), (241, 101, 80, 92), (75, 11), (45, 15, 5)));
-        assert_eq!(said("patches"), ((54, 1), (70, 9, 8, 9), (18, 0), (16, 0, 1)));
-        assert_eq!(said("given"), ((36, 0), (46, 36, 31, 31), (9, 2), (9, 6, 1)));
+        assert_eq!(named("picture"), ((214, 6), (241, 101, 80, 92), (75, 11), (45, 15, 5)));
+        assert_eq!(named("patches"), ((54, 1), (70, 9, 8, 9), (18, 0), (16, 0, 1)));
+        assert_eq!(named("given"), ((36, 0), (46, 36, 31, 31), (9, 2), (9, 6, 1)));
     }
 
     #[test]

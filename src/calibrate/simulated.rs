@@ -1,4 +1,4 @@
-//! Recordings that a decision is calibrated on: made-up scenes and sensors
+//! Recordings that a decision is calibrated on: simulated scenes and sensors
 //! ([`photocurrent_diagnosis::scenes`]) with nothing, one effect, two, or what is in no catalogue, each of
 //! random size down to what hardly shows; frames with and without noise that nobody stated.
 //!

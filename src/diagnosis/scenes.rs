@@ -1,4 +1,4 @@
-//! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over
+//! Scenes and sensors simulated for training: a drifting or shaken texture, a turning star, discs that fly over
 //! a slow texture, a photograph that shakes, zooms and turns, a layer that moves before another one, a fan, a
 //! walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time
 //! constants, reset rules, exposures and stamps over the ranges of cameras that such recordings are made
@@ -59,7 +59,7 @@ impl Motion {
     }
 }
 
-/// A made-up scene before a made-up sensor.
+/// A simulated scene before a simulated sensor.
 #[derive(Clone, Debug)]
 pub struct MadeUp {
     motion: Motion,
@@ -437,7 +437,7 @@ impl MadeUp {
         }
     }
 
-    /// After how long it looks the same again, seconds; 0 when it does not.
+    /// After how long its light is the same again, seconds; 0 when it does not.
     pub fn period_s(&self) -> f64 {
         match &self.motion {
             Motion::Fan { blades, rate, .. } => std::f64::consts::TAU / (blades * rate.abs()),

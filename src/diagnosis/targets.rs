@@ -1,4 +1,4 @@
-//! Known targets made up for training: a turning star or discs before a plain wall whose place, speed, phase
+//! Known targets simulated for training: a turning star or discs before a plain wall whose place, speed, phase
 //! and light are free within a range, as a user states them.
 //!
 //! The scene, the sensor and its frames are those of [`crate::scenes`]; thresholds and frames have noise,
@@ -15,7 +15,7 @@ const FREE: usize = 6;
 /// Where each stands without a change.
 const NEUTRAL: [f64; FREE] = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 
-/// A made-up scene with values of its free parameters.
+/// A simulated scene with values of its free parameters.
 struct Shown {
     scene: MadeUp,
     values: [f64; FREE],

@@ -13,7 +13,7 @@ pub(super) struct Places<'a> {
 
 impl Places<'_> {
     /// Where the gains of an effect are: of events, or of frame values where the effect is one of frames and
-    /// they were looked at.
+    /// they were evaluated.
     pub(super) fn locate(&self, gains: &[f64], candidate: usize) -> Located {
         let decl = CANDIDATES[candidate].decl();
         let (of_events, of_frames) = gains.split_at(self.events.pixel.len());

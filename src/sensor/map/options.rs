@@ -117,7 +117,7 @@ pub struct MapSolution<'a> {
     pub t_ns: &'a [i64],
     /// Log light at each knot; linear between.
     pub log_photocurrent: &'a [f64],
-    /// Posterior variance of it where asked for, else empty.
+    /// Posterior variance of it where requested, else empty.
     pub variance: &'a [f64],
     /// Thresholds and first reference of this pixel.
     pub offsets: Offsets,

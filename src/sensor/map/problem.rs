@@ -134,17 +134,16 @@ pub struct MapProblem<'a> {
     pub events: &'a [MapEvent],
     /// Frame values, in order of time, exposures apart from each other.
     pub frames: &'a [MapFrame],
-    /// What is known from elsewhere, in order of time; may be empty. No part of `log_evidence`, which then
-    /// says how well the pixel's own
-    /// measurements were predicted.
+    /// What is known from elsewhere, in order of time; may be empty. No part of `log_evidence`, which then is
+    /// the predictive log-likelihood of the pixel's own measurements.
     pub hints: &'a [Hint],
-    /// First instant that is asked for, ns; the pixel is taken as settled there.
+    /// First instant of the solution, ns; the pixel is taken as settled there.
     pub start_ns: i64,
     /// Last instant, ns.
     pub end_ns: i64,
     /// The pixel.
     pub sensor: MapSensor,
-    /// How far events are trusted.
+    /// Assumed standard deviations of events.
     pub noise: Noise,
     /// Standard deviation of a stamp, seconds.
     pub stamp_sigma_s: f64,
@@ -156,7 +155,7 @@ pub struct MapProblem<'a> {
     pub lost_before: &'a [u32],
     /// What each event's signed step from the reference is known to be beyond its threshold (drift of the
     /// reference since the reset, thresholds of that moment),
-    /// natural-log units; empty = nothing. The no-event constraint does not know of it.
+    /// natural-log units; empty = nothing. The no-event constraint leaves it out.
     pub beyond: &'a [f64],
 }
 
