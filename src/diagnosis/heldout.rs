@@ -172,8 +172,9 @@ mod tests {
 
     #[test]
     fn a_description_that_states_its_effects_predicts_held_out_frames_better() {
-        // About two thirds of what a run gained. The noise of events is chosen for each description, which excuses
-        // a wrong one in part: with noise fixed at 3 % of the threshold the same effects gained 2 to 10 dB.
+        // About two thirds of what a run gained. The noise of events is chosen for each description, which
+        // excuses a wrong one in part: with noise fixed at 3 % of the threshold the same effects gained 2 to
+        // 10 dB.
         for (id, parameters, gain_db) in [
             ("clock_offset", serde_json::json!({"offset": "-700 us"}), 8.0),
             ("second_pole", serde_json::json!({"tau": "2 ms"}), 5.0),

@@ -1,6 +1,6 @@
-//! Scenes and sensors simulated for training: a drifting or shaken texture, a turning star, discs that fly over
-//! a slow texture, a photograph that shakes, zooms and turns, a layer that moves before another one, a fan, a
-//! walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time
+//! Scenes and sensors simulated for training: a drifting or shaken texture, a turning star, discs that fly
+//! over a slow texture, a photograph that shakes, zooms and turns, a layer that moves before another one, a
+//! fan, a walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time
 //! constants, reset rules, exposures and stamps over the ranges of cameras that such recordings are made
 //! with.
 //!

@@ -1,5 +1,5 @@
-//! Known targets simulated for training: a turning star or discs before a plain wall whose place, speed, phase
-//! and light are free within a range, as a user states them.
+//! Known targets simulated for training: a turning star or discs before a plain wall whose place, speed,
+//! phase and light are free within a range, as a user states them.
 //!
 //! The scene, the sensor and its frames are those of [`crate::scenes`]; thresholds and frames have noise,
 //! which most descriptions state and some do not.

@@ -1,5 +1,5 @@
-//! Frame values as rows of the least-squares problem: the part of the grid that each pixel collects light from
-//! during its exposure.
+//! Frame values as rows of the least-squares problem: the part of the grid that each pixel collects light
+//! from during its exposure.
 
 use super::estimate::{Fit, Picture};
 use super::motion::{DEGREES, Map, Pose, apply, derivatives, map_of};
