@@ -117,13 +117,13 @@ fn ln(x: f32) -> f32 {
 
 /// Arithmetic of every lane by itself, for a type with `zip` and `map`.
 macro_rules! lanewise {
-    ($type:ty) => {
-        crate::lanes::lanewise!($type, Add, add, +);
-        crate::lanes::lanewise!($type, Sub, sub, -);
-        crate::lanes::lanewise!($type, Mul, mul, *);
-        crate::lanes::lanewise!($type, Div, div, /);
+    ($type:ty $(, const $width:ident: usize)?) => {
+        crate::lanes::lanewise!($type, Add, add, + $(, const $width: usize)?);
+        crate::lanes::lanewise!($type, Sub, sub, - $(, const $width: usize)?);
+        crate::lanes::lanewise!($type, Mul, mul, * $(, const $width: usize)?);
+        crate::lanes::lanewise!($type, Div, div, / $(, const $width: usize)?);
 
-        impl std::ops::Neg for $type {
+        impl$(<const $width: usize>)? std::ops::Neg for $type {
             type Output = Self;
             #[inline(always)]
             fn neg(self) -> Self {
@@ -131,8 +131,8 @@ macro_rules! lanewise {
             }
         }
     };
-    ($type:ty, $trait:ident, $method:ident, $operator:tt) => {
-        impl std::ops::$trait for $type {
+    ($type:ty, $trait:ident, $method:ident, $operator:tt $(, const $width:ident: usize)?) => {
+        impl$(<const $width: usize>)? std::ops::$trait for $type {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: Self) -> Self {

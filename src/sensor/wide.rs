@@ -1,5 +1,5 @@
-//! Eight pixels side by side in double precision: a [`Scalar`] whose operations work on every lane, so that a
-//! recursion that waits for its own results becomes vector instructions.
+//! Eight pixels side by side in double precision, or one alone: a [`Scalar`] whose operations work on every
+//! lane, so that a recursion that waits for its own results becomes vector instructions.
 //!
 //! Lanes never mix, every operation rounds as that of `f64` does, and nothing is fused: a lane holds the bits
 //! that the same text gives for `f64`, whatever the other lanes hold and however wide the machine's vectors
@@ -8,52 +8,52 @@
 use crate::elementary;
 use crate::scalar::Scalar;
 
-/// How many lanes.
+/// How many lanes pixels side by side have.
 pub(crate) const WIDTH: usize = 8;
 
 /// One `f64` per lane.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
-pub(crate) struct Wide(pub [f64; WIDTH]);
+pub(crate) struct Wide<const W: usize>(pub [f64; W]);
 
 /// What lanes do, as bits of a number per lane: as wide as a number of [`Wide`], so that comparisons become
 /// vector instructions.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C, align(64))]
-pub(crate) struct Flags(pub [u64; WIDTH]);
+pub(crate) struct Flags<const W: usize>(pub [u64; W]);
 
-impl Flags {
+impl<const W: usize> Flags<W> {
     /// `yes` where any of these bits is set, `no` elsewhere.
     #[inline(always)]
-    pub(crate) fn choose(self, bits: u64, yes: Wide, no: Wide) -> Wide {
-        self.any(Flags([bits; WIDTH]), yes, no)
+    pub(crate) fn choose(self, bits: u64, yes: Wide<W>, no: Wide<W>) -> Wide<W> {
+        self.any(Flags([bits; W]), yes, no)
     }
 
     /// The same with bits for each lane.
     #[inline(always)]
-    pub(crate) fn any(self, bits: Flags, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn any(self, bits: Flags<W>, yes: Wide<W>, no: Wide<W>) -> Wide<W> {
         let mut out = no;
-        for n in 0..WIDTH {
+        for n in 0..W {
             out.0[n] = if self.0[n] & bits.0[n] != 0 { yes.0[n] } else { no.0[n] };
         }
         out
     }
 }
 
-impl Wide {
+impl<const W: usize> Wide<W> {
     /// Zero in every lane.
-    pub(crate) const ZERO: Wide = Wide([0.0; WIDTH]);
+    pub(crate) const ZERO: Wide<W> = Wide([0.0; W]);
     /// One in every lane.
-    pub(crate) const ONE: Wide = Wide([1.0; WIDTH]);
+    pub(crate) const ONE: Wide<W> = Wide([1.0; W]);
 
     /// `value` in every lane.
     #[inline(always)]
-    pub(crate) const fn splat(value: f64) -> Wide {
-        Wide([value; WIDTH])
+    pub(crate) const fn splat(value: f64) -> Wide<W> {
+        Wide([value; W])
     }
 
     #[inline(always)]
-    fn map(self, of: impl Fn(f64) -> f64) -> Wide {
+    fn map(self, of: impl Fn(f64) -> f64) -> Wide<W> {
         let mut out = self;
         for lane in &mut out.0 {
             *lane = of(*lane);
@@ -62,9 +62,9 @@ impl Wide {
     }
 
     #[inline(always)]
-    fn zip(self, other: Wide, of: impl Fn(f64, f64) -> f64) -> Wide {
+    fn zip(self, other: Wide<W>, of: impl Fn(f64, f64) -> f64) -> Wide<W> {
         let mut out = self;
-        for n in 0..WIDTH {
+        for n in 0..W {
             out.0[n] = of(self.0[n], other.0[n]);
         }
         out
@@ -72,9 +72,9 @@ impl Wide {
 
     /// `yes` where `self` equals `value`, `no` elsewhere.
     #[inline(always)]
-    pub(crate) fn equal(self, value: f64, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn equal(self, value: f64, yes: Wide<W>, no: Wide<W>) -> Wide<W> {
         let mut out = no;
-        for n in 0..WIDTH {
+        for n in 0..W {
             out.0[n] = if self.0[n] == value { yes.0[n] } else { no.0[n] };
         }
         out
@@ -82,9 +82,9 @@ impl Wide {
 
     /// `yes` where `self` is above `limit`, `no` elsewhere and where either is NaN.
     #[inline(always)]
-    pub(crate) fn above(self, limit: Wide, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn above(self, limit: Wide<W>, yes: Wide<W>, no: Wide<W>) -> Wide<W> {
         let mut out = no;
-        for n in 0..WIDTH {
+        for n in 0..W {
             out.0[n] = if self.0[n] > limit.0[n] { yes.0[n] } else { no.0[n] };
         }
         out
@@ -92,14 +92,14 @@ impl Wide {
 
     /// The magnitude of each lane.
     #[inline(always)]
-    pub(crate) fn abs(self) -> Wide {
+    pub(crate) fn abs(self) -> Wide<W> {
         self.map(|x| f64::from_bits(x.to_bits() & 0x7FFF_FFFF_FFFF_FFFF))
     }
 
     /// Exponent and mantissa, 1 to 2, of normal positive numbers: each lane is two to the power of the first
     /// times the second.
     #[inline(always)]
-    pub(crate) fn parts(self) -> (Wide, Wide) {
+    pub(crate) fn parts(self) -> (Wide<W>, Wide<W>) {
         // The biased exponent as a number: below 2^52 the bits are the number.
         let exponent = self.map(|x| {
             f64::from_bits(0x4330_0000_0000_0000 | (x.to_bits() >> 52)) - (4_503_599_627_370_496.0 + 1023.0)
@@ -112,14 +112,26 @@ impl Wide {
 
     /// The square root of each lane.
     #[inline(always)]
-    pub(crate) fn sqrt(self) -> Wide {
+    pub(crate) fn sqrt(self) -> Wide<W> {
         self.map(f64::sqrt)
     }
 }
 
-crate::lanes::lanewise!(Wide);
+impl<const W: usize> Default for Wide<W> {
+    fn default() -> Self {
+        Wide::ZERO
+    }
+}
 
-impl Scalar for Wide {
+impl<const W: usize> Default for Flags<W> {
+    fn default() -> Self {
+        Flags([0; W])
+    }
+}
+
+crate::lanes::lanewise!(Wide<W>, const W: usize);
+
+impl<const W: usize> Scalar for Wide<W> {
     #[inline(always)]
     fn from_f64(value: f64) -> Self {
         Wide::splat(value)
@@ -179,7 +191,7 @@ mod tests {
 
     #[test]
     fn parts_make_the_number() {
-        let (exponent, mantissa) = Wide([1.0, 0.75, 10.0, 1e300, 1e-300, 2.0, 3.5, 0.1]).parts();
+        let (exponent, mantissa) = Wide::<WIDTH>([1.0, 0.75, 10.0, 1e300, 1e-300, 2.0, 3.5, 0.1]).parts();
         assert_eq!((exponent.0[1], mantissa.0[1]), (-1.0, 1.5));
         assert_eq!((exponent.0[2], mantissa.0[2]), (3.0, 1.25));
         for (n, x) in [1.0, 0.75, 10.0, 1e300, 1e-300, 2.0, 3.5, 0.1].into_iter().enumerate() {
@@ -198,7 +210,7 @@ mod tests {
             flags.any(Flags([0, 0, 0, 0, 0, 0, 0, 2]), Wide::ONE, Wide::ZERO).0,
             [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
         );
-        let nan = Wide::splat(f64::NAN);
+        let nan = Wide::<WIDTH>::splat(f64::NAN);
         assert_eq!(nan.above(Wide::ZERO, nan, Wide::ZERO), Wide::ZERO);
         assert_eq!((x * x).sqrt(), x.abs());
     }

@@ -8,13 +8,12 @@ use super::super::options::{Evidence, MapSolution, MapTask, SecondStart};
 use super::super::problem::Offsets;
 use super::columns::misfits;
 use super::lane::{LaneState, lanes_of};
-use super::solve::MapGroup;
-use crate::wide::WIDTH;
+use super::solve::InStep;
 use std::array::from_fn;
 
-impl MapGroup {
+impl<const W: usize> InStep<W> {
     /// Lets lanes that ask for a second start wait, and says which.
-    pub(super) fn wait(&mut self, tasks: &[&MapTask<'_>; WIDTH], group: &[usize]) -> [bool; WIDTH] {
+    pub(super) fn wait(&mut self, tasks: &[&MapTask<'_>; W], group: &[usize]) -> [bool; W] {
         let apart = misfits(&self.lines);
         from_fn(|l| {
             let (state, MapTask { problem, options }) = (&self.lanes[l].state, tasks[l]);
@@ -40,8 +39,8 @@ impl MapGroup {
         evidence: Evidence,
         take: &mut impl FnMut(usize, MapSolution<'_>),
     ) {
-        while self.waiting.places.len() >= if is_last { 1 } else { WIDTH } {
-            let count = usize::min(self.waiting.places.len(), WIDTH);
+        while self.waiting.places.len() >= if is_last { 1 } else { W } {
+            let count = usize::min(self.waiting.places.len(), W);
             self.group_again(all, count, evidence, take);
             self.waiting.leave(count);
         }
@@ -54,19 +53,18 @@ impl MapGroup {
         evidence: Evidence,
         take: &mut impl FnMut(usize, MapSolution<'_>),
     ) {
-        let places: [usize; WIDTH] = from_fn(|l| self.waiting.places[usize::min(l, count - 1)]);
+        let places: [usize; W] = from_fn(|l| self.waiting.places[usize::min(l, count - 1)]);
         let tasks = lanes_of(all, &places[..count]);
         self.begin(&tasks, count);
         let first = self.u[0];
-        let seconds: [SecondStart; WIDTH] =
-            from_fn(|l| tasks[l].options.second.unwrap_or(SecondStart::USUAL));
+        let seconds: [SecondStart; W] = from_fn(|l| tasks[l].options.second.unwrap_or(SecondStart::USUAL));
         for stage in 0..2 {
-            let staged: [MapTask<'_>; WIDTH] = from_fn(|l| {
+            let staged: [MapTask<'_>; W] = from_fn(|l| {
                 let (problem, options) = seconds[l].stages(&tasks[l].problem, &tasks[l].options)[stage];
                 MapTask { problem, options }
             });
-            let staged: [&MapTask<'_>; WIDTH] = from_fn(|l| &staged[l]);
-            let so_far: [Offsets; WIDTH] =
+            let staged: [&MapTask<'_>; W] = from_fn(|l| &staged[l]);
+            let so_far: [Offsets; W] =
                 from_fn(|l| if stage == 0 { Offsets::default() } else { self.lanes[l].state.offsets });
             let common = self.load(&staged, count, |_| true);
             for (lane, offsets) in self.lanes.iter_mut().zip(so_far).take(count) {

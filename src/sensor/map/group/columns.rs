@@ -7,7 +7,7 @@ use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, NO_EVENT, R
 use crate::elementary::exp;
 use crate::front_end::FrontEnd;
 use crate::residuals::Misfit;
-use crate::wide::{Flags, WIDTH, Wide};
+use crate::wide::{Flags, Wide};
 use multiversion::multiversion;
 
 /// Steps whose segments are computed at once: they stay in the nearest cache.
@@ -19,59 +19,65 @@ const NO_SEGMENT_S: f64 = 1e-5;
 
 /// What is given at a step.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Given {
-    pub length_s: Wide,
+pub(super) struct Given<const W: usize> {
+    pub length_s: Wide<W>,
     /// One over it.
-    pub per_s: Wide,
-    pub target: Wide,
-    pub variance: Wide,
+    pub per_s: Wide<W>,
+    pub target: Wide<W>,
+    pub variance: Wide<W>,
     /// One over it.
-    pub information: Wide,
-    pub exposure: Wide,
+    pub information: Wide<W>,
+    pub exposure: Wide<W>,
 }
 
 /// What the prior's local variance is made of, at a step.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Nearby {
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Nearby<const W: usize> {
     /// How far a slope takes light; of an integrated walk, how far segments are apart.
-    pub reach_s: Wide,
-    pub per_nearby: Wide,
+    pub reach_s: Wide<W>,
+    pub per_nearby: Wide<W>,
     /// The steps between whose energies the nearby slopes lie.
-    pub low: [u32; WIDTH],
-    pub high: [u32; WIDTH],
+    pub low: [u32; W],
+    pub high: [u32; W],
+}
+
+impl<const W: usize> Default for Nearby<W> {
+    fn default() -> Nearby<W> {
+        Nearby { reach_s: Wide::ZERO, per_nearby: Wide::ZERO, low: [0; W], high: [0; W] }
+    }
 }
 
 /// What all pixels of a group have in common, and what each lane has for all steps.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Common {
+pub(super) struct Common<const W: usize> {
     pub front_end: FrontEnd,
-    pub on: Wide,
-    pub off: Wide,
-    pub stamp_sigma_s: Wide,
-    pub family: Family,
+    pub on: Wide<W>,
+    pub off: Wide<W>,
+    pub stamp_sigma_s: Wide<W>,
+    pub family: Family<W>,
     pub advances: bool,
 }
 
 /// The prior's family, and its constants in each lane.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Family {
+pub(super) enum Family<const W: usize> {
     /// Square of the floor.
-    Local(Wide),
+    Local(Wide<W>),
     /// Degrees of freedom times the variance per second, and one more degree.
-    Walk(Wide, Wide),
+    Walk(Wide<W>, Wide<W>),
     /// The same of slopes.
-    IntegratedWalk(Wide, Wide),
+    IntegratedWalk(Wide<W>, Wide<W>),
 }
 
-impl Default for Family {
-    fn default() -> Family {
+impl<const W: usize> Default for Family<W> {
+    fn default() -> Family<W> {
         Family::Local(Wide::ZERO)
     }
 }
 
-impl Family {
+impl<const W: usize> Family<W> {
     /// That of these priors, one a lane, which are of one family.
-    pub(super) fn of(priors: [Prior; WIDTH]) -> Family {
+    pub(super) fn of(priors: [Prior; W]) -> Family<W> {
         let wide = |of: fn(&Prior) -> f64| Wide(std::array::from_fn(|l| of(&priors[l])));
         let tails = |prior: &Prior| match *prior {
             Prior::Walk { nu, .. } | Prior::IntegratedWalk { nu, .. } => nu + 1.0,
@@ -92,13 +98,13 @@ impl Family {
 
 /// The given of a group.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Columns {
-    pub given: Vec<Given>,
+pub(super) struct Columns<const W: usize> {
+    pub given: Vec<Given<W>>,
     /// What is at each step, of the bits of [`super::stream`].
-    pub what: Vec<Flags>,
-    pub nearby: Vec<Nearby>,
-    pub expected: Vec<Expected>,
-    energy: Vec<Wide>,
+    pub what: Vec<Flags<W>>,
+    pub nearby: Vec<Nearby<W>>,
+    pub expected: Vec<Expected<W>>,
+    energy: Vec<Wide<W>>,
 }
 
 /// A pixel of a group.
@@ -110,15 +116,20 @@ pub(super) struct Pixel<'a> {
 
 /// Twice the negative log of the posterior density, less constants, in parts.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Cost {
-    pub measured: Wide,
-    pub no_event_square: Wide,
-    pub prior: Wide,
+pub(super) struct Cost<const W: usize> {
+    pub measured: Wide<W>,
+    pub no_event_square: Wide<W>,
+    pub prior: Wide<W>,
 }
 
-impl Columns {
+impl<const W: usize> Columns<W> {
     /// Interleaves the pixels; `u` becomes their start. Gives the number of steps.
-    pub(super) fn fill(&mut self, common: &Common, pixels: &[Pixel<'_>; WIDTH], u: &mut Vec<Wide>) -> usize {
+    pub(super) fn fill(
+        &mut self,
+        common: &Common<W>,
+        pixels: &[Pixel<'_>; W],
+        u: &mut Vec<Wide<W>>,
+    ) -> usize {
         let steps = pixels.iter().map(|pixel| pixel.stream.steps.len()).max().unwrap_or(0);
         let Columns { given, what, nearby, expected, energy } = self;
         given.resize(steps, Given::default());
@@ -134,7 +145,7 @@ impl Columns {
             *given = Given { length_s: Wide::splat(NO_SEGMENT_S), variance: Wide::ONE, ..Given::default() };
             (*what, *nearby) = (Flags::default(), Nearby::default());
             *expected = Expected { correlation: Wide::ONE, ..Expected::default() };
-            for l in 0..WIDTH {
+            for l in 0..W {
                 let pixel = &pixels[l];
                 let Some(step) = pixel.stream.steps.get(s) else {
                     u.0[l] = pixel.u[pixel.u.len() - 1];
@@ -177,7 +188,7 @@ impl Columns {
 /// Takes the prior's variances from the slopes of `u`, then its surprises and its cost: twice the negative
 /// log of its density at `u`, less constants.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide {
+pub(super) fn adapt<const W: usize>(columns: &mut Columns<W>, common: &Common<W>, u: &[Wide<W>]) -> Wide<W> {
     let steps = u.len();
     let Columns { given, what, nearby, expected, energy } = columns;
     let (given, what, nearby) = (&given[..steps], &what[..steps], &nearby[..steps]);
@@ -194,7 +205,7 @@ pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide 
             for s in 1..steps {
                 let near = &nearby[s];
                 let mut between = Wide::ZERO;
-                for l in 0..WIDTH {
+                for l in 0..W {
                     between.0[l] = energy[near.high[l] as usize].0[l] - energy[near.low[l] as usize].0[l];
                 }
                 let mean_square = between.above(Wide::ZERO, between, Wide::ZERO) * near.per_nearby;
@@ -213,7 +224,7 @@ pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide 
         Family::IntegratedWalk(spread, tails) => {
             let mut before = Wide::ZERO;
             for s in 1..steps {
-                let is = |value: Wide, or: Wide| what[s].choose(SEGMENT, value, or);
+                let is = |value: Wide<W>, or: Wide<W>| what[s].choose(SEGMENT, value, or);
                 let slope = is((u[s] - u[s - 1]) * given[s].per_s, before);
                 let (change, apart_s) = (slope - before, nearby[s].reach_s);
                 let fresh = (spread * apart_s + change * change) / tails;
@@ -239,7 +250,12 @@ pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide 
 
 /// z, its surprise and what that costs.
 #[inline(always)]
-fn surprise(what: Flags, expected: &Expected, w: Wide, z_before: Wide) -> (Wide, Wide, Wide) {
+fn surprise<const W: usize>(
+    what: Flags<W>,
+    expected: &Expected<W>,
+    w: Wide<W>,
+    z_before: Wide<W>,
+) -> (Wide<W>, Wide<W>, Wide<W>) {
     let z = what.choose(SEGMENT, w * expected.per_scale, z_before);
     let surprise = z - expected.correlation * z_before;
     (z, surprise, surprise * surprise * expected.per_fresh)
@@ -247,7 +263,13 @@ fn surprise(what: Flags, expected: &Expected, w: Wide, z_before: Wide) -> (Wide,
 
 /// Moves `u` by a share of its change, within plus and minus `limit`.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn moved(u: &[Wide], change: &[Wide], share: Wide, limit: Wide, trial: &mut [Wide]) {
+pub(super) fn moved<const W: usize>(
+    u: &[Wide<W>],
+    change: &[Wide<W>],
+    share: Wide<W>,
+    limit: Wide<W>,
+    trial: &mut [Wide<W>],
+) {
     for ((trial, u), change) in trial.iter_mut().zip(u).zip(change) {
         let to = *u + share * *change;
         let to = (-limit).above(to, -limit, to);
@@ -257,33 +279,29 @@ pub(super) fn moved(u: &[Wide], change: &[Wide], share: Wide, limit: Wide, trial
 
 /// Pieces of the segments of a block.
 #[repr(C, align(64))]
-struct Block {
-    u: [[f64; WIDTH]; BLOCK + 1],
-    root: [[f64; WIDTH]; BLOCK + 1],
-    length_s: [[f64; WIDTH]; BLOCK],
-    pieces: [[[f64; WIDTH]; BLOCK]; 6],
+struct Block<const W: usize> {
+    u: [[f64; W]; BLOCK + 1],
+    root: [[f64; W]; BLOCK + 1],
+    length_s: [[f64; W]; BLOCK],
+    pieces: [[[f64; W]; BLOCK]; 6],
 }
 
 /// Runs the pixels at `u` with these offsets. The prior's cost is that of the
 /// scales and correlations that stand in `columns`.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn run(
-    columns: &Columns,
-    common: &Common,
-    u: &[Wide],
-    offsets: &WideOffsets,
-    lines: &mut [Line],
-) -> Cost {
+pub(super) fn run<const W: usize>(
+    columns: &Columns<W>,
+    common: &Common<W>,
+    u: &[Wide<W>],
+    offsets: &WideOffsets<W>,
+    lines: &mut [Line<W>],
+) -> Cost<W> {
     let steps = u.len();
     let (given, what, expected, lines) =
         (&columns.given[..steps], &columns.what[..steps], &columns.expected[..steps], &mut lines[..steps]);
-    let zero = [[0.0; WIDTH]; BLOCK];
-    let mut block = Block {
-        u: [[0.0; WIDTH]; BLOCK + 1],
-        root: [[1.0; WIDTH]; BLOCK + 1],
-        length_s: zero,
-        pieces: [zero; 6],
-    };
+    let zero = [[0.0; W]; BLOCK];
+    let mut block =
+        Block { u: [[0.0; W]; BLOCK + 1], root: [[1.0; W]; BLOCK + 1], length_s: zero, pieces: [zero; 6] };
     let mut cost = Cost::default();
     let mut voltage = u[0];
     let mut reference = voltage + offsets.reference;
@@ -307,7 +325,7 @@ pub(super) fn run(
             let (given, then, line) = (&given[s], what[s], &mut lines[s]);
             let here = u[s];
             if s > 0 {
-                let is = |value: Wide, or: Wide| then.choose(SEGMENT, value, or);
+                let is = |value: Wide<W>, or: Wide<W>| then.choose(SEGMENT, value, or);
                 let piece = |n: usize| Wide(block.pieces[n][k]);
                 let (left, follows) = (is(piece(0), Wide::ONE), is(Wide::ONE - piece(1), Wide::ZERO));
                 let before = Wide(block.u[k]);
@@ -330,14 +348,14 @@ pub(super) fn run(
             } else {
                 line.slopes = Slopes { by_voltage: Wide::ONE, ..Slopes::default() };
             }
-            let is = |what: u64, value: Wide, or: Wide| then.choose(what, value, or);
+            let is = |what: u64, value: Wide<W>, or: Wide<W>| then.choose(what, value, or);
             let level = reference + is(RISE, on, -off) + is(EVENT | MOVE, given.target, Wide::ZERO);
             let dark = given.target - light;
             let change = voltage - reference;
             let above = change.above(on, on - change, Wide::ZERO);
             let below = (-off).above(change, -off - change, Wide::ZERO);
             let broken = is(NO_EVENT, above + below, Wide::ZERO);
-            for l in 0..WIDTH {
+            for l in 0..W {
                 // More light than a lower bound is no contradiction, and a no-event constraint that is not
                 // broken none either.
                 let beyond = if dark.0[l] < 0.0 { BOUND } else { 0 };
@@ -380,8 +398,8 @@ pub(super) fn run(
 /// How far each pixel's events and frames are from the predictions, and the largest of the squares that are
 /// summed up; those that carry no information
 /// (unarmed events, lower bounds that hold) are left away.
-pub(super) fn misfits(lines: &[Line]) -> [(Misfit, f64); WIDTH] {
-    let mut misfits = [(Misfit::default(), 0.0); WIDTH];
+pub(super) fn misfits<const W: usize>(lines: &[Line<W>]) -> [(Misfit, f64); W] {
+    let mut misfits = [(Misfit::default(), 0.0); W];
     for line in lines {
         for (l, (misfit, largest)) in misfits.iter_mut().enumerate() {
             let sight = line.sight.0[l];
@@ -401,10 +419,10 @@ pub(super) fn misfits(lines: &[Line]) -> [(Misfit, f64); WIDTH] {
 }
 
 #[inline(always)]
-fn fill(block: &mut Block, front_end: &FrontEnd) {
+fn fill<const W: usize>(block: &mut Block<W>, front_end: &FrontEnd) {
     let Block { u, root, length_s, pieces } = block;
     let (u, root, length_s) = (u.as_flattened(), root.as_flattened_mut(), length_s.as_flattened());
-    for k in WIDTH..u.len() {
+    for k in W..u.len() {
         root[k] = exp(0.5 * u[k]);
     }
     let [left, lag, gap, rise, light, light_by_last] = pieces;
@@ -417,5 +435,5 @@ fn fill(block: &mut Block, front_end: &FrontEnd) {
         light_by_last.as_flattened_mut(),
     ];
     let behind = length_s.len();
-    fill_pieces(front_end, length_s, (&u[..behind], &u[WIDTH..]), (&root[..behind], &root[WIDTH..]), into);
+    fill_pieces(front_end, length_s, (&u[..behind], &u[W..]), (&root[..behind], &root[W..]), into);
 }

@@ -9,7 +9,7 @@ use super::super::thresholds;
 use super::columns::Cost;
 use super::passes::WideOffsets;
 use super::stream::Stream;
-use crate::wide::{WIDTH, Wide};
+use crate::wide::Wide;
 
 /// Attempts at a step before no step goes down any more.
 const ATTEMPTS: usize = 6;
@@ -94,15 +94,18 @@ impl LaneState {
 }
 
 /// The tasks of a group; lanes without a pixel repeat the last.
-pub(super) fn lanes_of<'a, 'b>(all: &'a [MapTask<'b>], group: &[usize]) -> [&'a MapTask<'b>; WIDTH] {
+pub(super) fn lanes_of<'a, 'b, const W: usize>(
+    all: &'a [MapTask<'b>],
+    group: &[usize],
+) -> [&'a MapTask<'b>; W] {
     std::array::from_fn(|l| &all[group[usize::min(l, group.len() - 1)]])
 }
 
-pub(super) fn wide(lanes: &[Lane; WIDTH], of: impl Fn(&LaneState) -> f64) -> Wide {
+pub(super) fn wide<const W: usize>(lanes: &[Lane; W], of: impl Fn(&LaneState) -> f64) -> Wide<W> {
     Wide(std::array::from_fn(|l| of(&lanes[l].state)))
 }
 
-pub(super) fn offsets(lanes: &[Lane; WIDTH]) -> WideOffsets {
+pub(super) fn offsets<const W: usize>(lanes: &[Lane; W]) -> WideOffsets<W> {
     let part = |of: fn(&Offsets) -> f64| wide(lanes, |state| of(&state.offsets));
     WideOffsets {
         reference: part(|offsets| offsets.reference),
@@ -159,10 +162,10 @@ pub(super) fn begin_step(state: &mut LaneState, task: &MapTask<'_>, prior_cost: 
 }
 
 /// What becomes of a lane after a step: is its trial accepted?
-pub(super) fn judge(
+pub(super) fn judge<const W: usize>(
     state: &mut LaneState,
     task: &MapTask<'_>,
-    cost: &Cost,
+    cost: &Cost<W>,
     l: usize,
     longest: f64,
     offsets: Offsets,

@@ -20,59 +20,59 @@ use super::super::segment::Slopes;
 use super::super::state::{OFF, ON, R, S, State, Transition, U, V, Weight, Z, each_state};
 use super::stream::{EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT};
 use crate::scalar::Scalar;
-use crate::wide::{Flags, WIDTH, Wide};
+use crate::wide::{Flags, Wide};
 use multiversion::multiversion;
 
 /// One step at given unknowns: the segment that ends there, and what is measured there, linearised.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Line {
-    pub slopes: Slopes<Wide>,
+pub(super) struct Line<const W: usize> {
+    pub slopes: Slopes<Wide<W>>,
     /// What counts there: [`EVENT`], [`FRAME`], [`LIGHT`], `NO_EVENT` or nothing.
-    pub sight: Flags,
-    pub residual: Wide,
-    pub variance: Wide,
+    pub sight: Flags<W>,
+    pub residual: Wide<W>,
+    pub variance: Wide<W>,
 }
 
 /// The prior of the segment that ends at a step.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Expected {
-    pub correlation: Wide,
+pub(super) struct Expected<const W: usize> {
+    pub correlation: Wide<W>,
     /// 0 at steps without a segment.
-    pub fresh: Wide,
-    pub per_fresh: Wide,
-    pub scale: Wide,
-    pub per_scale: Wide,
+    pub fresh: Wide<W>,
+    pub per_fresh: Wide<W>,
+    pub scale: Wide<W>,
+    pub per_scale: Wide<W>,
     /// z less what the z before lets expect.
-    pub surprise: Wide,
+    pub surprise: Wide<W>,
 }
 
 /// What the backward pass needs of a step of the forward one.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kept<const N: usize> {
-    pub gain: [Wide; N],
-    pull: Wide,
+pub(super) struct Kept<const N: usize, const W: usize> {
+    pub gain: [Wide<W>; N],
+    pull: Wide<W>,
     /// Filtered change and the covariance's row of log light.
-    change: Wide,
-    pub row: [Wide; N],
+    change: Wide<W>,
+    pub row: [Wide<W>; N],
 }
 
 /// The same of a damping.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Damped<const N: usize> {
-    gain: [Wide; N],
-    pull: Wide,
+pub(super) struct Damped<const N: usize, const W: usize> {
+    gain: [Wide<W>; N],
+    pull: Wide<W>,
 }
 
 /// The memory of the passes.
 #[derive(Clone, Debug)]
-pub(super) struct Memory<const N: usize> {
-    pub kept: Vec<Kept<N>>,
-    pub dampings: Vec<Damped<N>>,
+pub(super) struct Memory<const N: usize, const W: usize> {
+    pub kept: Vec<Kept<N, W>>,
+    pub dampings: Vec<Damped<N, W>>,
     /// One over the variance of each innovation, where standard deviations are wanted.
-    pub information: Vec<Wide>,
+    pub information: Vec<Wide<W>>,
 }
 
-impl<const N: usize> Memory<N> {
+impl<const N: usize, const W: usize> Memory<N, W> {
     /// For so many steps, of what every pass keeps.
     pub(super) fn make_room(&mut self, steps: usize) {
         let nothing = [Wide::ZERO; N];
@@ -80,23 +80,23 @@ impl<const N: usize> Memory<N> {
     }
 }
 
-impl<const N: usize> Default for Memory<N> {
-    fn default() -> Memory<N> {
+impl<const N: usize, const W: usize> Default for Memory<N, W> {
+    fn default() -> Memory<N, W> {
         Memory { kept: Vec::new(), dampings: Vec::new(), information: Vec::new() }
     }
 }
 
 /// The [`Offsets`] of each lane.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct WideOffsets {
-    pub reference: Wide,
-    pub on: Wide,
-    pub off: Wide,
+pub(super) struct WideOffsets<const W: usize> {
+    pub reference: Wide<W>,
+    pub on: Wide<W>,
+    pub off: Wide<W>,
 }
 
-impl WideOffsets {
+impl<const W: usize> WideOffsets<W> {
     /// Moved by a share of `by`.
-    pub(super) fn moved(&self, by: &WideOffsets, share: Wide) -> WideOffsets {
+    pub(super) fn moved(&self, by: &WideOffsets<W>, share: Wide<W>) -> WideOffsets<W> {
         WideOffsets {
             reference: self.reference + share * by.reference,
             on: self.on + share * by.on,
@@ -110,36 +110,40 @@ impl WideOffsets {
 }
 
 /// What the passes are asked for.
-pub(super) struct Ask<'a> {
-    pub lines: &'a [Line],
-    pub expected: &'a [Expected],
+pub(super) struct Ask<'a, const W: usize> {
+    pub lines: &'a [Line<W>],
+    pub expected: &'a [Expected<W>],
     /// What is at each step.
-    pub what: &'a [Flags],
+    pub what: &'a [Flags<W>],
     /// What is seen as an event: with `NO_EVENT` in lanes where that counts.
-    pub events: Flags,
+    pub events: Flags<W>,
     /// Levenberg's damping of each lane; 0 for none.
-    pub damping: Wide,
+    pub damping: Wide<W>,
     /// The first change that the prior expects.
-    pub first: Wide,
+    pub first: Wide<W>,
     /// Thresholds less what the prior expects of them.
-    pub offsets: WideOffsets,
+    pub offsets: WideOffsets<W>,
     pub first_variance: f64,
-    pub reference_variance: Wide,
+    pub reference_variance: Wide<W>,
     /// Of the thresholds.
-    pub threshold_variance: Wide,
+    pub threshold_variance: Wide<W>,
 }
 
 /// Sums that make the evidence.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Evidence {
+pub(super) struct Evidence<const W: usize> {
     /// Mantissa and exponent of the product of all information.
-    mantissa: Wide,
-    exponent: Wide,
-    squares: Wide,
-    count: Wide,
+    mantissa: Wide<W>,
+    exponent: Wide<W>,
+    squares: Wide<W>,
+    count: Wide<W>,
 }
 
-impl Evidence {
+impl<const W: usize> Evidence<W> {
+    /// Of no measurement.
+    pub(super) const NONE: Evidence<W> =
+        Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
+
     /// Log of the marginal likelihood of a lane's measurements.
     pub(super) fn log(&self, lane: usize) -> f64 {
         const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
@@ -149,7 +153,7 @@ impl Evidence {
     }
 
     #[inline(always)]
-    fn add<const N: usize>(&mut self, counts: Wide, innovation: Wide, weight: &Weight<Wide, N>) {
+    fn add<const N: usize>(&mut self, counts: Wide<W>, innovation: Wide<W>, weight: &Weight<Wide<W>, N>) {
         self.count = self.count + counts;
         self.squares = self.squares + counts.equal(1.0, innovation * weight.pull, Wide::ZERO);
         let product = self.mantissa * counts.equal(1.0, weight.information, Wide::ONE);
@@ -162,7 +166,7 @@ impl Evidence {
 /// What is known of the first step before any measurement: the pixel starts settled, voltage and log light
 /// are one, the reference is near.
 #[inline(always)]
-fn begin<const N: usize>(ask: &Ask<'_>) -> State<Wide, N> {
+fn begin<const N: usize, const W: usize>(ask: &Ask<'_, W>) -> State<Wide<W>, N> {
     let mut state = State::new();
     (state.x[U], state.x[V], state.x[R]) = (ask.first, ask.first, ask.first - ask.offsets.reference);
     for (a, b) in [(U, U), (U, V), (U, R), (V, V), (V, R), (R, R)] {
@@ -178,12 +182,18 @@ fn begin<const N: usize>(ask: &Ask<'_>) -> State<Wide, N> {
 }
 
 #[inline(always)]
-pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(
-    ask: &Ask<'_>,
-    memory: &mut Memory<N>,
-    evidence: &mut Evidence,
+pub(super) fn forward<
+    const N: usize,
+    const DAMPED: bool,
+    const KEEP: bool,
+    const EVIDENCE: bool,
+    const W: usize,
+>(
+    ask: &Ask<'_, W>,
+    memory: &mut Memory<N, W>,
+    evidence: &mut Evidence<W>,
 ) {
-    let mut state = begin::<N>(ask);
+    let mut state = begin::<N, W>(ask);
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
     let kept = &mut memory.kept[..if KEEP { steps } else { 0 }];
@@ -198,7 +208,7 @@ pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, cons
             prior.fresh,
             -prior.surprise,
         );
-        let choose = |event: Wide, frame: Wide, light: Wide| {
+        let choose = |event: Wide<W>, frame: Wide<W>, light: Wide<W>| {
             let rest = line.sight.choose(FRAME, frame, line.sight.choose(LIGHT, light, Wide::ZERO));
             line.sight.any(ask.events, event, rest)
         };
@@ -238,7 +248,7 @@ pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, cons
         each_state!(a in ON, N => state.set(a, R, then.choose(LATCH, state.at(a, V), state.at(a, R))));
         if DAMPED {
             // Once a knot, at the last of its steps.
-            let next = what.get(j + 1).copied().unwrap_or(Flags([SEGMENT; WIDTH]));
+            let next = what.get(j + 1).copied().unwrap_or(Flags([SEGMENT; W]));
             let damping = next.choose(SEGMENT, ask.damping, Wide::ZERO);
             let mut cross = [Wide::ZERO; N];
             each_state!(a in 0, N => cross[a] = damping.above(Wide::ZERO, state.at(a, U), Wide::ZERO));
@@ -257,8 +267,8 @@ pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, cons
 
 /// The reference moves by the threshold of the polarity, in lanes where it does.
 #[inline(always)]
-fn add_threshold<const N: usize>(state: &mut State<Wide, N>, then: Flags) {
-    let signed = |on: Wide, off: Wide| then.choose(MOVE, then.choose(RISE, on, -off), Wide::ZERO);
+fn add_threshold<const N: usize, const W: usize>(state: &mut State<Wide<W>, N>, then: Flags<W>) {
+    let signed = |on: Wide<W>, off: Wide<W>| then.choose(MOVE, then.choose(RISE, on, -off), Wide::ZERO);
     state.x[R] = state.x[R] + signed(state.x[ON], state.x[OFF]);
     let square = then.choose(MOVE, then.choose(RISE, state.p[ON][ON], state.p[OFF][OFF]), Wide::ZERO);
     let twice = Wide::splat(2.0) * signed(state.at(R, ON), state.at(R, OFF));
@@ -268,7 +278,7 @@ fn add_threshold<const N: usize>(state: &mut State<Wide, N>, then: Flags) {
 }
 
 #[inline(always)]
-fn dot<const N: usize>(row: &[Wide; N], lambda: &[Wide; N]) -> Wide {
+fn dot<const N: usize, const W: usize>(row: &[Wide<W>; N], lambda: &[Wide<W>; N]) -> Wide<W> {
     let mut sum = Wide::ZERO;
     each_state!(a in 0, N => sum = sum + row[a] * lambda[a]);
     sum
@@ -276,17 +286,17 @@ fn dot<const N: usize>(row: &[Wide; N], lambda: &[Wide; N]) -> Wide {
 
 /// Fills the change of log light at each step; gives its largest magnitude and the change of the offsets.
 #[inline(always)]
-fn backward<const N: usize, const DAMPED: bool>(
-    ask: &Ask<'_>,
-    memory: &Memory<N>,
-    change: &mut [Wide],
-) -> (Wide, WideOffsets) {
+fn backward<const N: usize, const DAMPED: bool, const W: usize>(
+    ask: &Ask<'_, W>,
+    memory: &Memory<N, W>,
+    change: &mut [Wide<W>],
+) -> (Wide<W>, WideOffsets<W>) {
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
     let (kept, change) = (&memory.kept[..steps], &mut change[..steps]);
     let mut lambda = [Wide::ZERO; N];
     let mut longest = Wide::ZERO;
-    let (mut moved, mut next) = (Wide::ZERO, Flags([SEGMENT; WIDTH]));
+    let (mut moved, mut next) = (Wide::ZERO, Flags([SEGMENT; W]));
     for j in (0..steps).rev() {
         let (line, kept) = (&lines[j], &kept[j]);
         let own = kept.change + dot(&kept.row, &lambda);
@@ -324,7 +334,7 @@ fn backward<const N: usize, const DAMPED: bool>(
         // Through memory: kept in registers, compilers take lanes out of their vectors.
         std::hint::black_box(&mut lambda);
     }
-    let first = begin::<N>(ask);
+    let first = begin::<N, W>(ask);
     let mut at = [Wide::ZERO; N];
     each_state!(a in 0, N => {
         let mut sum = Wide::ZERO;
@@ -335,38 +345,35 @@ fn backward<const N: usize, const DAMPED: bool>(
     (longest, WideOffsets { reference: at[R] - at[V], on: threshold(ON), off: threshold(OFF) })
 }
 
-pub(super) const NO_EVIDENCE: Evidence =
-    Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
-
 /// One Gauss-Newton step of each lane: see [`backward`].
-pub(super) fn step<const N: usize>(
-    ask: &Ask<'_>,
-    memory: &mut Memory<N>,
-    change: &mut [Wide],
-) -> (Wide, WideOffsets) {
+pub(super) fn step<const N: usize, const W: usize>(
+    ask: &Ask<'_, W>,
+    memory: &mut Memory<N, W>,
+    change: &mut [Wide<W>],
+) -> (Wide<W>, WideOffsets<W>) {
     let steps = ask.lines.len();
     memory.make_room(steps);
     if ask.damping == Wide::ZERO {
-        return passes::<N, false>(ask, memory, change);
+        return passes::<N, false, W>(ask, memory, change);
     }
     memory.dampings.resize(steps, Damped { gain: [Wide::ZERO; N], pull: Wide::ZERO });
-    passes::<N, true>(ask, memory, change)
+    passes::<N, true, W>(ask, memory, change)
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-fn passes<const N: usize, const DAMPED: bool>(
-    ask: &Ask<'_>,
-    memory: &mut Memory<N>,
-    change: &mut [Wide],
-) -> (Wide, WideOffsets) {
-    forward::<N, DAMPED, true, false>(ask, memory, &mut { NO_EVIDENCE });
-    backward::<N, DAMPED>(ask, memory, change)
+fn passes<const N: usize, const DAMPED: bool, const W: usize>(
+    ask: &Ask<'_, W>,
+    memory: &mut Memory<N, W>,
+    change: &mut [Wide<W>],
+) -> (Wide<W>, WideOffsets<W>) {
+    forward::<N, DAMPED, true, false, W>(ask, memory, &mut { Evidence::NONE });
+    backward::<N, DAMPED, W>(ask, memory, change)
 }
 
 /// The evidence of each lane.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn evidence<const N: usize>(ask: &Ask<'_>) -> Evidence {
-    let mut evidence = NO_EVIDENCE;
-    forward::<N, false, false, true>(ask, &mut Memory::default(), &mut evidence);
+pub(super) fn evidence<const N: usize, const W: usize>(ask: &Ask<'_, W>) -> Evidence<W> {
+    let mut evidence = Evidence::NONE;
+    forward::<N, false, false, true, W>(ask, &mut Memory::default(), &mut evidence);
     evidence
 }

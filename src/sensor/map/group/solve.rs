@@ -27,19 +27,45 @@ const LOG_LIMIT: f64 = 40.0;
 /// Each gets what it gets alone, to the last bit.
 #[derive(Clone, Debug, Default)]
 pub struct MapGroup {
-    pub(super) lanes: [Lane; WIDTH],
-    pub(super) columns: Columns,
-    pub(super) u: Vec<Wide>,
-    pub(super) trial: Vec<Wide>,
-    pub(super) change: Vec<Wide>,
-    pub(super) lines: Vec<Line>,
-    pub(super) exact: Memory<ON>,
-    pub(super) free: Memory<STATES>,
-    pub(super) waiting: Waiting,
-    pub(super) variance: Vec<Wide>,
-    pub(super) of_pixel: Vec<f64>,
-    pub(super) order: Vec<usize>,
+    pub(super) side_by_side: InStep<WIDTH>,
+    /// For a pixel that has no other beside it: idle lanes would cost as much as pixels.
+    alone: InStep<1>,
+    order: Vec<usize>,
     answer: Answer,
+}
+
+/// Pixels that go in step, with the memory of their passes.
+#[derive(Clone, Debug)]
+pub(super) struct InStep<const W: usize> {
+    pub(super) lanes: [Lane; W],
+    pub(super) columns: Columns<W>,
+    pub(super) u: Vec<Wide<W>>,
+    pub(super) trial: Vec<Wide<W>>,
+    pub(super) change: Vec<Wide<W>>,
+    pub(super) lines: Vec<Line<W>>,
+    pub(super) exact: Memory<ON, W>,
+    pub(super) free: Memory<STATES, W>,
+    pub(super) waiting: Waiting,
+    pub(super) variance: Vec<Wide<W>>,
+    pub(super) of_pixel: Vec<f64>,
+}
+
+impl<const W: usize> Default for InStep<W> {
+    fn default() -> InStep<W> {
+        InStep {
+            lanes: std::array::from_fn(|_| Lane::default()),
+            columns: Columns::default(),
+            u: Vec::new(),
+            trial: Vec::new(),
+            change: Vec::new(),
+            lines: Vec::new(),
+            exact: Memory::default(),
+            free: Memory::default(),
+            waiting: Waiting::default(),
+            variance: Vec::new(),
+            of_pixel: Vec::new(),
+        }
+    }
 }
 
 /// The answer for a pixel that is solved alone.
@@ -59,7 +85,7 @@ impl MapGroup {
         self.solve_with(tasks, Evidence::Wanted, take);
     }
 
-    /// Solves one pixel; the seven other lanes are idle.
+    /// Solves one pixel; with no other beside it.
     pub fn solve_one(&mut self, task: &MapTask<'_>) -> MapSolution<'_> {
         let mut answer = std::mem::take(&mut self.answer);
         let mut rest = None;
@@ -126,13 +152,20 @@ impl MapGroup {
             let count = rest.iter().take(WIDTH).take_while(|n| alike(**n)).count();
             let (group, later) = rest.split_at(count);
             rest = later;
-            self.group(tasks, group, evidence, &mut take);
+            if count == 1 {
+                self.alone.group(tasks, group, evidence, &mut take);
+                self.alone.again(tasks, true, evidence, &mut take);
+            } else {
+                self.side_by_side.group(tasks, group, evidence, &mut take);
+            }
             let is_last = rest.first().is_none_or(|&next| !alike(next));
-            self.again(tasks, is_last, evidence, &mut take);
+            self.side_by_side.again(tasks, is_last, evidence, &mut take);
         }
         self.order = order;
     }
+}
 
+impl<const W: usize> InStep<W> {
     fn group(
         &mut self,
         all: &[MapTask<'_>],
@@ -158,14 +191,14 @@ impl MapGroup {
     /// Gives the answers of lanes to `take`: of those that have a place.
     pub(super) fn finish(
         &mut self,
-        common: &Common,
-        tasks: &[&MapTask<'_>; WIDTH],
-        first: Wide,
+        common: &Common<W>,
+        tasks: &[&MapTask<'_>; W],
+        first: Wide<W>,
         evidence: Evidence,
         place: impl Fn(usize) -> Option<usize>,
         take: &mut impl FnMut(usize, MapSolution<'_>),
     ) {
-        if (0..WIDTH).all(|l| place(l).is_none()) {
+        if (0..W).all(|l| place(l).is_none()) {
             return;
         }
         self.fall_back(common, tasks, &place);
@@ -173,19 +206,19 @@ impl MapGroup {
         let has_hints = tasks.iter().any(|task| !task.problem.hints.is_empty());
         let is_judged = evidence == Evidence::Wanted;
         let is_exact = is_exact(tasks[0]);
-        let mut log_evidence = [0.0; WIDTH];
+        let mut log_evidence = [0.0; W];
         // Pseudo-measurements have another variance in the posterior variance than in the rest, which takes a
         // pass of its own.
         if is_judged && (has_hints || !with_sigma) {
             log_evidence = self.judge_all(common, first, is_exact, false);
         }
-        let misfits = if is_judged { misfits(&self.lines) } else { [(Misfit::default(), 0.0); WIDTH] };
+        let misfits = if is_judged { misfits(&self.lines) } else { [(Misfit::default(), 0.0); W] };
         if with_sigma {
             self.widen_hints();
             let of_all = self.judge_all(common, first, is_exact, true);
             log_evidence = if has_hints { log_evidence } else { of_all };
         }
-        for (l, n) in (0..WIDTH).filter_map(|l| Some((l, place(l)?))) {
+        for (l, n) in (0..W).filter_map(|l| Some((l, place(l)?))) {
             let (task, lane) = (tasks[l], &self.lanes[l]);
             let LaneState { offsets, status, iterations, .. } = lane.state;
             if task.options.with_sigma {
@@ -217,12 +250,12 @@ impl MapGroup {
     /// implausible.
     fn fall_back(
         &mut self,
-        common: &Common,
-        tasks: &[&MapTask<'_>; WIDTH],
+        common: &Common<W>,
+        tasks: &[&MapTask<'_>; W],
         place: impl Fn(usize) -> Option<usize>,
     ) {
         let mut has_failed = false;
-        for l in (0..WIDTH).filter(|l| place(*l).is_some()) {
+        for l in (0..W).filter(|l| place(*l).is_some()) {
             self.take_lane(l);
             let (problem, lane) = (&tasks[l].problem, &mut self.lanes[l]);
             if lane.state.status != MapStatus::Failed && !has_run_away(problem, &lane.u) {
@@ -252,9 +285,9 @@ impl MapGroup {
     /// Iterates all lanes that step, until none does.
     pub(super) fn descend(
         &mut self,
-        tasks: &[&MapTask<'_>; WIDTH],
-        common: &Common,
-        first: Wide,
+        tasks: &[&MapTask<'_>; W],
+        common: &Common<W>,
+        first: Wide<W>,
         count: usize,
     ) {
         while self.lanes.iter().any(|lane| lane.state.steps) {
@@ -292,7 +325,7 @@ impl MapGroup {
     }
 
     /// What the lanes have in common, and their constants.
-    pub(super) fn common(&self, tasks: &[&MapTask<'_>; WIDTH]) -> Common {
+    pub(super) fn common(&self, tasks: &[&MapTask<'_>; W]) -> Common<W> {
         let family = Family::of(tasks.map(|task| task.options.prior));
         let of = |part: fn(&MapProblem<'_>) -> f64| Wide(std::array::from_fn(|l| part(&tasks[l].problem)));
         Common {
@@ -306,7 +339,7 @@ impl MapGroup {
     }
 
     /// Runs the lanes where they stand.
-    pub(super) fn measure(&mut self, common: &Common) {
+    pub(super) fn measure(&mut self, common: &Common<W>) {
         let cost = run(&self.columns, common, &self.u, &offsets(&self.lanes), &mut self.lines);
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             let of_offsets = lane.state.offsets.cost(&lane.state.noise);
@@ -316,7 +349,7 @@ impl MapGroup {
     }
 
     /// Lays out the pixels of a group, each at its start.
-    pub(super) fn begin(&mut self, tasks: &[&MapTask<'_>; WIDTH], count: usize) -> Common {
+    pub(super) fn begin(&mut self, tasks: &[&MapTask<'_>; W], count: usize) -> Common<W> {
         for l in 0..count {
             let MapTask { problem, options } = tasks[l];
             let (before, lanes) = self.lanes.split_at_mut(l);
@@ -341,10 +374,10 @@ impl MapGroup {
     /// there.
     pub(super) fn load(
         &mut self,
-        tasks: &[&MapTask<'_>; WIDTH],
+        tasks: &[&MapTask<'_>; W],
         count: usize,
         steps: impl Fn(usize) -> bool,
-    ) -> Common {
+    ) -> Common<W> {
         let common = self.common(tasks);
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             let MapTask { problem, options } = tasks[l];
@@ -357,7 +390,7 @@ impl MapGroup {
                 lane.stream.fill(problem, &lane.knots);
             }
         }
-        let pixels: [Pixel<'_>; WIDTH] = std::array::from_fn(|l| {
+        let pixels: [Pixel<'_>; W] = std::array::from_fn(|l| {
             let lane = &self.lanes[usize::min(l, count - 1)];
             Pixel { stream: &lane.stream, segments: &lane.segments, u: &lane.u }
         });
@@ -369,7 +402,7 @@ impl MapGroup {
     }
 
     /// Lanes with 1 go on from the trial, the others from where they were.
-    fn accept(&mut self, common: &Common, accepted: Wide) {
+    fn accept(&mut self, common: &Common<W>, accepted: Wide<W>) {
         if accepted == Wide::ONE {
             std::mem::swap(&mut self.u, &mut self.trial);
             return;
@@ -384,33 +417,33 @@ impl MapGroup {
     /// for.
     pub(super) fn judge_all(
         &mut self,
-        common: &Common,
-        first: Wide,
+        common: &Common<W>,
+        first: Wide<W>,
         is_exact: bool,
         with_variance: bool,
-    ) -> [f64; WIDTH] {
+    ) -> [f64; W] {
         adapt(&mut self.columns, common, &self.u);
         // As measured: what the prior expects of thresholds has no part in it.
         self.lanes.iter_mut().for_each(|lane| lane.state.expected = Offsets::default());
         let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), Wide::ZERO);
         let evidence = match (with_variance, is_exact) {
-            (false, true) => passes::evidence::<ON>(&ask),
-            (false, false) => passes::evidence::<STATES>(&ask),
-            (true, true) => variance::variance::<ON>(&ask, &mut self.exact, &mut self.variance),
-            (true, false) => variance::variance::<STATES>(&ask, &mut self.free, &mut self.variance),
+            (false, true) => passes::evidence::<ON, W>(&ask),
+            (false, false) => passes::evidence::<STATES, W>(&ask),
+            (true, true) => variance::variance::<ON, W>(&ask, &mut self.exact, &mut self.variance),
+            (true, false) => variance::variance::<STATES, W>(&ask, &mut self.free, &mut self.variance),
         };
         std::array::from_fn(|l| evidence.log(l))
     }
 }
 
 /// What the passes are asked for at `here`, the first log light, when the prior expects `first` of it.
-pub(super) fn ask<'a>(
-    lanes: &[Lane; WIDTH],
-    columns: &'a Columns,
-    lines: &'a [Line],
-    (first, here): (Wide, Wide),
-    damping: Wide,
-) -> Ask<'a> {
+pub(super) fn ask<'a, const W: usize>(
+    lanes: &[Lane; W],
+    columns: &'a Columns<W>,
+    lines: &'a [Line<W>],
+    (first, here): (Wide<W>, Wide<W>),
+    damping: Wide<W>,
+) -> Ask<'a, W> {
     let offsets = offsets(lanes);
     Ask {
         lines,

@@ -3,22 +3,20 @@
 
 use super::super::prior::FIRST_SLOPE_VARIANCE;
 use super::super::tests::{event, sensor};
-use super::super::{
-    Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapTask, Noise, Offsets, Prior,
-};
+use super::super::{Hint, MapFrame, MapOptions, MapProblem, MapSensor, MapTask, Noise, Offsets, Prior};
 use super::columns::{Common, adapt, run};
 use super::lane::{is_exact, lanes_of, offsets as of_lanes};
 use super::passes::step;
-use super::solve::ask;
+use super::solve::{InStep, ask};
 use super::stream::{EVENT, FRAME, LIGHT, SEGMENT};
-use crate::wide::Wide;
+use crate::wide::{WIDTH, Wide};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::sensor::Reset;
 
 /// One pixel in the first lane of a group, at light and offsets of the test's own.
 struct Alone<'a> {
-    group: MapGroup,
-    common: Common,
+    group: InStep<WIDTH>,
+    common: Common<WIDTH>,
     task: MapTask<'a>,
     first: f64,
 }
@@ -26,7 +24,7 @@ struct Alone<'a> {
 impl<'a> Alone<'a> {
     /// At its start; the prior expects `above` more than that of the first log light.
     fn new(problem: MapProblem<'a>, options: MapOptions, above: f64) -> Alone<'a> {
-        let mut group = MapGroup::default();
+        let mut group = InStep::default();
         let task = MapTask { problem, options };
         let common = group.begin(&lanes_of(&[task], &[0]), 1);
         adapt(&mut group.columns, &common, &group.u);
@@ -76,7 +74,7 @@ impl<'a> Alone<'a> {
         lines.filter(|(.., sight)| *sight != 0).collect()
     }
 
-    fn at_knots(&self, values: &[Wide]) -> Vec<f64> {
+    fn at_knots(&self, values: &[Wide<WIDTH>]) -> Vec<f64> {
         let mut knots = Vec::new();
         self.group.lanes[0].stream.of_knots(values, 0, &mut knots);
         knots
@@ -85,7 +83,7 @@ impl<'a> Alone<'a> {
     /// The change of log light at each knot, and of the offsets.
     fn step(&mut self, damping: f64) -> (Vec<f64>, Offsets) {
         let is_exact = is_exact(&self.task);
-        let MapGroup { lanes, columns, lines, u, exact, free, change, .. } = &mut self.group;
+        let InStep { lanes, columns, lines, u, exact, free, change, .. } = &mut self.group;
         let ask = ask(lanes, columns, lines, (Wide::splat(self.first), u[0]), Wide::splat(damping));
         let by = if is_exact { step(&ask, exact, change).1 } else { step(&ask, free, change).1 };
         (self.at_knots(&self.group.change), by.lane(0))

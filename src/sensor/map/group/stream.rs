@@ -114,14 +114,14 @@ impl Stream {
 
     /// Of the values of a lane at each step, those at each knot: all steps of a knot have one light, and its
     /// last what is known after all that happens there.
-    pub(super) fn of_knots(&self, steps: &[Wide], lane: usize, knots: &mut Vec<f64>) {
+    pub(super) fn of_knots<const W: usize>(&self, steps: &[Wide<W>], lane: usize, knots: &mut Vec<f64>) {
         let ends = self.first_step.iter().skip(1).map(|first| *first as usize).chain([self.steps.len()]);
         knots.clear();
         knots.extend(ends.map(|end| steps[end - 1].0[lane]));
     }
 
     /// A lane of the values at each step becomes those at the knots; behind the pixel's end the last.
-    pub(super) fn spread(&self, knots: &[f64], lane: usize, steps: &mut [Wide]) {
+    pub(super) fn spread<const W: usize>(&self, knots: &[f64], lane: usize, steps: &mut [Wide<W>]) {
         for (s, value) in steps.iter_mut().enumerate() {
             value.0[lane] =
                 self.steps.get(s).map_or(knots[knots.len() - 1], |step| knots[step.knot as usize]);

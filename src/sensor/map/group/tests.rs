@@ -135,8 +135,8 @@ fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
             // Steps were refused, or damping would not be looked at. With unknown thresholds and without a
             // blind time none is.
             assert!(
-                !group.exact.dampings.is_empty()
-                    && (!group.free.dampings.is_empty() || reset == Reset::Advance),
+                !group.side_by_side.exact.dampings.is_empty()
+                    && (!group.side_by_side.free.dampings.is_empty() || reset == Reset::Advance),
                 "{reset:?}"
             );
         });

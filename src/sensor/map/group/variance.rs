@@ -4,7 +4,7 @@
 
 use super::super::curvature::Curvature;
 use super::super::state::{OFF, ON, R, S, Transition, U, V, each_state};
-use super::passes::{Ask, Evidence, Line, Memory, NO_EVIDENCE, forward};
+use super::passes::{Ask, Evidence, Line, Memory, forward};
 use super::stream::{EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT};
 use crate::scalar::Scalar;
 use crate::wide::Wide;
@@ -12,8 +12,8 @@ use multiversion::multiversion;
 
 /// What each lane looked at.
 #[inline(always)]
-fn sight<const N: usize>(ask: &Ask<'_>, line: &Line) -> [Wide; N] {
-    let of_event = |value: Wide| line.sight.any(ask.events, value, Wide::ZERO);
+fn sight<const N: usize, const W: usize>(ask: &Ask<'_, W>, line: &Line<W>) -> [Wide<W>; N] {
+    let of_event = |value: Wide<W>| line.sight.any(ask.events, value, Wide::ZERO);
     let of_value =
         |what: u64| line.sight.any(ask.events, Wide::ZERO, line.sight.choose(what, Wide::ONE, Wide::ZERO));
     let mut sight = [Wide::ZERO; N];
@@ -29,27 +29,31 @@ fn sight<const N: usize>(ask: &Ask<'_>, line: &Line) -> [Wide; N] {
 /// The evidence of each lane, and the posterior variance of log light after each step: that of a knot stands
 /// at its last.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn variance<const N: usize>(
-    ask: &Ask<'_>,
-    memory: &mut Memory<N>,
-    variance: &mut Vec<Wide>,
-) -> Evidence {
-    let mut evidence = NO_EVIDENCE;
+pub(super) fn variance<const N: usize, const W: usize>(
+    ask: &Ask<'_, W>,
+    memory: &mut Memory<N, W>,
+    variance: &mut Vec<Wide<W>>,
+) -> Evidence<W> {
+    let mut evidence = Evidence::NONE;
     memory.make_room(ask.lines.len());
     memory.information.resize(ask.lines.len(), Wide::ZERO);
-    forward::<N, false, true, true>(ask, memory, &mut evidence);
-    backward::<N>(ask, memory, variance);
+    forward::<N, false, true, true, W>(ask, memory, &mut evidence);
+    backward::<N, W>(ask, memory, variance);
     evidence
 }
 
 #[inline(always)]
-fn backward<const N: usize>(ask: &Ask<'_>, memory: &Memory<N>, variance: &mut Vec<Wide>) {
+fn backward<const N: usize, const W: usize>(
+    ask: &Ask<'_, W>,
+    memory: &Memory<N, W>,
+    variance: &mut Vec<Wide<W>>,
+) {
     let steps = ask.lines.len();
     variance.resize(steps, Wide::ZERO);
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
     let (kept, information, variance) =
         (&memory.kept[..steps], &memory.information[..steps], &mut variance[..steps]);
-    let mut curvature = Curvature::<Wide, N>::new();
+    let mut curvature = Curvature::<Wide<W>, N>::new();
     for j in (0..steps).rev() {
         let (line, then, kept) = (&lines[j], what[j], &kept[j]);
         variance[j] = (kept.row[U] - curvature.along(&kept.row)).max(Wide::ZERO);
