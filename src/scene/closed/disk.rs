@@ -1,6 +1,6 @@
 //! A disk that turns before a wall: what scenes with parts around a middle share.
 
-use super::shapes::{arrival, covered, hypot, to_border};
+use super::shapes::{arrival, covered, hypot, middle, to_border, turning};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use std::f64::consts::TAU;
@@ -22,10 +22,10 @@ impl Disk {
     /// With `radius` a part of the picture's shorter side.
     pub fn new(extent: Extent, radius: f64, parts: f64, speed: Rotation) -> Disk {
         Disk {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
+            centre: middle(extent),
             radius: radius * f64::from(extent.width.min(extent.height)),
             parts,
-            turning: TAU * speed.turns_per_s() * 1e-9,
+            turning: turning(speed),
         }
     }
 

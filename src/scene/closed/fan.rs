@@ -3,8 +3,9 @@
 //! Blades are sectors bent backwards, each of its own even grey, around a dark hub. Their edges are all that
 //! changes.
 
-use super::shapes::{Texture, arrival, blend, covered, hypot};
-use super::{DARKEST, Scene};
+use super::shapes::{arrival, blend, covered, hypot, middle, turning};
+use super::surface::Texture;
+use super::{ClosedScene, DARKEST};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
@@ -56,11 +57,11 @@ impl Fan {
     /// For a picture of that size.
     pub fn new(params: &FanParams, extent: Extent, seed: u64) -> Fan {
         Fan {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
+            centre: middle(extent),
             radius: params.radius * f64::from(extent.width.min(extent.height)),
             blades: f64::from(params.blades),
             cover: params.cover,
-            turning: TAU * params.speed.turns_per_s() * 1e-9,
+            turning: turning(params.speed),
             wall: Texture::new(0.08, 0.3, seed, 1),
         }
     }
@@ -81,8 +82,8 @@ impl Fan {
     }
 }
 
-impl Scene for Fan {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for Fan {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (distance, part, blade) = self.place(x, y, t_ns);
         let wall = self.wall.at(x, y);
         let hub = covered(distance - HUB * self.radius);
@@ -123,7 +124,7 @@ impl Scene for Fan {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]
@@ -147,8 +148,7 @@ mod tests {
         let (x, y) = (fan.centre.0 + 20.0, fan.centre.1);
         let n = 4000;
         // One turn lasts 1 / 15 s; blades are brighter than 0.4, the wall is darker.
-        let on =
-            (0..n).filter(|k| fan.reflectance(x, y, i64::from(*k) * 66_666_667 / i64::from(n)) > 0.4).count();
+        let on = (0..n).filter(|k| fan.light(x, y, i64::from(*k) * 66_666_667 / i64::from(n)) > 0.4).count();
         assert!((on as f64 / f64::from(n) - 0.3).abs() < 0.02, "{on} of {n}");
     }
 }
