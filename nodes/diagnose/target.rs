@@ -301,6 +301,11 @@ pub fn read_target(
         .ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
 }
 
+fn light_meta(case: &Case, count_hint: Option<u64>) -> LightMeta {
+    let span = TimeSpan::new(case.span.0, case.span.1);
+    LightMeta { extent: case.extent, span, colour: Colour::Mono, count_hint }
+}
+
 /// The node.
 pub struct DiagnoseTarget {
     params: Params,
@@ -375,12 +380,7 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let sensor = super::check(inputs)?;
         Scale::new(sensor, self.params.illuminance, Duration::new(1), WHO)?;
         let case = super::empty(inputs)?;
-        let light = LightMeta {
-            extent: case.extent,
-            span: TimeSpan::new(case.span.0, case.span.1),
-            colour: Colour::Mono,
-            count_hint: None,
-        };
+        let light = light_meta(&case, None);
         let document = DiagnosisMeta { kind: DiagnosisKind::Target };
         Ok(vec![
             Meta::Light(Arc::new(light)),
@@ -418,31 +418,15 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let mut band = LightBand::begin(0, case.extent.width);
         let count = pixels.iter().map(Vec::len).sum::<usize>() as u64;
         pixels.into_iter().for_each(|pixel| band.push(pixel));
-        let meta = LightMeta {
-            extent: case.extent,
-            span: TimeSpan::new(case.span.0, case.span.1),
-            colour: Colour::Mono,
-            count_hint: Some(count),
-        };
+        let meta = light_meta(&case, Some(count));
         let texts = |of: &dyn Fn(&Free) -> String| Column::Texts(self.free.iter().map(of).collect());
+        let numbers = |of: &dyn Fn(&Free, usize) -> f64| {
+            Column::Numbers(self.free.iter().zip(0..).map(|(free, k)| of(free, k)).collect())
+        };
         let fitted = Table::default()
             .with("parameter", texts(&|free| free.name.clone()))
-            .with(
-                "value",
-                Column::Numbers(
-                    self.free.iter().zip(shares).map(|(free, share)| free.value(*share)).collect(),
-                ),
-            )
-            .with(
-                "error",
-                Column::Numbers(
-                    self.free
-                        .iter()
-                        .zip(&errors)
-                        .map(|(free, error)| error * (free.to - free.from))
-                        .collect(),
-                ),
-            )
+            .with("value", numbers(&|free, k| free.value(shares[k])))
+            .with("error", numbers(&|free, k| errors[k] * (free.to - free.from)))
             .with("unit", texts(&|free| free.unit.clone().unwrap_or_default()));
         let found = Fitted { params: self.json.clone(), seed: cx.seed(), shares: shares.to_vec() };
         let document = Diagnosis::of(DiagnosisKind::Target, &found)?;

@@ -12,6 +12,7 @@ use photocurrent_core::colour::luminance;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Parameters of the scene `colour_wheel`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -57,8 +58,8 @@ impl ColourWheel {
 
     /// Distance from the middle, and the place in sectors, at least 0.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
-        let (distance, turns) = self.disk.place(x, y, t_ns);
-        (distance, turns.rem_euclid(1.0) * self.disk.parts)
+        let (distance, angle) = self.disk.polar(x, y, t_ns);
+        (distance, (angle / TAU).rem_euclid(1.0) * self.disk.parts)
     }
 
     /// Mean over a pixel of what `of` says of each colour.

@@ -11,11 +11,11 @@ pub const WALL: f64 = 0.3;
 /// The disk; its middle is that of the picture.
 pub struct Disk {
     pub centre: (f64, f64),
-    radius: f64,
+    pub radius: f64,
     /// Equal parts in a turn.
     pub parts: f64,
     /// Radians per nanosecond.
-    turning: f64,
+    pub turning: f64,
 }
 
 impl Disk {
@@ -29,11 +29,10 @@ impl Disk {
         }
     }
 
-    /// Distance from the middle, pixels, and the place on the disk in turns.
-    pub fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
+    /// Distance from the middle, pixels, and the angle on the disk, radians.
+    pub fn polar(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let (dx, dy) = (x - self.centre.0, y - self.centre.1);
-        let angle = libm::atan2(dy, dx) - self.turning * t_ns as f64;
-        (hypot(dx, dy), angle / TAU)
+        (hypot(dx, dy), libm::atan2(dy, dx) - self.turning * t_ns as f64)
     }
 
     /// How much of a pixel so far from the middle is on the disk.

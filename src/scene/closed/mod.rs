@@ -3,12 +3,12 @@
 //!
 //! Pixels are unit squares with their centre at whole numbers, `x` to the right and `y` down. What has edges
 //! is anti-aliased: a scene gives the mean over a pixel, from coverage in closed form, so that an edge that
-//! crosses a pixel makes a ramp and not a jump. Two hints make sampling quick: how fast things move, and
+//! crosses a pixel makes a ramp and not a jump. Two bounds make sampling quick: how fast things move, and
 //! until when nothing changes.
 //!
-//! Every scene is one file: its parameters, its struct, its tests; [`sketch`] has those that are as soft as
-//! stated and drawn at random. [`shapes`] has outlines and motions, [`surface`] random surfaces. What is
-//! random comes from the seed alone.
+//! Every scene is one file: its parameters, its struct, its tests; [`sketch`] has those with edges of a
+//! stated width, for random parameters. [`shapes`] has outlines and motions, [`surface`] random surfaces.
+//! What is random comes from the seed alone.
 
 pub mod basketball;
 pub mod checkerboard;
@@ -38,7 +38,7 @@ pub trait ClosedScene: Send + Sync {
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64;
 
     /// The same behind a filter of red (0), green (1) or blue (2); grey things look alike behind each. Both
-    /// hints hold for it, too.
+    /// bounds hold for it, too.
     fn channel(&self, _channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
         self.light(x, y, t_ns)
     }

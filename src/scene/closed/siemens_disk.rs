@@ -10,6 +10,7 @@ use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Parameters of the scene `siemens_disk`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -58,8 +59,8 @@ impl SiemensDisk {
 
     /// Distance from the middle, and the place in stripes.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
-        let (distance, turns) = self.disk.place(x, y, t_ns);
-        (distance, turns * self.disk.parts)
+        let (distance, angle) = self.disk.polar(x, y, t_ns);
+        (distance, angle / TAU * self.disk.parts)
     }
 }
 
@@ -86,7 +87,6 @@ impl ClosedScene for SiemensDisk {
 mod tests {
     use super::super::EXTENT;
     use super::*;
-    use std::f64::consts::TAU;
 
     #[test]
     fn an_edge_turns_by_speed_times_time() {

@@ -1,5 +1,5 @@
-//! Sketches: shades with edges as soft as stated on surfaces without end, at any real time. Random ones are
-//! what the decision of a diagnosis is calibrated on.
+//! Sketches: scenes with edges of a stated width on surfaces without end, at any real time. The decision of a
+//! diagnosis is calibrated on random ones.
 //!
 //! A texture that drifts and shakes, a turning star, discs that fly over a slow texture, a photograph that
 //! shakes, zooms and turns, a layer that moves before another one; a fan, a walking figure, a thrown ball
@@ -7,7 +7,7 @@
 //! objects are opaque; a place is a point, and the stated edge stands for the pixel.
 
 use super::shapes::{blend, bone, from_line, inside, turned};
-use super::surface::{bumps, rough};
+use super::surface::{noise, smooth_noise};
 use std::f64::consts::TAU;
 
 /// What moves.
@@ -41,7 +41,7 @@ pub enum Motion {
     Ball { radius: f64, begin: (f64, f64), velocity: (f64, f64), fall: f64, flight_ns: f64, rate: f64 },
 }
 
-/// A motion as it is drawn.
+/// A motion with its surfaces, edges and light.
 #[derive(Clone, Debug)]
 pub struct Sketch {
     /// What moves.
@@ -165,14 +165,15 @@ impl Sketch {
                 let slant = (scale * libm::sin(angle), scale * libm::cos(angle));
                 let (u, v) = turned((x - middle.0, y - middle.1), slant);
                 let (u, v) = (u - drift.0 * t - swing(shake, 0.0), v - drift.1 * t - swing(shake, 1.9));
-                let shape = inside((bumps(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0, self.edge);
-                self.contrasted(0.6 * rough(self.seed, u, v) + 0.4 * shape)
+                let shape = inside((smooth_noise(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0, self.edge);
+                self.contrasted(0.6 * noise(self.seed, u, v) + 0.4 * shape)
             }
             Motion::Layers { size, front, back } => {
                 let (u, v) = (x - front.0 * t, y - front.1 * t);
-                let share = inside((bumps(self.seed ^ 0x52, u, v, size) - 0.55) * 0.5 * size, self.edge);
-                let near = rough(self.seed ^ 0x53, u, v);
-                let far = rough(self.seed, x - back.0 * t, y - back.1 * t);
+                let share =
+                    inside((smooth_noise(self.seed ^ 0x52, u, v, size) - 0.55) * 0.5 * size, self.edge);
+                let near = noise(self.seed ^ 0x53, u, v);
+                let far = noise(self.seed, x - back.0 * t, y - back.1 * t);
                 self.contrasted(blend(far, near, share))
             }
             Motion::Fan { blades, rate, centre, radius, half, shade } => {
@@ -205,7 +206,7 @@ impl Sketch {
     /// Shade of a texture by its number at a place.
     fn textured(&self, number: u64, x: f64, y: f64) -> f64 {
         // A plain wall has no texture to be worked out.
-        if self.contrast == 0.0 { 0.5 } else { self.contrasted(rough(self.seed ^ number, x, y)) }
+        if self.contrast == 0.0 { 0.5 } else { self.contrasted(noise(self.seed ^ number, x, y)) }
     }
 
     /// A surface's value, 0 to 1, as a shade.

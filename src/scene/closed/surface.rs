@@ -83,7 +83,7 @@ fn whole(at: f64) -> i64 {
 }
 
 /// A smooth random surface without end, between 0 and 1, of features of a size in pixels.
-pub fn bumps(seed: u64, x: f64, y: f64, size: f64) -> f64 {
+pub fn smooth_noise(seed: u64, x: f64, y: f64, size: f64) -> f64 {
     let (u, v) = (x / size, y / size);
     let (a, b) = (u.floor(), v.floor());
     let smooth = |s: f64| s * s * s * (s * (6.0 * s - 15.0) + 10.0);
@@ -95,13 +95,14 @@ pub fn bumps(seed: u64, x: f64, y: f64, size: f64) -> f64 {
     top * (1.0 - t) + bottom * t
 }
 
-/// [`bumps`] of four sizes, whose mean power falls with frequency; about 0 to 1.
-pub fn rough(seed: u64, x: f64, y: f64) -> f64 {
+/// [`smooth_noise`] of four sizes, whose mean power falls with frequency; about 0 to 1.
+pub fn noise(seed: u64, x: f64, y: f64) -> f64 {
     const SIZES: [f64; 4] = [26.0, 11.0, 5.0, 2.4];
     const SHARES: [f64; 4] = [0.40, 0.30, 0.20, 0.10];
     (0..4)
         .map(|n| {
-            SHARES[n] * bumps(seed.wrapping_add(n as u64), x + 31.7 * n as f64, y - 17.3 * n as f64, SIZES[n])
+            let (u, v) = (x + 31.7 * n as f64, y - 17.3 * n as f64);
+            SHARES[n] * smooth_noise(seed.wrapping_add(n as u64), u, v, SIZES[n])
         })
         .sum()
 }
