@@ -18,6 +18,30 @@ use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
 use rayon::prelude::*;
 use std::sync::Arc;
 
+photocurrent_core::ports! {
+    /// Inputs of methods that step by thresholds.
+    pub struct In {
+        /// Events; compensated steps are used where a node before made them.
+        events: EventStream,
+        /// Captured frames.
+        frames: FrameSequence,
+        /// Thresholds, black level, clock offset; saturation, where white counts.
+        sensor: Option<Arc<Sensor>>,
+        /// A table with the column `contrast`, from `baseline/contrast` (with `white`, where white counts):
+        /// one threshold; for `baseline/edi` also one for each captured frame.
+        contrast: Option<Arc<Table>>,
+        /// Frames whose exposures, row time and scale are to be imitated.
+        at: Option<FrameSequence>,
+    }
+}
+
+impl In {
+    /// What is connected.
+    pub fn request(&self) -> Request<'_> {
+        Request::connected(&self.frames, Some(&self.events), &self.at, &self.sensor)
+    }
+}
+
 /// What is connected to a method's sockets, as far as it is known before the data.
 #[derive(Clone, Copy)]
 pub struct Request<'a> {

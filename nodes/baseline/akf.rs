@@ -23,13 +23,12 @@ pub mod pixel;
 pub mod sequence;
 pub mod settings;
 
-use crate::reconstruct::{Intensity, Request, by_rows, one_contrast_of};
+use crate::reconstruct::{In, Intensity, Request, by_rows, one_contrast_of};
 use crate::sampling::{Sampling, scale_seconds};
 use events::PixelLists;
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::{
-    Context, Decl, EventStream, Exposure, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
-    Sensor, Table,
+    Context, Decl, Exposure, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
 };
 use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use pixel::{Picture, Shared};
@@ -132,22 +131,6 @@ impl Default for Params {
             stamp: Stamp::Best,
             latency: Duration::default(),
         }
-    }
-}
-
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// Events; compensated steps are used where a node before made them.
-        events: EventStream,
-        /// Captured frames.
-        frames: FrameSequence,
-        /// Thresholds, black level, saturation, clock offset.
-        sensor: Option<Arc<Sensor>>,
-        /// A table with the column `contrast` and one row, from `baseline/contrast` with `white`.
-        contrast: Option<Arc<Table>>,
-        /// Frames whose exposures, row time and scale are to be imitated.
-        at: Option<FrameSequence>,
     }
 }
 
@@ -259,7 +242,7 @@ params = { rate = "1 kHz", threshold = 0.1, white = 255, variant = "corrected" }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
+        let request = input.request();
         let searched =
             input.contrast.as_deref().map(|table| one_contrast_of(table, "baseline/akf")).transpose()?;
         let (meta, rule, intensity) = self.prepare(&request, searched)?;

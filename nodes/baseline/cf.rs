@@ -15,13 +15,12 @@
 //! of a virtual exposure, not a mean over it. The authors' HDR weights and self-tuned thresholds (both off by
 //! default there) are not here.
 
-use crate::reconstruct::{Intensity, Request, by_rows, events_of, one_contrast_of};
+use crate::reconstruct::{In, Intensity, Request, by_rows, events_of, one_contrast_of};
 use crate::sampling::{Sampling, scale_seconds};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::{
-    Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node,
-    NodeError, PortMetas, Sensor, Table,
+    Context, Decl, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
 };
 use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use schemars::JsonSchema;
@@ -107,22 +106,6 @@ impl Default for Params {
 }
 
 photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// Events; compensated steps are used where a node before made them.
-        events: EventStream,
-        /// Captured frames.
-        frames: FrameSequence,
-        /// Thresholds, black level, saturation, clock offset.
-        sensor: Option<Arc<Sensor>>,
-        /// A table with the column `contrast` and one row, from `baseline/contrast` with `white`.
-        contrast: Option<Arc<Table>>,
-        /// Frames whose exposures, row time and scale are to be imitated.
-        at: Option<FrameSequence>,
-    }
-}
-
-photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
         /// The reconstructed frames, linear DN.
@@ -180,7 +163,7 @@ params = { rate = "1 kHz", cutoff = "0.5 Hz", threshold = 0.1, white = 255 }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
+        let request = input.request();
         let searched =
             input.contrast.as_deref().map(|table| one_contrast_of(table, "baseline/cf")).transpose()?;
         let (meta, rule, intensity) = self.prepare(&request, searched)?;

@@ -14,14 +14,14 @@
 //! latency, no refractory period.
 
 use crate::held::{Exposures, HeldMeans, Knots, Lanes, TILE, develop};
+pub use crate::reconstruct::In;
 use crate::reconstruct::{Request, black_level, contrast_of, events_of, in_rows, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
 use multiversion::multiversion;
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node,
-    NodeError, PortMetas, Sensor, Table,
+    Context, Decl, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
 };
 use photocurrent_sensor::elementary;
 use photocurrent_solve::pixel_events::{Stamp, StepRule};
@@ -54,23 +54,6 @@ pub struct Params {
     /// exposure as recorded.
     #[schemars(extend("x-min" = "1 ns"))]
     pub blur: Option<Duration>,
-}
-
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// Events; compensated steps are used where a node before made them.
-        events: EventStream,
-        /// Captured frames.
-        frames: FrameSequence,
-        /// Thresholds, black level, clock offset.
-        sensor: Option<Arc<Sensor>>,
-        /// A table with the column `contrast`, from `baseline/contrast`: one threshold, or one for each
-        /// captured frame.
-        contrast: Option<Arc<Table>>,
-        /// Frames whose exposures, row time and scale are to be imitated.
-        at: Option<FrameSequence>,
-    }
 }
 
 photocurrent_core::ports! {
@@ -158,7 +141,7 @@ params = { rate = "1 kHz", latency = "40 us" }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
+        let request = input.request();
         let searched = input.contrast.as_deref().map(contrast_of).transpose()?;
         let rule = self.rule(&request, searched.map(|values| values[0]))?;
         let per_frame = self.per_frame(searched, request.frames)?;
@@ -443,7 +426,7 @@ mod tests {
     use super::*;
     use photocurrent_core::events::{Event, Polarity};
     use photocurrent_core::quantity::Rate;
-    use photocurrent_core::{Extent, testing};
+    use photocurrent_core::{Extent, Sensor, Table, testing};
 
     const ONE: Extent = Extent { width: 1, height: 1 };
 

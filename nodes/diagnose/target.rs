@@ -12,7 +12,7 @@
 //! hides an effect that is exactly alike (`illuminance` an exposure time), so state what is known; the sensor
 //! that frames are predicted with is the one stated.
 
-use crate::simulate::scenes::{self, Details, Scene};
+use crate::simulate::scenes::{self, Details};
 use crate::simulate::source::{Look, Scale};
 use photocurrent_core::light::LightBand;
 use photocurrent_core::quantity::{Duration, Illuminance};
@@ -22,10 +22,11 @@ use photocurrent_core::{
     Grain, Light, LightMeta, Meta, Node, NodeError, PortMetas, Sensor, Table, TimeSpan,
 };
 use photocurrent_scene::case::Case;
-use photocurrent_scene::known::Knots;
+use photocurrent_scene::closed::ClosedScene;
+use photocurrent_scene::light::Knots;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::picture::PictureSetting;
-use photocurrent_scene::target::{Closed, Form, Target, TargetSetting};
+use photocurrent_scene::target::{Form, Target, TargetSetting};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -171,26 +172,28 @@ fn parts(text: &str) -> Option<(f64, String)> {
 }
 
 /// A scene as the camera stands before it.
-struct Seen {
-    scene: Box<dyn Scene>,
+struct LitScene {
+    scene: Box<dyn ClosedScene>,
     shift: (f64, f64),
     start_ns: i64,
     blur: f64,
+    /// Photocurrent of white.
+    white: f64,
 }
 
 /// Gauss-Hermite: three places of a normal distribution, standard deviations, with their weights.
 const HERMITE: [(f64, f64); 3] =
     [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
 
-impl Seen {
-    fn new(params: &Params, extent: Extent, seed: u64) -> Seen {
-        let scene = params.details.scene(params.scene, extent, seed);
-        Seen {
-            scene,
+impl LitScene {
+    fn new(params: &Params, extent: Extent, sensor: &Sensor, seed: u64) -> Result<LitScene, NodeError> {
+        Ok(LitScene {
+            scene: params.details.scene(params.scene, extent, seed),
             shift: (params.shift_x, params.shift_y),
             start_ns: params.start.ns(),
             blur: params.blur,
-        }
+            white: Scale::new(sensor, params.illuminance, Duration::new(1), WHO)?.white,
+        })
     }
 
     /// Places of the scene that a pixel sees, with their weights.
@@ -206,11 +209,14 @@ impl Seen {
     }
 }
 
-impl Scene for Seen {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.places(x, y)
-            .map(|(x, y, weight)| weight * self.scene.reflectance(x, y, t_ns + self.start_ns))
-            .sum()
+/// How light is sampled.
+const LOOK: Look = Look { step: Duration::new(100_000), tolerance: 1e-3, graze: false };
+
+impl ClosedScene for LitScene {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+        let places = self.places(x, y);
+        let reflectance = places.map(|(x, y, weight)| weight * self.scene.light(x, y, t_ns + self.start_ns));
+        self.white * reflectance.sum::<f64>()
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
@@ -225,29 +231,9 @@ impl Scene for Seen {
             .unwrap_or(t_ns);
         if until == i64::MAX { until } else { until - self.start_ns }
     }
-}
-
-/// The target of some parameters before a sensor.
-struct Lit {
-    seen: Seen,
-    /// Photocurrent of white.
-    white: f64,
-}
-
-/// How light is sampled.
-const LOOK: Look = Look { step: Duration::new(100_000), tolerance: 1e-3, graze: false };
-
-impl Closed for Lit {
-    fn photocurrent(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.white * self.seen.reflectance(x, y, t_ns)
-    }
-
-    fn speed(&self, x: f64, y: f64) -> f64 {
-        self.seen.speed(x, y)
-    }
 
     fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
-        LOOK.sample(&self.seen, None, (x, y), span.0, span.1, self.white)
+        LOOK.sample(self, None, (x, y), span.0, span.1, 1.0)
             .into_iter()
             .map(|(t, photocurrent)| (t + span.0, photocurrent))
             .unzip()
@@ -282,10 +268,9 @@ impl Form for Family {
         self.free.len()
     }
 
-    fn at(&self, shares: &[f64]) -> Option<Box<dyn Closed>> {
+    fn at(&self, shares: &[f64]) -> Option<Box<dyn ClosedScene>> {
         let params = self.params(shares).ok()?;
-        let white = Scale::new(&self.sensor, params.illuminance, Duration::new(1), WHO).ok()?.white;
-        Some(Box::new(Lit { seen: Seen::new(&params, self.extent, self.seed), white }))
+        Some(Box::new(LitScene::new(&params, self.extent, &self.sensor, self.seed).ok()?))
     }
 }
 
@@ -314,6 +299,11 @@ pub fn read_target(
     let form = Arc::new(node.family(case.extent, &case.sensor, seed));
     Target::near(case, nominal, form, node.setting(seed), picture, &shares)
         .ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
+}
+
+fn light_meta(case: &Case, count_hint: Option<u64>) -> LightMeta {
+    let span = TimeSpan::new(case.span.0, case.span.1);
+    LightMeta { extent: case.extent, span, colour: Colour::Mono, count_hint }
 }
 
 /// The node.
@@ -362,13 +352,7 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        if let Some(name) = params.details.set_in_vain(params.scene) {
-            let shown =
-                serde_json::to_value(params.scene).map_err(|error| NodeError::failed(error.to_string()))?;
-            return Err(NodeError::usage(format!("`{name}` is set, but the scene is {shown}"))
-                .hint(format!("write `scene = \"{name}\"`, or leave `{name}` out"))
-                .param(name));
-        }
+        params.details.check(params.scene)?;
         let json = serde_json::to_value(&params).map_err(|error| NodeError::failed(error.to_string()))?;
         let free = params
             .free
@@ -396,12 +380,7 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let sensor = super::check(inputs)?;
         Scale::new(sensor, self.params.illuminance, Duration::new(1), WHO)?;
         let case = super::empty(inputs)?;
-        let light = LightMeta {
-            extent: case.extent,
-            span: TimeSpan::new(case.span.0, case.span.1),
-            colour: Colour::Mono,
-            count_hint: None,
-        };
+        let light = light_meta(&case, None);
         let document = DiagnosisMeta { kind: DiagnosisKind::Target };
         Ok(vec![
             Meta::Light(Arc::new(light)),
@@ -428,46 +407,26 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
             "frame values miss the target by {:.2} standard deviations (median; 0.67 is noise alone)",
             target.left()
         ));
-        let seen = Seen::new(&params, case.extent, cx.seed());
-        let white = Scale::new(&input.sensor, params.illuminance, Duration::new(1), WHO)?.white;
-        let pixel = |n: u32| {
-            let place = (f64::from(n % case.extent.width), f64::from(n / case.extent.width));
-            let light = LOOK.sample(&seen, None, place, case.span.0, case.span.1, white);
-            light
-                .into_iter()
-                .map(|(t, photocurrent)| (t + case.span.0, photocurrent as f32))
-                .collect::<Vec<(i64, f32)>>()
+        let scene = LitScene::new(&params, case.extent, &input.sensor, cx.seed())?;
+        let pixel = |n: u32| -> Vec<(i64, f32)> {
+            let (x, y) = (f64::from(n % case.extent.width), f64::from(n / case.extent.width));
+            let (t, light) = scene.knots(x, y, case.span);
+            t.into_iter().zip(light).map(|(t, photocurrent)| (t, photocurrent as f32)).collect()
         };
         let pixels: Vec<Vec<(i64, f32)>> =
             (0..case.extent.pixels() as u32).into_par_iter().map(pixel).collect();
         let mut band = LightBand::begin(0, case.extent.width);
         let count = pixels.iter().map(Vec::len).sum::<usize>() as u64;
         pixels.into_iter().for_each(|pixel| band.push(pixel));
-        let meta = LightMeta {
-            extent: case.extent,
-            span: TimeSpan::new(case.span.0, case.span.1),
-            colour: Colour::Mono,
-            count_hint: Some(count),
-        };
+        let meta = light_meta(&case, Some(count));
         let texts = |of: &dyn Fn(&Free) -> String| Column::Texts(self.free.iter().map(of).collect());
+        let numbers = |of: &dyn Fn(&Free, usize) -> f64| {
+            Column::Numbers(self.free.iter().zip(0..).map(|(free, k)| of(free, k)).collect())
+        };
         let fitted = Table::default()
             .with("parameter", texts(&|free| free.name.clone()))
-            .with(
-                "value",
-                Column::Numbers(
-                    self.free.iter().zip(shares).map(|(free, share)| free.value(*share)).collect(),
-                ),
-            )
-            .with(
-                "error",
-                Column::Numbers(
-                    self.free
-                        .iter()
-                        .zip(&errors)
-                        .map(|(free, error)| error * (free.to - free.from))
-                        .collect(),
-                ),
-            )
+            .with("value", numbers(&|free, k| free.value(shares[k])))
+            .with("error", numbers(&|free, k| errors[k] * (free.to - free.from)))
             .with("unit", texts(&|free| free.unit.clone().unwrap_or_default()));
         let found = Fitted { params: self.json.clone(), seed: cx.seed(), shares: shares.to_vec() };
         let document = Diagnosis::of(DiagnosisKind::Target, &found)?;

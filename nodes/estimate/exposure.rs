@@ -9,7 +9,7 @@
 //! given are tried with each length, as blurred frames make them look small; the interval holds that of the
 //! offset.
 
-use super::{Estimate, In, Row, Settings, panel, table};
+use super::{Estimate, In, Row, Settings, table};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate::{self, Unclear};
@@ -107,7 +107,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let settings = Settings { frames: self.params.frames, ..Settings::default() };
-        let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
+        let panel = input.panel(&settings)?;
         let stated = self.params.offset.map(|offset| super::exactly(offset.ns() as f64));
         let late =
             stated.or_else(|| estimate::offset(&panel).map(|shift| shift.ns)).unwrap_or(super::exactly(0.0));

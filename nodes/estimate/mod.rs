@@ -26,6 +26,8 @@ use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{EventStream, FrameSequence, Meta, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::estimate;
 pub use photocurrent_sensor::estimate::Estimate;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 photocurrent_core::ports! {
@@ -40,6 +42,22 @@ photocurrent_core::ports! {
     }
 }
 
+/// Parameters of what needs nothing else.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
+    /// it.
+    #[schemars(range(min = 2, max = 512))]
+    pub frames: usize,
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        Params { frames: 48 }
+    }
+}
+
 /// What events and frames together say of a sensor, for a description that has to begin somewhere.
 #[derive(Clone, Debug, Default)]
 pub struct Proposals {
@@ -51,6 +69,13 @@ pub struct Proposals {
     pub exposure_ns: Option<Estimate>,
     /// Why there is none, where there is none.
     pub exposure_unclear: Option<String>,
+}
+
+impl In {
+    /// What is looked at.
+    fn panel(&self, settings: &Settings) -> Result<estimate::Panel, NodeError> {
+        panel(&self.events, &self.frames, self.sensor.as_deref(), settings)
+    }
 }
 
 /// Estimates everything that can be estimated at once.

@@ -8,28 +8,11 @@
 //!
 //! Limits: nothing where nothing moves; a scene that repeats within a frame period has several shifts.
 
-use super::{In, Row, Settings, panel, table};
+pub use super::Params;
+use super::{In, Row, Settings, table};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Parameters of `estimate/offset`.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
-    /// it.
-    #[schemars(range(min = 2, max = 512))]
-    pub frames: usize,
-}
-
-impl Default for Params {
-    fn default() -> Params {
-        Params { frames: 48 }
-    }
-}
 
 photocurrent_core::ports! {
     /// What was found.
@@ -81,7 +64,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let settings =
             Settings { frames: self.params.frames, by_row: true, by_front_end: true, ..Settings::default() };
-        let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
+        let panel = input.panel(&settings)?;
         let shift = estimate::offset(&panel);
         let drift = estimate::drift(&panel);
         match &shift {

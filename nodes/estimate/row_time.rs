@@ -5,28 +5,11 @@
 //!
 //! Limits: it needs motion in many rows; a scene that repeats within a frame period has several shifts.
 
-use super::{In, Row, Settings, panel, table};
+pub use super::Params;
+use super::{In, Row, Settings, table};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Parameters of `estimate/row_time`.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
-    /// it.
-    #[schemars(range(min = 2, max = 512))]
-    pub frames: usize,
-}
-
-impl Default for Params {
-    fn default() -> Params {
-        Params { frames: 48 }
-    }
-}
 
 photocurrent_core::ports! {
     /// What was found.
@@ -74,7 +57,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let settings = Settings { frames: self.params.frames, by_front_end: true, ..Settings::default() };
-        let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
+        let panel = input.panel(&settings)?;
         let found = estimate::row_time(&panel);
         if found.is_none() {
             cx.note("too few bands of rows show a shift: nothing moves there");

@@ -15,7 +15,7 @@ mod evidence;
 #[cfg(test)]
 mod tests;
 
-use super::{In, Row, Settings, panel, table};
+use super::{In, Row, Settings, table};
 use evidence::{Pair, Rule, Verdict};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
@@ -115,7 +115,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let settings = Settings { frames: self.params.frames, ..Settings::default() };
-        let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
+        let panel = input.panel(&settings)?;
         let offset_ns = self
             .params
             .offset

@@ -8,6 +8,7 @@
 //! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a
 //! temporary file.
 
+use crate::crop::Crop;
 use crate::spans::check_window;
 use photocurrent_core::DataType;
 use photocurrent_core::document::Source;
@@ -16,10 +17,9 @@ use photocurrent_core::{
     Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor,
 };
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
-use photocurrent_formats::trim::Crop;
 use photocurrent_formats::{
     Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Probe, Recording, Shift, StampRole,
-    Strobe, TimeUnit, Transfer, catalog, instead,
+    Strobe, TimeUnit, Transfer, catalog, instead, trim,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -59,24 +59,6 @@ pub struct Size {
     pub height: u32,
 }
 
-/// A part of the array of event pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Part {
-    /// First column.
-    #[schemars(range(max = 65535))]
-    pub x: u16,
-    /// First row.
-    #[schemars(range(max = 65535))]
-    pub y: u16,
-    /// Columns.
-    #[schemars(range(min = 1, max = 65535))]
-    pub width: u16,
-    /// Rows.
-    #[schemars(range(min = 1, max = 65535))]
-    pub height: u16,
-}
-
 /// All parameters of all formats.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -94,7 +76,7 @@ pub struct All {
     /// events and frames of one recording are read apart.
     pub zero: Option<Duration>,
     /// Only this part of the array of event pixels, numbered from 0, and the frame pixels that lie on it.
-    pub crop: Option<Part>,
+    pub crop: Option<Crop>,
     /// Size of the array of event pixels, where the file does not state it.
     pub extent: Option<Size>,
     /// Unit of the events' stamps, where the file does not state it, or states a wrong one.
@@ -202,7 +184,7 @@ impl All {
             end: self.end,
             frame_offset: self.frame_offset,
             row_time: self.row_time,
-            crop: self.crop.map(|part| Crop { x: part.x, y: part.y, width: part.width, height: part.height }),
+            crop: self.crop.map(|Crop { x, y, width, height }| trim::Crop { x, y, width, height }),
         }
     }
 }

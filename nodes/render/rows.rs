@@ -25,10 +25,10 @@
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
 
 use super::reading::Readout;
+use crate::crop::Crop;
 use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
 use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use crate::score::roi::Roi;
 use photocurrent_core::{
     Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameScale, FrameSequence, FrameTimes,
     FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
@@ -70,7 +70,7 @@ pub struct Params {
     #[serde(flatten)]
     pub sampling: Sampling,
     /// Only pixels in this rectangle are rendered, and frames have its size; absent = the whole sensor.
-    pub roi: Option<Roi>,
+    pub roi: Option<Crop>,
     /// How tracks that are held between knots are read; those that are log-linear already are not changed by
     /// it.
     pub between: Reading,
@@ -149,7 +149,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let at = input.at.as_ref().map(|at| &*at.meta);
         let of = &*tracks.meta;
         let meta = self.frames(of, at, &input.sensor)?;
-        let Roi { x: left, y: top, .. } = self.params.roi.unwrap_or(Roi::whole(of.extent));
+        let Crop { x: left, y: top, .. } = self.params.roi.unwrap_or(Crop::whole(of.extent));
         let dn = DigitalNumbers::new(&input.sensor, of.colour)?;
         let band = tracks.read(Rows { start: top + cx.rows().start, end: top + cx.rows().end })?;
         let readout = Readout::new(&input.sensor, meta.scale)?;
@@ -259,7 +259,7 @@ impl RenderRows {
             Some(sensor),
         )?;
         let Some(roi) = self.params.roi else { return Ok(whole) };
-        roi.check(tracks.extent)?;
+        roi.check("roi", "frames", tracks.extent)?;
         let cell = tracks.colour.cell();
         if roi.x % cell != 0 || roi.y % cell != 0 {
             return Err(NodeError::usage(format!(
@@ -538,7 +538,7 @@ mod tests {
     #[test]
     fn a_part_of_the_sensor_is_cut_out_of_the_whole() {
         let extent = Extent { width: 40, height: 6 };
-        let roi = Roi { x: 4, y: 2, width: 19, height: 3 };
+        let roi = Crop { x: 4, y: 2, width: 19, height: 3 };
         let sampling = Sampling {
             rate: Rate::new(10_000.0),
             shutter: Shutter::Rolling,
@@ -555,7 +555,7 @@ mod tests {
             let mut sensor = (*sensor()).clone();
             sensor.frames.channel_gain = Some([0.5, 1.0, 2.0]);
             let sensor = Arc::new(sensor);
-            let render = |roi: Option<Roi>, rows: Rows| {
+            let render = |roi: Option<Crop>, rows: Rows| {
                 let node =
                     RenderRows { params: Params { sampling: sampling.clone(), roi, ..Params::default() } };
                 let input = In { tracks: tracks.clone(), sensor: sensor.clone(), at: None };
@@ -585,7 +585,7 @@ mod tests {
 
     #[test]
     fn a_part_outside_the_sensor_or_inside_a_mosaics_cell_is_refused() {
-        let refused = |roi: Roi| {
+        let refused = |roi: Crop| {
             let node = RenderRows { params: Params { roi: Some(roi), ..Params::default() } };
             node.frames(
                 &uneven(Extent { width: 8, height: 6 }, Colour::named("bayer_rggb").unwrap(), Between::Hold)
@@ -595,13 +595,13 @@ mod tests {
             )
             .unwrap_err()
         };
-        let odd = refused(Roi { x: 2, y: 1, width: 4, height: 2 });
+        let odd = refused(Crop { x: 2, y: 1, width: 4, height: 2 });
         assert_eq!(
             (odd.message.as_str(), odd.param.as_deref()),
             ("`roi` begins at (2, 1), inside a cell of the mosaic bayer_rggb", Some("roi"))
         );
         assert!(odd.hint.unwrap().contains("multiples of 2"));
-        assert!(refused(Roi { x: 4, y: 0, width: 6, height: 2 }).message.contains("the frames have 8 x 6"));
+        assert!(refused(Crop { x: 4, y: 0, width: 6, height: 2 }).message.contains("the frames have 8 x 6"));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use super::edge::{
     measure, measure_all,
 };
 use super::matching::no_mosaic;
-use super::roi::Roi;
+use crate::crop::Crop;
 use photocurrent_core::table::{Column, Score, TableMeta, percentile};
 use photocurrent_core::{
     Context, Decl, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
@@ -35,7 +35,7 @@ use std::sync::Arc;
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// A rectangle around each edge: 20 pixels or more across it, 12 or more along it.
-    pub edges: Vec<Roi>,
+    pub edges: Vec<Crop>,
     /// Which channel, counted from 0.
     pub channel: u32,
     /// DN that counts as full scale, above black; absent = saturation of the connected sensor, else the
@@ -122,7 +122,7 @@ pub struct ScoreBew {
 impl ScoreBew {
     fn check(&self, extent: Extent, channels: u32) -> Result<(), NodeError> {
         for (i, roi) in self.params.edges.iter().enumerate() {
-            roi.check(extent).map_err(|mut error| {
+            roi.check("roi", "frames", extent).map_err(|mut error| {
                 error.message = format!("edge {i}: {}", error.message);
                 error.param("edges")
             })?;
@@ -240,7 +240,7 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
             let value = |x: u32, y: u32| {
                 f64::from(picture.row(l, y)[(x * meta.channels() + self.params.channel) as usize])
             };
-            let plane = |roi: &Roi| {
+            let plane = |roi: &Crop| {
                 (roi.y..roi.y + roi.height)
                     .flat_map(|y| (roi.x..roi.x + roi.width).map(move |x| value(x, y)))
                     .collect()
@@ -264,7 +264,7 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
                 let all: Result<Vec<Vec<Vec<f64>>>, NodeError> =
                     (0..frames.len()).into_par_iter().map(planes).collect();
                 let all = all?;
-                let of_edge = |(e, roi): (usize, &Roi)| {
+                let of_edge = |(e, roi): (usize, &Crop)| {
                     let (edges, joint, count) = measure_all(
                         all.iter().map(|planes| planes[e].as_slice()),
                         roi.width as usize,
@@ -301,7 +301,7 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
 
 impl ScoreBew {
     /// The edge of a rectangle, in the frame's pixels and divided as asked.
-    fn placed(&self, mut edge: Edge, roi: &Roi) -> Edge {
+    fn placed(&self, mut edge: Edge, roi: &Crop) -> Edge {
         let divisor = self.params.normalise.divisor();
         edge.width /= divisor;
         edge.interval = edge.interval.map(|end| end / divisor);
@@ -474,7 +474,7 @@ mod tests {
     use photocurrent_core::{Exposure, testing};
 
     const EXTENT: Extent = Extent { width: 60, height: 40 };
-    const EDGE: Roi = Roi { x: 10, y: 6, width: 40, height: 24 };
+    const EDGE: Crop = Crop { x: 10, y: 6, width: 40, height: 24 };
 
     /// Frame 0 has a Gaussian edge of sigma 1, 5 degrees off the vertical, at column 30.2 of row 18; frame 1
     /// is flat.
@@ -552,7 +552,7 @@ mod tests {
 
     #[test]
     fn a_segment_of_forty_pixels_is_read_along_the_row() {
-        let segment = Roi { x: 10, y: 18, width: 40, height: 1 };
+        let segment = Crop { x: 10, y: 18, width: 40, height: 1 };
         let (out, _) =
             run(Params { edges: vec![segment], profile: Direction::Row, ..Params::default() }).unwrap();
         // Straight lines between columns widen this edge by up to 0.32 pixels.
@@ -638,7 +638,7 @@ mod tests {
             refused(Params::default()),
             ("`edges` is empty: there is nothing to measure".into(), "edges".into())
         );
-        let outside = refused(Params { edges: vec![EDGE, Roi { x: 30, ..EDGE }], ..Params::default() });
+        let outside = refused(Params { edges: vec![EDGE, Crop { x: 30, ..EDGE }], ..Params::default() });
         assert_eq!(
             outside,
             (
@@ -647,7 +647,7 @@ mod tests {
             )
         );
         let small =
-            refused(Params { edges: vec![Roi { width: 40, height: 11, ..EDGE }], ..Params::default() });
+            refused(Params { edges: vec![Crop { width: 40, height: 11, ..EDGE }], ..Params::default() });
         assert_eq!(small, ("edge 0: 40 x 11 pixels at (10, 6) are too few".into(), "edges".into()));
         let channel = refused(Params { edges: vec![EDGE], channel: 1, ..Params::default() });
         assert_eq!(

@@ -1,11 +1,65 @@
-//! Frames with their true frames: the loop, the peak and the rows of scores that all full-reference metrics
-//! share.
+//! Frames with their true frames: the inputs, the loop, the peak and the rows of scores that full-reference
+//! metrics share.
 
 use super::matching::match_frames;
+use super::region::Region;
+use crate::crop::Crop;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::table::Score;
-use photocurrent_core::{Context, FrameSequence, NodeError, Sensor};
+use photocurrent_core::table::{Score, TableMeta};
+use photocurrent_core::{Context, FrameSequence, Meta, NodeError, PortMetas, Sensor, Truth};
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of metrics of whole pictures.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// DN that counts as full scale, above black; absent = saturation of the connected sensor, else the
+    /// largest true value.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub peak_dn: Option<f64>,
+    /// Which pixels count; windows reach beyond them.
+    pub region: Region,
+    /// Only pixels in this rectangle count; absent = the whole picture.
+    pub roi: Option<Crop>,
+    /// How far apart the middles of two exposures may lie.
+    #[schemars(extend("x-min" = "0 ns"))]
+    pub tolerance: Duration,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Params { peak_dn: None, region: Region::All, roi: None, tolerance: Duration::new(1000) }
+    }
+}
+
+impl Params {
+    /// Refuses, before any data, frames that are of other instants than the true ones, or not as large as
+    /// `roi`; scores otherwise.
+    ///
+    /// # Errors
+    /// When they are such.
+    pub fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let frames = inputs.frames("frames")?;
+        match_frames(frames, inputs.truth("truth")?, self.tolerance.ns())?;
+        self.roi.map_or(Ok(()), |roi| roi.check("roi", "frames", frames.extent))?;
+        Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
+    }
+}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// The frames to judge.
+        frames: FrameSequence,
+        /// What they should be.
+        truth: Truth,
+        /// For the peak and the black level.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
 
 /// Frames, and for each the true frame that it is compared with.
 pub struct Pairs<'a> {

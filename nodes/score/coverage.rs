@@ -14,7 +14,7 @@ use super::card::{Card, MEAN, OWN, linear_dn};
 use super::compare::{Pairs, Peak};
 use super::matching::match_frames;
 use super::region::Region;
-use super::roi::Roi;
+use crate::crop::Crop;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::TableMeta;
 use photocurrent_core::{
@@ -34,7 +34,7 @@ pub struct Params {
     /// Which pixels count.
     pub region: Region,
     /// Only pixels in this rectangle count; absent = the whole picture.
-    pub roi: Option<Roi>,
+    pub roi: Option<Crop>,
     /// How far apart the middles of two exposures may lie.
     #[schemars(extend("x-min" = "0 ns"))]
     pub tolerance: Duration,
@@ -101,7 +101,7 @@ in   = { frames = "render.frames", sigma = "render.sigma", truth = "recording.tr
         let frames = inputs.frames("frames")?;
         match_frames(frames, inputs.truth("truth")?, self.params.tolerance.ns())?;
         belong(frames, inputs.frames("sigma")?)?;
-        self.params.roi.map_or(Ok(()), |roi| roi.check(frames.extent))?;
+        self.params.roi.map_or(Ok(()), |roi| roi.check("roi", "frames", frames.extent))?;
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
 

@@ -14,15 +14,14 @@
 //! to about 1e-6, not to the last bit.
 
 use super::card::{Card, MEAN};
-use super::compare::{Pairs, Peak, UNKNOWN, known, unknown};
+use super::compare::{In, Pairs, Peak, UNKNOWN, known, unknown};
 use super::matching::{match_frames, no_mosaic};
-use super::roi::Roi;
+use crate::crop::Crop;
 use crate::onnx::{self, Network, Tensor};
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::table::TableMeta;
 use photocurrent_core::{
-    Context, Decl, Digest, Extent, FileRef, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError,
-    PortMetas, Sensor, Table, Truth,
+    Context, Decl, Digest, Extent, FileRef, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Table,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -47,7 +46,7 @@ pub struct Params {
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub peak_dn: Option<f64>,
     /// Only this rectangle is looked at, 32 x 32 pixels or more; absent = the whole picture.
-    pub roi: Option<Roi>,
+    pub roi: Option<Crop>,
     /// How far apart the middles of two exposures may lie.
     #[schemars(extend("x-min" = "0 ns"))]
     pub tolerance: Duration,
@@ -98,18 +97,6 @@ impl Encoding {
 }
 
 photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// The frames to judge.
-        frames: FrameSequence,
-        /// What they should be.
-        truth: Truth,
-        /// For the peak and the black level.
-        sensor: Option<Arc<Sensor>>,
-    }
-}
-
-photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
         /// `lpips` per frame (0 or more, lower is better), and pooled: the mean over frames.
@@ -124,8 +111,8 @@ pub struct ScoreLpips {
 
 impl ScoreLpips {
     fn check(&self, frames: &FramesMeta) -> Result<(), NodeError> {
-        let roi = self.params.roi.unwrap_or(Roi::whole(frames.extent));
-        roi.check(frames.extent)?;
+        let roi = self.params.roi.unwrap_or(Crop::whole(frames.extent));
+        roi.check("roi", "frames", frames.extent)?;
         if roi.width < LEAST_SIZE || roi.height < LEAST_SIZE {
             return Err(NodeError::usage(format!(
                 "{} are too few: the network looks at {LEAST_SIZE} x {LEAST_SIZE} or more",
@@ -206,7 +193,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
                 None => error.param("weights"),
             },
         )?;
-        let roi = self.params.roi.unwrap_or(Roi::whole(frames.meta.extent));
+        let roi = self.params.roi.unwrap_or(Crop::whole(frames.meta.extent));
         let view = View {
             extent: frames.meta.extent,
             channels: frames.meta.channels() as usize,
@@ -233,7 +220,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
             range: format!("0 to 1 of {}, black level {black} DN subtracted, clipped", peak.describe()),
             border: "none".into(),
             frames: pairs.describe(),
-            region: self.params.roi.map_or("all pixels".into(), Roi::describe),
+            region: self.params.roi.map_or("all pixels".into(), Crop::describe),
             weights: Some(format!("{digest} ({name})")),
             backend: network.backend(),
             pooled: MEAN.into(),
@@ -251,7 +238,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
 struct View {
     extent: Extent,
     channels: usize,
-    roi: Roi,
+    roi: Crop,
     black: f64,
     peak: f64,
     encoding: Encoding,
@@ -302,8 +289,7 @@ fn distance(network: &dyn Network, picture: &Tensor, reference: &Tensor) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::testing;
-    use photocurrent_core::{Exposure, FrameBlock, FrameScale, FrameTimes};
+    use photocurrent_core::{Exposure, FrameBlock, FrameScale, FrameSequence, FrameTimes, Truth, testing};
     use std::path::PathBuf;
 
     fn data(name: &str) -> PathBuf {
@@ -378,7 +364,7 @@ mod tests {
         let pattern = |x: u32, y: u32| ((x * 37 + y * 91) % 200) as f32;
         let spoiled_right = |x: u32, y: u32| if x < 32 { ((x * 37 + y * 91) % 200) as f32 } else { 100.0 };
         let of = |roi| run(Params { roi, ..params() }, grey(spoiled_right), grey(pattern)).unwrap().0;
-        assert_eq!(of(Some(Roi { x: 0, y: 4, width: 32, height: 40 })), 0.0);
+        assert_eq!(of(Some(Crop { x: 0, y: 4, width: 32, height: 40 })), 0.0);
         assert!(of(None) > 0.05);
     }
 

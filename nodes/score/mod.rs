@@ -13,5 +13,4 @@ pub mod matching;
 pub mod pixel_error;
 pub mod psnr;
 pub mod region;
-pub mod roi;
 pub mod ssim;

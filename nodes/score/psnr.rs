@@ -8,56 +8,12 @@
 //! that a method gains nothing by leaving pixels out; how many there were is said.
 
 use super::card::{Card, MEAN, OWN, linear_dn};
-use super::compare::{Pairs, Peak, UNKNOWN};
-use super::matching::match_frames;
-use super::region::Region;
-use super::roi::Roi;
-use photocurrent_core::quantity::Duration;
-use photocurrent_core::table::TableMeta;
-use photocurrent_core::{
-    Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth,
-};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use super::compare::{In, Pairs, Params, Peak, UNKNOWN};
+use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use std::sync::Arc;
 
 /// A perfect frame would have no finite ratio; this stands for it.
 pub const PSNR_CEILING_DB: f64 = 120.0;
-
-/// Parameters of `score/psnr`.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// DN that counts as peak, above black; absent = saturation of the connected sensor, else the largest
-    /// true value.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub peak_dn: Option<f64>,
-    /// Which pixels count.
-    pub region: Region,
-    /// Only pixels in this rectangle count; absent = the whole picture.
-    pub roi: Option<Roi>,
-    /// How far apart the middles of two exposures may lie.
-    #[schemars(extend("x-min" = "0 ns"))]
-    pub tolerance: Duration,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Params { peak_dn: None, region: Region::All, roi: None, tolerance: Duration::new(1000) }
-    }
-}
-
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// The frames to judge.
-        frames: FrameSequence,
-        /// What they should be.
-        truth: Truth,
-        /// For the peak.
-        sensor: Option<Arc<Sensor>>,
-    }
-}
 
 photocurrent_core::ports! {
     /// Outputs.
@@ -97,9 +53,7 @@ params = { region = "moving" }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        match_frames(inputs.frames("frames")?, inputs.truth("truth")?, self.params.tolerance.ns())?;
-        self.params.roi.map_or(Ok(()), |roi| roi.check(inputs.frames("frames")?.extent))?;
-        Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
+        self.params.plan(inputs)
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -148,7 +102,8 @@ pub(crate) fn psnr_db(mse: f64, peak: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::{Exposure, Extent, testing};
+    use crate::crop::Crop;
+    use photocurrent_core::{Exposure, Extent, FrameSequence, Truth, testing};
 
     fn run(params: Params, frames: FrameSequence, truth: FrameSequence) -> (Arc<Table>, Vec<String>) {
         let node = ScorePsnr { params };
@@ -180,7 +135,7 @@ mod tests {
 
     #[test]
     fn the_card_says_what_was_measured() {
-        let roi = Some(Roi { x: 1, y: 0, width: 2, height: 3 });
+        let roi = Some(Crop { x: 1, y: 0, width: 2, height: 3 });
         let (table, _) = run(Params { roi, ..Params::default() }, constant(60.0), constant(50.0));
         let expected = "psnr.v1: channel = linear DN, 1 channel; range = peak 50.000 DN (largest true \
                         value); border = none; \

@@ -4,7 +4,7 @@
 //! differences. `moving` keeps the pixels whose reference value changes over time by more than a stated part
 //! of the peak.
 
-use super::roi::Roi;
+use crate::crop::Crop;
 use photocurrent_core::{FrameSequence, NodeError};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -37,7 +37,7 @@ impl Region {
     }
 
     /// For the card, with a rectangle that the region is cut to.
-    pub fn describe_in(self, roi: Option<Roi>) -> String {
+    pub fn describe_in(self, roi: Option<Crop>) -> String {
         roi.map_or(self.describe(), |roi| format!("{}, in {}", self.describe(), roi.describe()))
     }
 
@@ -47,14 +47,14 @@ impl Region {
     /// As [`Region::mask`], and when the rectangle reaches outside.
     pub fn mask_in(
         self,
-        roi: Option<Roi>,
+        roi: Option<Crop>,
         reference: &FrameSequence,
         peak: f64,
     ) -> Result<Vec<bool>, NodeError> {
         let mut mask = self.mask(reference, peak)?;
         let Some(roi) = roi else { return Ok(mask) };
         let (extent, channels) = (reference.meta.extent, reference.meta.channels() as usize);
-        roi.check(extent)?;
+        roi.check("roi", "frames", extent)?;
         for (i, counts) in mask.iter_mut().enumerate() {
             let pixel = i / channels;
             *counts &=
@@ -116,7 +116,7 @@ mod tests {
         });
         assert_eq!(Region::Moving.mask(&frames, 100.0).unwrap(), [false, false, true]);
         assert!(Region::Moving.mask(&frames, 200.0).is_err());
-        let column = |x| Some(Roi { x, y: 0, width: 1, height: 1 });
+        let column = |x| Some(Crop { x, y: 0, width: 1, height: 1 });
         assert_eq!(Region::Moving.mask_in(column(2), &frames, 100.0).unwrap(), [false, false, true]);
         assert_eq!(Region::All.mask_in(column(0), &frames, 100.0).unwrap(), [true, false, false]);
         assert!(

@@ -11,17 +11,9 @@
 //! `region` or `roi` say otherwise, and it is sensitive to noise in flat areas.
 
 use super::card::{Card, MEAN, OWN, linear_dn};
-use super::compare::{Pairs, Peak, UNKNOWN, known, unknown};
-use super::matching::{match_frames, no_mosaic};
-use super::region::Region;
-use super::roi::Roi;
-use photocurrent_core::quantity::Duration;
-use photocurrent_core::table::TableMeta;
-use photocurrent_core::{
-    Context, Decl, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth,
-};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use super::compare::{In, Pairs, Params, Peak, UNKNOWN, known, unknown};
+use super::matching::no_mosaic;
+use photocurrent_core::{Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, Table};
 use std::sync::Arc;
 
 /// Pixels from the window's middle to its border.
@@ -29,41 +21,6 @@ const RADIUS: usize = 5;
 const SIGMA: f64 = 1.5;
 const K1: f64 = 0.01;
 const K2: f64 = 0.03;
-
-/// Parameters of `score/ssim`.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// DN that counts as full scale, above black; absent = saturation of the connected sensor, else the
-    /// largest true value.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub peak_dn: Option<f64>,
-    /// Over which pixels the mean is taken; windows reach beyond them.
-    pub region: Region,
-    /// Only pixels in this rectangle enter the mean; absent = the whole picture.
-    pub roi: Option<Roi>,
-    /// How far apart the middles of two exposures may lie.
-    #[schemars(extend("x-min" = "0 ns"))]
-    pub tolerance: Duration,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Params { peak_dn: None, region: Region::All, roi: None, tolerance: Duration::new(1000) }
-    }
-}
-
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// The frames to judge.
-        frames: FrameSequence,
-        /// What they should be.
-        truth: Truth,
-        /// For full scale.
-        sensor: Option<Arc<Sensor>>,
-    }
-}
 
 photocurrent_core::ports! {
     /// Outputs.
@@ -117,10 +74,9 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
         no_mosaic(frames, "a window of SSIM")?;
-        match_frames(frames, inputs.truth("truth")?, self.params.tolerance.ns())?;
+        let planned = self.params.plan(inputs)?;
         check_size(frames.extent)?;
-        self.params.roi.map_or(Ok(()), |roi| roi.check(frames.extent))?;
-        Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
+        Ok(planned)
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -238,7 +194,10 @@ fn mirrored(at: usize, size: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::{Exposure, FrameBlock, FrameScale, FrameTimes, FramesMeta, testing};
+    use crate::crop::Crop;
+    use photocurrent_core::{
+        Exposure, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Truth, testing,
+    };
 
     const SIZE: Extent = Extent { width: 17, height: 14 };
 
@@ -299,7 +258,7 @@ mod tests {
 
     #[test]
     fn the_mean_over_a_rectangle_is_that_of_the_map() {
-        let roi = Some(Roi { x: 7, y: 6, width: 5, height: 2 });
+        let roi = Some(Crop { x: 7, y: 6, width: 5, height: 2 });
         let found = run(Params { roi, ..params(255.0) }, grey(picture), grey(reference)).unwrap();
         assert!((found - MEAN_ROI).abs() < 1e-9, "{found}");
     }
@@ -332,7 +291,7 @@ mod tests {
 
     #[test]
     fn where_no_window_fits_there_is_a_reason_and_no_number() {
-        let roi = Some(Roi { x: 0, y: 0, width: 5, height: 14 });
+        let roi = Some(Crop { x: 0, y: 0, width: 5, height: 14 });
         let error = run(Params { roi, ..params(255.0) }, grey(picture), grey(reference)).unwrap_err();
         assert!(
             error.message.starts_with("no pixel of the region is 5 pixels or more from the border"),

@@ -18,6 +18,7 @@ use super::scenes::{self, Details};
 use super::source::{self, In, Look, Metas, Out, Scale, TruthParams};
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
 use photocurrent_core::{Colour, Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_scene::closed::pellet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -146,16 +147,10 @@ params = { scene = "fan", fan = { speed = "900 rpm" }, illuminance = "300 lx", d
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        if let Some(name) = params.details.set_in_vain(params.scene) {
-            let shown =
-                serde_json::to_value(params.scene).map_err(|error| NodeError::failed(error.to_string()))?;
-            return Err(NodeError::usage(format!("`{name}` is set, but the scene is {shown}"))
-                .hint(format!("write `scene = \"{name}\"`, or leave `{name}` out"))
-                .param(name));
-        }
+        params.details.check(params.scene)?;
         let (radius, extent) =
             (params.details.pellet.radius, Extent { width: params.width, height: params.height });
-        if params.scene == scenes::Name::Pellet && !scenes::pellet::fits(radius, extent) {
+        if params.scene == scenes::Name::Pellet && !pellet::fits(radius, extent) {
             return Err(NodeError::usage(format!(
                 "a pellet of radius {radius} does not fit into {extent} pixels"
             ))

@@ -44,7 +44,7 @@ fn between_instants_light_is_the_scene_within_the_tolerance() {
                 "{name:?}"
             );
             for t in (0..=97).map(|k| k * 411_237) {
-                let exact = 60.0 * scene.reflectance(f64::from(x), f64::from(y), t);
+                let exact = 60.0 * scene.light(f64::from(x), f64::from(y), t);
                 worst = worst.max(libm::log(light::at(pixel, t).unwrap() / exact).abs());
             }
         }
@@ -180,7 +180,7 @@ fn an_ideal_sensor_fires_once_for_each_threshold_of_the_scenes_own_log_light() {
         let row = band.row(y);
         let index = row.by_pixel(24);
         for x in 0..24_u32 {
-            let log = |t| libm::log(scene.reflectance(f64::from(x), f64::from(y), t));
+            let log = |t| libm::log(scene.light(f64::from(x), f64::from(y), t));
             let mut net = 0.0;
             for &k in index.pixel(x as usize) {
                 net += if row.on[k] == 1 { 0.2 } else { -0.2 };

@@ -3,16 +3,16 @@
 //!
 //! A source ends in photocurrent: reflectance times illuminance times the sensor's photocurrent per lux. True
 //! frames show the picture itself at instants, scaled as a frame of a stated exposure would read. What is
-//! known in closed form at any instant ([`Scene`]) is sampled adaptively ([`super::instants`]); a film that
-//! is only known at its frames has its own walk ([`super::video`]).
+//! known in closed form ([`ClosedScene`]) is sampled adaptively ([`super::instants`]); a film that is only
+//! known at its frames has its own walk ([`super::video`]).
 
 use super::instants::Sampler;
-use super::scenes::Scene;
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
 use photocurrent_core::{
     Colour, Context, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Light,
     LightBand, LightMeta, Meta, NodeError, Rows, Sensor, TimeSpan, Truth,
 };
+use photocurrent_scene::closed::ClosedScene;
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_solve::co_located::channel_gains;
 use rayon::prelude::*;
@@ -211,7 +211,7 @@ impl Look {
     /// from the first.
     pub fn sample(
         &self,
-        scene: &dyn Scene,
+        scene: &dyn ClosedScene,
         channel: Option<usize>,
         (x, y): (f64, f64),
         start_ns: i64,
@@ -231,13 +231,13 @@ impl Look {
 }
 
 /// What a scene reflects behind a filter, or in grey.
-fn reflectance(scene: &dyn Scene, channel: Option<usize>, x: f64, y: f64, t_ns: i64) -> f64 {
-    channel.map_or_else(|| scene.reflectance(x, y, t_ns), |channel| scene.channel(channel, x, y, t_ns))
+fn reflectance(scene: &dyn ClosedScene, channel: Option<usize>, x: f64, y: f64, t_ns: i64) -> f64 {
+    channel.map_or_else(|| scene.light(x, y, t_ns), |channel| scene.channel(channel, x, y, t_ns))
 }
 
 /// About how many instants a pixel will have: some pixels are looked at for a short time each, spread evenly
 /// over picture and recording.
-pub fn estimated_instants(scene: &dyn Scene, look: Look, extent: Extent, duration_ns: i64) -> f64 {
+pub fn estimated_instants(scene: &dyn ClosedScene, look: Look, extent: Extent, duration_ns: i64) -> f64 {
     let window_ns = duration_ns.min(SAMPLED_NS);
     let bends = |k: u64| {
         // The plastic and the golden number: points that leave no gap in picture and time.
@@ -262,7 +262,7 @@ const LEAST_PIXELS: usize = 32;
 /// # Errors
 /// When the user interrupts.
 pub fn look(
-    scene: &dyn Scene,
+    scene: &dyn ClosedScene,
     look: Look,
     scale: &Scale,
     metas: Metas,

@@ -155,7 +155,7 @@ fn middles(times: &FrameTimes) -> Option<(i64, i64)> {
 
 impl WriteContactSheet {
     fn crop(&self, extent: Extent) -> Crop {
-        self.params.crop.unwrap_or(Crop { x: 0, y: 0, width: extent.width, height: extent.height })
+        self.params.crop.unwrap_or(Crop::whole(extent))
     }
 
     /// The instants of the columns.
@@ -218,21 +218,8 @@ impl WriteContactSheet {
             ))
             .hint("connect events and frames of one sensor, or leave `events` out"));
         }
-        let (crop, extent) = (self.crop(first.extent), first.extent);
-        let fits = |start: u32, length: u32, limit: u32| {
-            length > 0 && start.checked_add(length).is_some_and(|end| end <= limit)
-        };
-        if !fits(crop.x, crop.width, extent.width) || !fits(crop.y, crop.height, extent.height) {
-            return Err(NodeError::usage(format!(
-                "`crop` asks for {} x {} pixels at ({}, {}), and the frames have {extent}",
-                crop.width, crop.height, crop.x, crop.y
-            ))
-            .hint(format!(
-                "keep `x + width` within {}, and `y + height` within {}",
-                extent.width, extent.height
-            ))
-            .param("crop"));
-        }
+        let crop = self.crop(first.extent);
+        crop.check("crop", "frames", first.extent)?;
         let columns = self.params.times.as_ref().map_or(self.params.columns, Vec::len);
         let layout =
             Layout::new(crop, self.params.scale, columns, sequences.len() + usize::from(events.is_some()), 0);

@@ -10,7 +10,7 @@ use photocurrent_core::random::Random;
 use photocurrent_diagnosis::candidates::{CANDIDATES, Scales, Signs, Trial};
 use photocurrent_diagnosis::covariates::Covariate;
 use photocurrent_diagnosis::scenes::MadeUp;
-use photocurrent_diagnosis::targets::Shows;
+use photocurrent_diagnosis::targets::Sketches;
 use photocurrent_scene::case::{Case, PixelEvents, Recorded};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::target::Form;
@@ -111,8 +111,8 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
         }
         Kind::Given => {
             let scene = MadeUp::target(seed, index, setting.extent, setting.duration_s);
-            let (shows, shares) = Shows::around(&scene, seed, index);
-            (scene, Some((Arc::new(shows) as Arc<dyn Form>, shares)))
+            let (sketches, shares) = Sketches::around(&scene, seed, index);
+            (scene, Some((Arc::new(sketches) as Arc<dyn Form>, shares)))
         }
     };
     let mut truth = Fault { is_noisy: noise.is_some() && target.is_none(), ..Fault::default() };

@@ -561,7 +561,7 @@ fn rows(text: &str) -> Result<Rows, String> {
 
 /// `100,80,64,64`: a rectangle of pixels.
 fn crop(text: &str) -> Result<Crop, String> {
-    let numbers: Vec<Option<u16>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    let numbers: Vec<Option<u32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {
         [Some(x), Some(y), Some(width), Some(height)] if width > 0 && height > 0 => {
             Ok(Crop { x, y, width, height })

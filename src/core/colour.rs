@@ -12,6 +12,14 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;
 
+/// What linear red, green and blue count in luminance.
+pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
+
+/// Luminance of linear red, green and blue.
+pub fn luminance([red, green, blue]: [f64; 3]) -> f64 {
+    LUMINANCE[0] * red + LUMINANCE[1] * green + LUMINANCE[2] * blue
+}
+
 /// Where the colours of a mosaic stand in its cell, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Order {

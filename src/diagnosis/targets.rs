@@ -6,7 +6,9 @@
 
 use crate::scenes::MadeUp;
 use photocurrent_core::random::Random;
-use photocurrent_scene::target::{Closed, Form};
+use photocurrent_scene::closed::ClosedScene;
+use photocurrent_scene::closed::sketch::Sketch;
+use photocurrent_scene::target::Form;
 
 /// Free parameters: speed (a factor), dark and bright light (factors), time since the start (s), shifts
 /// (pixels).
@@ -16,53 +18,53 @@ const FREE: usize = 6;
 const NEUTRAL: [f64; FREE] = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 
 /// A simulated scene with values of its free parameters.
-struct Shown {
-    scene: MadeUp,
+struct LitSketch {
+    sketch: Sketch,
     values: [f64; FREE],
 }
 
-impl Closed for Shown {
-    fn photocurrent(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for LitSketch {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let [speed, _, _, start_s, shift_x, shift_y] = self.values;
-        libm::exp(self.scene.log_light(x - shift_x, y - shift_y, speed * (t_ns as f64 * 1e-9 + start_s)))
+        libm::exp(self.sketch.log_light(x - shift_x, y - shift_y, speed * (t_ns as f64 * 1e-9 + start_s)))
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
-        self.values[0] * self.scene.px_per_s(x - self.values[4], y - self.values[5]) * 1e-9
+        self.values[0] * self.sketch.px_per_s(x - self.values[4], y - self.values[5]) * 1e-9
     }
 }
 
 /// All of them within ranges that hold the true one.
-pub struct Shows {
-    scene: MadeUp,
+pub struct Sketches {
+    sketch: Sketch,
     ranges: [(f64, f64); FREE],
 }
 
-impl Shows {
+impl Sketches {
     /// Ranges around a scene, and where in them it is, as shares.
-    pub fn around(scene: &MadeUp, seed: u64, index: u64) -> (Shows, Vec<f64>) {
+    pub fn around(scene: &MadeUp, seed: u64, index: u64) -> (Sketches, Vec<f64>) {
         let mut random = Random::new(seed, &[index, 0x7c]);
         // Half the time from one spoke to the next: more would be another star.
-        let widths = [0.1, 0.4, 0.6, 0.5 * scene.period_s(), 3.0, 3.0];
+        let widths = [0.1, 0.4, 0.6, 0.5 * scene.sketch.period_s(), 3.0, 3.0];
         let shares: Vec<f64> = (0..FREE).map(|_| 0.1 + 0.8 * random.uniform()).collect();
         let ranges = std::array::from_fn(|k| {
             let from = NEUTRAL[k] - widths[k] * shares[k];
             (from, from + widths[k])
         });
-        (Shows { scene: scene.clone(), ranges }, shares)
+        (Sketches { sketch: scene.sketch.clone(), ranges }, shares)
     }
 }
 
-impl Form for Shows {
+impl Form for Sketches {
     fn count(&self) -> usize {
         FREE
     }
 
-    fn at(&self, shares: &[f64]) -> Option<Box<dyn Closed>> {
+    fn at(&self, shares: &[f64]) -> Option<Box<dyn ClosedScene>> {
         let values: [f64; FREE] = std::array::from_fn(|k| {
             self.ranges[k].0 + (self.ranges[k].1 - self.ranges[k].0) * shares.get(k).copied().unwrap_or(0.5)
         });
-        Some(Box::new(Shown { scene: self.scene.clone().lit(values[1], values[2]), values }))
+        Some(Box::new(LitSketch { sketch: self.sketch.clone().lit(values[1], values[2]), values }))
     }
 }
 
@@ -75,11 +77,11 @@ mod tests {
     fn the_true_shares_give_the_scene_itself() {
         for index in 0..6 {
             let scene = MadeUp::target(4, index, Extent { width: 24, height: 18 }, 0.05);
-            let (shows, shares) = Shows::around(&scene, 4, index);
-            let shown = shows.at(&shares).unwrap();
+            let (sketches, shares) = Sketches::around(&scene, 4, index);
+            let shown = sketches.at(&shares).unwrap();
             for (x, y, t_ns) in [(3.0, 4.0, 0), (12.0, 9.0, 7_000_000), (20.0, 2.0, 31_000_000)] {
-                let truth = libm::exp(scene.log_light(x, y, t_ns as f64 * 1e-9));
-                assert!((shown.photocurrent(x, y, t_ns) / truth - 1.0).abs() < 1e-6, "scene {index}");
+                let truth = libm::exp(scene.sketch.log_light(x, y, t_ns as f64 * 1e-9));
+                assert!((shown.light(x, y, t_ns) / truth - 1.0).abs() < 1e-6, "scene {index}");
             }
         }
     }

@@ -347,8 +347,8 @@ impl Arranged {
     ) -> Result<EventsMeta, FormatError> {
         let extent = self.array_extent(path, about, found, frames, declared)?;
         if let Some(crop) = self.crop
-            && (u32::from(crop.x) + u32::from(crop.width) > extent.width
-                || u32::from(crop.y) + u32::from(crop.height) > extent.height)
+            && (crop.x.saturating_add(crop.width) > extent.width
+                || crop.y.saturating_add(crop.height) > extent.height)
         {
             let found = format!(
                 "a part of {} x {} pixels from ({}, {}) reaches beyond the {extent} pixels of the sensor",
@@ -361,8 +361,7 @@ impl Arranged {
             ));
         }
         self.array = Some(extent);
-        let extent =
-            self.crop.map_or(extent, |crop| Extent { width: crop.width.into(), height: crop.height.into() });
+        let extent = self.crop.map_or(extent, |crop| Extent { width: crop.width, height: crop.height });
         let span = match found.span {
             None => None,
             Some((first, last)) => {
@@ -443,10 +442,12 @@ impl Arranged {
                 );
                 FormatError::new(path, found, "take the whole array")
             })?;
-            self.corner = (u32::from(crop.x) * times, u32::from(crop.y) * times);
-            extent = Extent { width: u32::from(crop.width) * times, height: u32::from(crop.height) * times };
-            if self.corner.0 + extent.width > about.extent.width
-                || self.corner.1 + extent.height > about.extent.height
+            let [x, y, width, height] =
+                [crop.x, crop.y, crop.width, crop.height].map(|size| size.saturating_mul(times));
+            self.corner = (x, y);
+            extent = Extent { width, height };
+            if self.corner.0.saturating_add(extent.width) > about.extent.width
+                || self.corner.1.saturating_add(extent.height) > about.extent.height
             {
                 return Err(FormatError::new(
                     path,

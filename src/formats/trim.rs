@@ -10,21 +10,21 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crop {
     /// First column inside.
-    pub x: u16,
+    pub x: u32,
     /// First row inside.
-    pub y: u16,
+    pub y: u32,
     /// Columns.
-    pub width: u16,
+    pub width: u32,
     /// Rows.
-    pub height: u16,
+    pub height: u32,
 }
 
 impl Crop {
     /// Where a pixel stands in the rectangle; `None` outside.
     #[inline]
     pub fn inside(self, x: u16, y: u16) -> Option<(u16, u16)> {
-        let (x, y) = (x.checked_sub(self.x)?, y.checked_sub(self.y)?);
-        (x < self.width && y < self.height).then_some((x, y))
+        let (x, y) = (u32::from(x).checked_sub(self.x)?, u32::from(y).checked_sub(self.y)?);
+        (x < self.width && y < self.height).then_some((x as u16, y as u16))
     }
 }
 

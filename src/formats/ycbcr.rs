@@ -7,11 +7,9 @@
 //! Source: ITU-R BT.709-6, items 3.2 to 3.5 (the matrix, limited range); full range stretches luma and chroma
 //! over all numbers, as JFIF does.
 
+use photocurrent_core::colour::LUMINANCE;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-/// What red, green and blue count in luma, and in luminance where they are linear.
-pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// What notes call the matrix.
 pub const MATRIX: &str = "BT.709";

@@ -1,7 +1,7 @@
 //! Light that is known without the recording's frames, as a scene.
 
 use crate::case::Case;
-use crate::light::Light;
+use crate::light::{Knots, Light};
 use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
 use crate::scene::{Scene, Tolerance};
@@ -18,9 +18,6 @@ pub struct KnownLight {
     misfit: f64,
     noise: (f64, f64),
 }
-
-/// The light of a pixel: instants, ns, and photocurrent, linear between; empty where it is not known.
-pub type Knots = (Vec<i64>, Vec<f64>);
 
 /// Frame values in a bin of brightness.
 const BIN: usize = 64;

@@ -8,6 +8,7 @@
 //! - [`scene`]: what a scene is. [`moving`]: one moving [`picture`]. [`mosaic`]: that picture, or pictures of
 //!   parts where they predict frames better.
 //!   [`known`]: light that is known. [`target`]: a scene in closed form with free parameters.
+//! - [`closed`]: scenes in closed form, for simulators and targets.
 //! - [`light`]: log photocurrent of an array at steady instants; [`gate`]: which events lie where a scene
 //!   predicts the frames.
 //! - [`flow`]: velocities over the array, from a [`film`] of solved tracks; [`activity`]: where they are
@@ -17,6 +18,7 @@
 
 pub mod activity;
 pub mod case;
+pub mod closed;
 pub mod film;
 pub mod flow;
 pub mod gate;

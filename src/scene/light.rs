@@ -5,6 +5,9 @@ use crate::nominal::Nominal;
 use photocurrent_sensor::conditional::Track;
 use rayon::prelude::*;
 
+/// The light of a pixel: instants, ns, and photocurrent, linear between; empty where it is not known.
+pub type Knots = (Vec<i64>, Vec<f64>);
+
 /// Log photocurrent of an array at steady instants, natural-log units.
 #[derive(Clone, Debug)]
 pub struct Light {

@@ -8,8 +8,9 @@
 //! derivative of every residual by each free parameter ([`Target::free`], [`Target::moved`]).
 
 use crate::case::Case;
-use crate::known::{Knots, KnownLight};
-use crate::light::Light;
+use crate::closed::ClosedScene;
+use crate::known::KnownLight;
+use crate::light::{Knots, Light};
 use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
 use crate::scene::{Scene, Tolerance};
@@ -20,33 +21,13 @@ use photocurrent_sensor::elementary::ln;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A scene in closed form.
-pub trait Closed: Send + Sync {
-    /// Photocurrent of a pixel at an instant, ns.
-    fn photocurrent(&self, x: f64, y: f64, t_ns: i64) -> f64;
-
-    /// How fast anything crosses a pixel, pixels per nanosecond at most.
-    fn speed(&self, x: f64, y: f64) -> f64;
-
-    /// Its light between two instants, linear between knots.
-    fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
-        /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this,
-        /// ns.
-        const STEP: (f64, i64) = (0.1, 25_000);
-        let step_ns = ((STEP.0 / f64::max(self.speed(x, y), 1e-9)) as i64).clamp(STEP.1, 200_000);
-        let t: Vec<i64> = (0..=(span.1 - span.0) / step_ns + 1).map(|k| span.0 + k * step_ns).collect();
-        let light = t.iter().map(|t| self.photocurrent(x, y, *t)).collect();
-        (t, light)
-    }
-}
-
 /// Scenes in closed form that differ by some free parameters.
 pub trait Form: Send + Sync {
     /// Number of free parameters.
     fn count(&self) -> usize;
 
     /// The scene with parameters at shares of their ranges, 0 to 1; none where they make none.
-    fn at(&self, shares: &[f64]) -> Option<Box<dyn Closed>>;
+    fn at(&self, shares: &[f64]) -> Option<Box<dyn ClosedScene>>;
 }
 
 /// How a target is fitted.
@@ -132,8 +113,7 @@ impl Fit<'_> {
             let wanted = (length * scene.speed(one.x, one.y) / INSTANT_PX) as usize;
             let count = if is_rough { ROUGH } else { wanted.clamp(INSTANTS.0, INSTANTS.1) };
             let instant = |k: usize| one.start_ns + (length * (k as f64 + 0.5) / count as f64) as i64;
-            let mean =
-                (0..count).map(|k| scene.photocurrent(one.x, one.y, instant(k))).sum::<f64>() / count as f64;
+            let mean = (0..count).map(|k| scene.light(one.x, one.y, instant(k))).sum::<f64>() / count as f64;
             let signal = number.gain * mean * (1e-9 * length);
             (one.dn - number.black_level - signal) / self.nominal.frame_sigma_dn(signal, FRAME_NOISE)
         };
@@ -332,7 +312,7 @@ impl Target {
 }
 
 /// The light of every pixel of a recording.
-fn all_knots(scene: &dyn Closed, case: &Case) -> Vec<Knots> {
+fn all_knots(scene: &dyn ClosedScene, case: &Case) -> Vec<Knots> {
     let of = |pixel: usize| {
         let (x, y) = case.place(pixel);
         scene.knots(x.into(), y.into(), case.span)

@@ -4,8 +4,8 @@
 pub mod motion;
 pub mod spline;
 
-use super::scenes::Scene;
 use motion::Motion;
+use photocurrent_scene::closed::ClosedScene;
 use spline::Spline;
 
 /// A photo under a motion, as a scene: its reflectance is the photo's light, from `black` to 1.
@@ -25,8 +25,8 @@ impl<'a> MovingPhoto<'a> {
     }
 }
 
-impl Scene for MovingPhoto<'_> {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for MovingPhoto<'_> {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let seen = self.motion.seen(x, y, t_ns);
         self.photo.at(seen.x, seen.y, seen.spacing).clamp(self.black, 1.0)
     }
@@ -67,7 +67,7 @@ mod tests {
             (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (f64::from(x), f64::from(y)))).step_by(37)
         {
             for t in (0..79).map(|k| k * 1_000_000 + 137) {
-                let change = (scene.reflectance(x, y, t + 1000) - scene.reflectance(x, y, t)).abs() / 1000.0;
+                let change = (scene.light(x, y, t + 1000) - scene.light(x, y, t)).abs() / 1000.0;
                 most = most.max(change / (steepest * scene.speed(x, y)));
             }
         }

@@ -109,21 +109,8 @@ impl Window {
         width: Option<u32>,
         height: Option<u32>,
     ) -> Result<Window, NodeError> {
-        let crop = crop.unwrap_or(Crop { x: 0, y: 0, width: stored.width, height: stored.height });
-        let fits =
-            |from: u32, length: u32, size: u32| from.checked_add(length).is_some_and(|end| end <= size);
-        if !fits(crop.x, crop.width, stored.width) || !fits(crop.y, crop.height, stored.height) {
-            let asked = format!(
-                "`crop` asks for {} x {} pixels at ({}, {}), and the pictures have {stored}",
-                crop.width, crop.height, crop.x, crop.y
-            );
-            return Err(NodeError::usage(asked)
-                .hint(format!(
-                    "keep `x + width` within {}, and `y + height` within {}",
-                    stored.width, stored.height
-                ))
-                .param("crop"));
-        }
+        let crop = crop.unwrap_or(Crop::whole(stored));
+        crop.check("crop", "pictures", stored)?;
         let factor =
             width.map(|width| crop.width / width).or(height.map(|height| crop.height / height)).unwrap_or(1);
         let shrunk = |length: u32, asked: Option<u32>| {

@@ -2,9 +2,8 @@
 //! palettes are widened to 8.
 
 use super::{Curve, refused, short_name};
-use photocurrent_core::{Colour, Extent, NodeError, Rows};
+use photocurrent_core::{Colour, Extent, NodeError, Rows, colour};
 use photocurrent_formats::pictures::decode;
-use photocurrent_formats::ycbcr::LUMINANCE;
 use std::path::Path;
 
 /// The size of a picture, from its header, if it is whole.
@@ -55,5 +54,5 @@ pub fn read(path: &Path, curve: &Curve, rows: Rows, each: &mut dyn FnMut(&[f64])
 fn luminance([red, green, blue]: [f64; 3]) -> f64 {
     // The weights add up to one but for rounding; grey stays exactly what it is.
     let grey = red == green && green == blue;
-    if grey { red } else { LUMINANCE[0] * red + LUMINANCE[1] * green + LUMINANCE[2] * blue }
+    if grey { red } else { colour::luminance([red, green, blue]) }
 }

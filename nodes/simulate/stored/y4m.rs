@@ -7,9 +7,10 @@
 //! Limits: progressive and whole films only, no alpha.
 
 use super::{Film, Transfer, refused, short_name};
+use photocurrent_core::colour::luminance;
 use photocurrent_core::{Extent, NodeError, Rows};
 use photocurrent_formats::pictures::y4m;
-use photocurrent_formats::ycbcr::{LUMINANCE, Levels, MATRIX, Range};
+use photocurrent_formats::ycbcr::{Levels, MATRIX, Range};
 use std::path::Path;
 
 /// A film, with what its numbers stand for.
@@ -76,8 +77,7 @@ impl Y4m {
         if [blue, red] == [self.levels.middle(); 2] {
             return self.grey[usize::from(luma)];
         }
-        let [red, green, blue] = self.levels.rgb(pixel).map(|share| self.transfer.light(share));
-        LUMINANCE[0] * red + LUMINANCE[1] * green + LUMINANCE[2] * blue
+        luminance(self.levels.rgb(pixel).map(|share| self.transfer.light(share)))
     }
 }
 

@@ -156,7 +156,7 @@ mod tests {
     fn a_control_misses_its_thresholds_as_far_as_a_sharp_scene_does() {
         // A fan whose blades have edges sharper than the picture's grid, and nothing wrong with its sensor.
         let fan = MadeUp::in_parts(7, 34, Extent { width: 64, height: 48 }, 0.12);
-        assert_eq!(fan.name(), "fan");
+        assert_eq!(fan.sketch.name(), "fan");
         let case = fan.recording().unwrap();
         let nominal = case.nominal().unwrap();
         let ratio = |sharpest: f64| {

@@ -85,7 +85,7 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
     let extent = Extent { width: 48, height: 36 };
     let fan = (0..)
         .map(|index| MadeUp::in_parts(5, index, extent, 0.08))
-        .find(|scene| scene.name() == "fan")
+        .find(|scene| scene.sketch.name() == "fan")
         .unwrap();
     let case = fan.recording().unwrap();
     let nominal = case.nominal().unwrap();
@@ -113,7 +113,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
         let extent = Extent { width: 48, height: 36 };
         let scene = (0..2_000)
             .map(|index| MadeUp::in_parts(21, index, extent, 0.12))
-            .find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0)
+            .find(|scene| scene.sketch.name() == name && scene.sketch.px_per_s(0.0, 0.0) < 500.0)
             .unwrap();
         let case = scene.recording().unwrap();
         let nominal = case.nominal().unwrap();
@@ -143,7 +143,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
                 .filter(|pixel| counts[l * extent.pixels() + pixel] && ground[*pixel].is_finite())
             {
                 let (x, y) = case.place(pixel);
-                let truth = scene.log_light(f64::from(x), f64::from(y), t_ns as f64 * 1e-9);
+                let truth = scene.sketch.log_light(f64::from(x), f64::from(y), t_ns as f64 * 1e-9);
                 let found = picture.log_light(x as usize, y as usize, &[map]).unwrap()[0];
                 of_picture.push((found - truth).abs());
                 of_ground.push((libm::log(f64::from(ground[pixel])) - truth).abs());

@@ -5,7 +5,7 @@ use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::residual::View;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use crate::scenes::MadeUp;
-use crate::targets::Shows;
+use crate::targets::Sketches;
 use photocurrent_core::Extent;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -30,10 +30,11 @@ fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f6
     });
     let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
     let case = scene.recording_through(trial.as_ref()).unwrap();
-    let (shows, shares) = Shows::around(&scene, 3, STAR);
+    let (sketches, shares) = Sketches::around(&scene, 3, STAR);
     let near: Vec<f64> = shares.iter().map(|share| share + 0.01).collect();
     let target =
-        Target::near(&case, &nominal, Arc::new(shows), SETTING, &PictureSetting::default(), &near).unwrap();
+        Target::near(&case, &nominal, Arc::new(sketches), SETTING, &PictureSetting::default(), &near)
+            .unwrap();
     let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
     (case, nominal, target, shares, truth)
 }

@@ -4,8 +4,9 @@
 //! linear between the table's poses, so that a pose costs little at any instant. The figure that leaves on
 //! the right comes back on the left.
 
-use super::shapes::{Texture, arrival, blend, covered, hypot, to_line};
-use super::{DARKEST, Scene};
+use super::shapes::{arrival, blend, bone, covered, from_line, hypot};
+use super::surface::Texture;
+use super::{ClosedScene, DARKEST};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
@@ -69,10 +70,6 @@ const JOINTS: usize = 12;
 /// Where the joints are at a phase of the stride, in heights of the figure from the ground below its hip; up
 /// is negative.
 fn pose(phase: f64) -> [Place; JOINTS] {
-    // A bone hangs down at angle 0 and swings forwards (to the right) for positive ones.
-    let bone = |from: Place, length: f64, angle: f64| {
-        (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle))
-    };
     let mut joints = [(0.0, 0.0); JOINTS];
     joints[HIP] = (0.0, -0.50 - 0.02 * libm::cos(2.0 * phase));
     joints[NECK] = bone(joints[HIP], -0.30, -0.15);
@@ -159,12 +156,15 @@ impl RunningMan {
         let (whole, part) = (at as usize % POSES, at - at.floor());
         let (now, next) = (&self.poses[whole], &self.poses[(whole + 1) % POSES]);
         let joint = |j: usize| (blend(now[j].0, next[j].0, part), blend(now[j].1, next[j].1, part));
-        LIMBS.map(|(from, to, half, _)| to_line(place, joint(from), joint(to)) - half * self.height)
+        LIMBS.map(|(from, to, half, _)| {
+            let (dx, dy) = from_line(place, joint(from), joint(to));
+            hypot(dx, dy) - half * self.height
+        })
     }
 }
 
-impl Scene for RunningMan {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for RunningMan {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let wall = self.wall.at(x, y);
         let place = self.in_figure(x, y, t_ns);
         if self.aside(place) > 0.5 {
@@ -192,7 +192,7 @@ impl Scene for RunningMan {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]

@@ -4,14 +4,15 @@
 //! every channel changes by another factor, the mixture by yet another, and between some colours hardly at
 //! all. In grey, the disk is its luminance.
 
-use super::Scene;
+use super::ClosedScene;
 use super::disk::{Disk, WALL};
 use super::shapes::blend;
 use photocurrent_core::Extent;
+use photocurrent_core::colour::luminance;
 use photocurrent_core::quantity::Rotation;
-use photocurrent_formats::ycbcr::LUMINANCE;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Parameters of the scene `colour_wheel`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -57,8 +58,8 @@ impl ColourWheel {
 
     /// Distance from the middle, and the place in sectors, at least 0.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
-        let (distance, turns) = self.disk.place(x, y, t_ns);
-        (distance, turns.rem_euclid(1.0) * self.disk.parts)
+        let (distance, angle) = self.disk.polar(x, y, t_ns);
+        (distance, (angle / TAU).rem_euclid(1.0) * self.disk.parts)
     }
 
     /// Mean over a pixel of what `of` says of each colour.
@@ -82,11 +83,9 @@ impl ColourWheel {
     }
 }
 
-impl Scene for ColourWheel {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.mean(x, y, t_ns, |colour| {
-            colour.iter().zip(LUMINANCE).map(|(reflectance, share)| reflectance * share).sum()
-        })
+impl ClosedScene for ColourWheel {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+        self.mean(x, y, t_ns, |colour| luminance(*colour))
     }
 
     fn channel(&self, channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
@@ -104,7 +103,7 @@ impl Scene for ColourWheel {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]
@@ -135,9 +134,8 @@ mod tests {
     fn luminance_is_the_weighted_sum_of_the_channels_everywhere() {
         let wheel = ColourWheel::new(&ColourWheelParams::default(), EXTENT);
         for (x, y) in [(40.0, 30.0), (39.0, 29.0), (52.3, 20.1), (66.9, 30.0), (2.0, 2.0)] {
-            let sum: f64 =
-                (0..3).map(|channel| LUMINANCE[channel] * wheel.channel(channel, x, y, 3_333_333)).sum();
-            assert!((wheel.reflectance(x, y, 3_333_333) - sum).abs() < 1e-12);
+            let sum = luminance([0, 1, 2].map(|channel| wheel.channel(channel, x, y, 3_333_333)));
+            assert!((wheel.light(x, y, 3_333_333) - sum).abs() < 1e-12);
         }
     }
 }

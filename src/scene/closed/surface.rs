@@ -1,80 +1,8 @@
-//! What scenes are made of: edges and stripes averaged over a pixel, places that move, random texture.
-//!
-//! Anti-aliasing is along the edge's normal: an edge covers a pixel from none to all while it moves by one
-//! pixel. That is exact for edges along rows or columns and keeps the mean for all others (the ramp is a
-//! little steeper than a slanted edge's own).
+//! Random surfaces: a texture in memory, quick to read and the same again every 512 pixels; and noise without
+//! end, worked out at every place.
 
+use super::shapes::blend;
 use photocurrent_core::random::Random;
-
-/// How much of a pixel lies inside a shape, 0 to 1, from the signed distance of its centre to the outline,
-/// pixels; positive is outside.
-pub fn covered(distance: f64) -> f64 {
-    (0.5 - distance).clamp(0.0, 1.0)
-}
-
-/// Mean over a pixel of stripes that are 1 on `[0, 1)` and 0 on `[1, 2)`, and so on. `at` is the pixel's
-/// centre in stripes, `width` its size in stripes.
-pub fn stripes(at: f64, width: f64) -> f64 {
-    let whole = |to: f64| {
-        let turns = (to / 2.0).floor();
-        turns + (to - 2.0 * turns).min(1.0)
-    };
-    (whole(at + width / 2.0) - whole(at - width / 2.0)) / width
-}
-
-/// Distance from a place in stripes to the nearest border between two.
-pub fn to_border(at: f64) -> f64 {
-    let part = at - at.floor();
-    part.min(1.0 - part)
-}
-
-/// `low` to `high` as `share` goes from 0 to 1.
-pub fn blend(low: f64, high: f64, share: f64) -> f64 {
-    low + (high - low) * share
-}
-
-/// A coordinate that runs on for ever, reflected between two walls.
-pub fn bounce(at: f64, low: f64, high: f64) -> f64 {
-    let span = high - low;
-    let phase = (at - low).rem_euclid(2.0 * span);
-    low + if phase > span { 2.0 * span - phase } else { phase }
-}
-
-/// (x, y) turned by an angle given as (sine, cosine); with `y` down, a positive angle is clockwise on the
-/// screen.
-pub fn turned((x, y): (f64, f64), (sine, cosine): (f64, f64)) -> (f64, f64) {
-    (x * cosine - y * sine, x * sine + y * cosine)
-}
-
-/// When something that is `distance` pixels away can be here at the earliest. The distance that a pixel's own
-/// half and its corner take is left out.
-pub fn arrival(t_ns: i64, distance: f64, speed: f64) -> i64 {
-    // The square pixel's filter is one pixel wide along any normal; a hundredth more is for rounding.
-    let clear = distance - 0.51;
-    if clear <= 0.0 {
-        return t_ns;
-    }
-    let wait = clear / speed;
-    // Beyond a hundred years it does not come.
-    if wait > 3e18 { i64::MAX } else { t_ns.saturating_add(wait as i64) }
-}
-
-/// Distance from a place to a line from `a` to `b`, pixels.
-pub fn to_line((x, y): (f64, f64), a: (f64, f64), b: (f64, f64)) -> f64 {
-    let (along_x, along_y) = (b.0 - a.0, b.1 - a.1);
-    let length = along_x * along_x + along_y * along_y;
-    let share = if length == 0.0 {
-        0.0
-    } else {
-        (((x - a.0) * along_x + (y - a.1) * along_y) / length).clamp(0.0, 1.0)
-    };
-    hypot(x - a.0 - share * along_x, y - a.1 - share * along_y)
-}
-
-/// Length of (x, y).
-pub fn hypot(x: f64, y: f64) -> f64 {
-    (x * x + y * y).sqrt()
-}
 
 /// A random surface that repeats every [`Texture::SIDE`] pixels and has the same contrast in every octave, as
 /// natural pictures do (a 1/f spectrum).
@@ -154,6 +82,31 @@ fn whole(at: f64) -> i64 {
     towards_zero - i64::from(towards_zero as f64 > at)
 }
 
+/// A smooth random surface without end, between 0 and 1, of features of a size in pixels.
+pub fn smooth_noise(seed: u64, x: f64, y: f64, size: f64) -> f64 {
+    let (u, v) = (x / size, y / size);
+    let (a, b) = (u.floor(), v.floor());
+    let smooth = |s: f64| s * s * s * (s * (6.0 * s - 15.0) + 10.0);
+    let (s, t) = (smooth(u - a), smooth(v - b));
+    let corner =
+        |da: i64, db: i64| Random::new(seed, &[(a as i64 + da) as u64, (b as i64 + db) as u64]).uniform();
+    let (top, bottom) =
+        (corner(0, 0) * (1.0 - s) + corner(1, 0) * s, corner(0, 1) * (1.0 - s) + corner(1, 1) * s);
+    top * (1.0 - t) + bottom * t
+}
+
+/// [`smooth_noise`] of four sizes, whose mean power falls with frequency; about 0 to 1.
+pub fn noise(seed: u64, x: f64, y: f64) -> f64 {
+    const SIZES: [f64; 4] = [26.0, 11.0, 5.0, 2.4];
+    const SHARES: [f64; 4] = [0.40, 0.30, 0.20, 0.10];
+    (0..4)
+        .map(|n| {
+            let (u, v) = (x + 31.7 * n as f64, y - 17.3 * n as f64);
+            SHARES[n] * smooth_noise(seed.wrapping_add(n as u64), u, v, SIZES[n])
+        })
+        .sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -163,39 +116,6 @@ mod tests {
         for at in [-3.0, -2.5, -0.0, 0.0, 0.999, 1.0, 1e-300, -1e-300, 123_456.75, -123_456.75] {
             assert_eq!(whole(at), at.floor() as i64, "{at}");
         }
-    }
-
-    #[test]
-    fn a_coordinate_bounces_between_its_walls() {
-        assert_eq!([5.0, 12.0, 15.0, 21.0].map(|at| bounce(at, 2.0, 10.0)), [5.0, 8.0, 5.0, 5.0]);
-    }
-
-    #[test]
-    fn averaging_over_a_pixel_keeps_the_mean_of_stripes() {
-        for width in [0.05, 0.3, 1.0, 2.7] {
-            let n = 4000;
-            let mean =
-                (0..n).map(|k| stripes(-3.0 + 8.0 * (f64::from(k) + 0.5) / f64::from(n), width)).sum::<f64>()
-                    / f64::from(n);
-            assert!((mean - 0.5).abs() < 1e-3, "{mean} at {width}");
-        }
-        // As wide as a whole period, nothing is left to see.
-        assert!((stripes(0.77, 2.0) - 0.5).abs() < 1e-12);
-        for (at, mean) in [(0.5, 1.0), (1.5, 0.0), (-0.5, 0.0), (1.0, 0.5)] {
-            assert!((stripes(at, 0.2) - mean).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn a_disk_drawn_by_coverage_has_its_area() {
-        let radius = 7.3;
-        let area: f64 = (0..40)
-            .flat_map(|y| {
-                (0..40).map(move |x| covered(hypot(f64::from(x) - 19.2, f64::from(y) - 20.7) - radius))
-            })
-            .sum();
-        // Coverage along the normal leaves out the outline's bend: pi / 12 of area in all.
-        assert!((area - std::f64::consts::PI * radius * radius).abs() < 0.5, "{area}");
     }
 
     #[test]
@@ -213,13 +133,5 @@ mod tests {
         };
         let growth = [4.0, 8.0, 16.0].map(|d| spread(2.0 * d) / spread(d));
         assert!(growth.iter().all(|growth| (1.1..1.6).contains(growth)), "{growth:?}");
-    }
-
-    #[test]
-    fn what_is_far_needs_time() {
-        assert_eq!(arrival(5, 0.3, 1e-6), 5);
-        assert_eq!(arrival(5, 10.51, 1e-6), 5 + 10_000_000);
-        assert_eq!(arrival(5, 10.0, 0.0), i64::MAX);
-        assert_eq!(to_line((3.0, 4.0), (0.0, 0.0), (0.0, 2.0)), hypot(3.0, 2.0));
     }
 }

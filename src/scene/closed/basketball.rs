@@ -5,8 +5,9 @@
 //! by the spin to find what is there. Outline and seams are anti-aliased by coverage; light comes from above
 //! left.
 
-use super::shapes::{Texture, arrival, blend, bounce, covered, hypot};
-use super::{DARKEST, Scene};
+use super::shapes::{arrival, blend, bounce, covered, hypot, turning};
+use super::surface::Texture;
+use super::{ClosedScene, DARKEST};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, Rotation};
 use photocurrent_core::random::Random;
@@ -93,7 +94,7 @@ impl Basketball {
             start: width * (0.25 + 0.25 * random.uniform()),
             speed: params.speed * 1e-6,
             bounce_ns: params.bounce.ns() as f64,
-            spin: TAU * params.spin.turns_per_s() * 1e-9,
+            spin: turning(params.spin),
             axis,
             skin: Texture::new(PEBBLES.0, PEBBLES.1, seed, 2),
             wall: Texture::new(0.1, 0.6, seed, 1),
@@ -145,8 +146,8 @@ impl Basketball {
     }
 }
 
-impl Scene for Basketball {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for Basketball {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (cx, cy) = self.centre(t_ns);
         let (dx, dy) = (x - cx, y - cy);
         let distance = hypot(dx, dy);
@@ -175,7 +176,7 @@ impl Scene for Basketball {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]

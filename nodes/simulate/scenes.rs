@@ -1,53 +1,12 @@
-//! Scenes: what a simulated sensor may look at, each known in closed form at any instant.
-//!
-//! A scene says what share of the light a pixel sends back, 0 to 1, at a place and an instant. Pixels are
-//! unit squares with their centre at whole numbers, `x` to the right and `y` down. What has edges is
-//! anti-aliased: a scene gives the mean over a pixel, from coverage in closed form, so that an edge that
-//! crosses a pixel makes a ramp and not a jump. Two hints make sampling quick: how fast things move, and
-//! until when nothing changes.
-//!
-//! Every scene is one file: its parameters, its struct, its tests. Random shapes come from the seed alone.
+//! The scenes of [`photocurrent_scene::closed`] by name, with their parameters.
 
-pub mod basketball;
-pub mod checkerboard;
-pub mod colour_wheel;
-mod disk;
-pub mod fan;
-pub mod pellet;
-pub mod running_man;
-pub mod shapes;
-pub mod siemens_disk;
-pub mod slingshot_egg;
-pub mod texture;
-
-use photocurrent_core::Extent;
+use photocurrent_core::{Extent, NodeError};
+use photocurrent_scene::closed::{
+    ClosedScene, basketball, checkerboard, colour_wheel, fan, pellet, running_man, siemens_disk,
+    slingshot_egg, texture,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-/// The darkest and the brightest reflectance of any scene: black felt and white paper.
-pub const DARKEST: f64 = 0.03;
-/// See [`DARKEST`].
-pub const BRIGHTEST: f64 = 0.95;
-
-/// Something to look at.
-pub trait Scene: Send + Sync {
-    /// Mean reflectance of the pixel centred at (x, y) at an instant: [`DARKEST`] to [`BRIGHTEST`].
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64;
-
-    /// The same behind a filter of red (0), green (1) or blue (2); grey things look alike behind each. Both
-    /// hints hold for it, too.
-    fn channel(&self, _channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
-        self.reflectance(x, y, t_ns)
-    }
-
-    /// Upper bound on how fast anything crosses this pixel, pixels per nanosecond. Sampling steps follow from
-    /// it.
-    fn speed(&self, x: f64, y: f64) -> f64;
-
-    /// The pixel's reflectance is constant from `t_ns` to the instant given, at least; `t_ns` where nothing
-    /// can be said, `i64::MAX` for ever.
-    fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64;
-}
 
 /// The scenes by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -99,8 +58,11 @@ pub struct Details {
 }
 
 impl Details {
-    /// The name of a scene whose parameters were set although another one is shown.
-    pub fn set_in_vain(&self, shown: Name) -> Option<&'static str> {
+    /// Refuses parameters of another scene than the one that is shown.
+    ///
+    /// # Errors
+    /// When some are set.
+    pub fn check(&self, shown: Name) -> Result<(), NodeError> {
         let default = Details::default();
         let differs = [
             (Name::Basketball, "basketball", self.basketball != default.basketball),
@@ -113,11 +75,17 @@ impl Details {
             (Name::SlingshotEgg, "slingshot_egg", self.slingshot_egg != default.slingshot_egg),
             (Name::Texture, "texture", self.texture != default.texture),
         ];
-        differs.into_iter().find(|(name, _, set)| *set && *name != shown).map(|(_, text, _)| text)
+        let Some((_, name, _)) = differs.into_iter().find(|(name, _, set)| *set && *name != shown) else {
+            return Ok(());
+        };
+        let shown = serde_json::to_value(shown).map_err(|error| NodeError::failed(error.to_string()))?;
+        Err(NodeError::usage(format!("`{name}` is set, but the scene is {shown}"))
+            .hint(format!("write `scene = \"{name}\"`, or leave `{name}` out"))
+            .param(name))
     }
 
     /// Builds the scene of that name for a picture of that size.
-    pub fn scene(&self, name: Name, extent: Extent, seed: u64) -> Box<dyn Scene> {
+    pub fn scene(&self, name: Name, extent: Extent, seed: u64) -> Box<dyn ClosedScene> {
         match name {
             Name::Basketball => Box::new(basketball::Basketball::new(&self.basketball, extent, seed)),
             Name::Checkerboard => Box::new(checkerboard::Checkerboard::new(&self.checkerboard, extent)),
@@ -137,6 +105,7 @@ impl Details {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use photocurrent_scene::closed::{BRIGHTEST, DARKEST};
 
     pub const EXTENT: Extent = Extent { width: 80, height: 60 };
     pub const ALL: [Name; 9] = [
@@ -167,7 +136,7 @@ pub(crate) mod tests {
             let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
             for t in instants() {
                 for (x, y) in pixels() {
-                    let value = scene.reflectance(x, y, t);
+                    let value = scene.light(x, y, t);
                     assert!(
                         (DARKEST - 1e-9..=BRIGHTEST + 1e-9).contains(&value),
                         "{name:?} is {value} at ({x}, {y}), {t} ns"
@@ -186,14 +155,14 @@ pub(crate) mod tests {
             let (mut moved, mut skipped) = (0, 0);
             for t in instants() {
                 for (x, y) in pixels() {
-                    let now = scene.reflectance(x, y, t);
+                    let now = scene.light(x, y, t);
                     let still = scene.still_until(x, y, t);
                     assert!(still >= t, "{name:?}");
                     let until = still.min(t + 20_000_000);
                     // The first and the last instant of the promise and some between.
                     for share in [0.1, 0.5, 0.9, 1.0] {
                         let later = t + ((until - t) as f64 * share) as i64;
-                        let then = scene.reflectance(x, y, later);
+                        let then = scene.light(x, y, later);
                         assert!(
                             (then - now).abs() < 1e-9,
                             "{name:?} at ({x}, {y}) goes from {now} at {t} \
@@ -201,7 +170,7 @@ pub(crate) mod tests {
                         );
                     }
                     skipped += i32::from(until > t);
-                    moved += i32::from((scene.reflectance(x, y, t + 4_000_000) - now).abs() > 0.02);
+                    moved += i32::from((scene.light(x, y, t + 4_000_000) - now).abs() > 0.02);
                 }
             }
             assert!(moved > 200, "{name:?}: {moved}");
@@ -223,7 +192,7 @@ pub(crate) mod tests {
                 for (x, y) in pixels() {
                     let speed = scene.speed(x, y);
                     let step = 2_000;
-                    let change = (scene.reflectance(x, y, t + step) - scene.reflectance(x, y, t)).abs();
+                    let change = (scene.light(x, y, t + step) - scene.light(x, y, t)).abs();
                     assert!(
                         change <= 2.0 * range * speed * step as f64 + 1e-9,
                         "{name:?} at ({x}, {y}), {t} ns: {change} at {speed} px/ns"
@@ -238,7 +207,7 @@ pub(crate) mod tests {
         for name in ALL {
             let picture = |seed| -> Vec<u64> {
                 let scene = Details::default().scene(name, EXTENT, seed);
-                pixels().map(|(x, y)| scene.reflectance(x, y, 31_000_000).to_bits()).collect()
+                pixels().map(|(x, y)| scene.light(x, y, 31_000_000).to_bits()).collect()
             };
             assert_eq!(picture(7), picture(7), "{name:?}");
             // What is drawn by geometry alone has no seed.

@@ -3,8 +3,10 @@
 //! Blades are sectors bent backwards, each of its own even grey, around a dark hub. Their edges are all that
 //! changes.
 
-use super::shapes::{Texture, arrival, blend, covered, hypot};
-use super::{DARKEST, Scene};
+use super::disk::Disk;
+use super::shapes::{arrival, blend, covered};
+use super::surface::Texture;
+use super::{ClosedScene, DARKEST};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
@@ -43,12 +45,9 @@ const HUB: f64 = 0.15;
 
 /// The scene.
 pub struct Fan {
-    centre: (f64, f64),
-    radius: f64,
-    blades: f64,
+    /// Its parts are blades with their gaps.
+    disk: Disk,
     cover: f64,
-    /// Radians per nanosecond.
-    turning: f64,
     wall: Texture,
 }
 
@@ -56,11 +55,8 @@ impl Fan {
     /// For a picture of that size.
     pub fn new(params: &FanParams, extent: Extent, seed: u64) -> Fan {
         Fan {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
-            radius: params.radius * f64::from(extent.width.min(extent.height)),
-            blades: f64::from(params.blades),
+            disk: Disk::new(extent, params.radius, params.blades.into(), params.speed),
             cover: params.cover,
-            turning: TAU * params.speed.turns_per_s() * 1e-9,
             wall: Texture::new(0.08, 0.3, seed, 1),
         }
     }
@@ -68,37 +64,35 @@ impl Fan {
     /// Distance from the centre, and the place between blades: 0 to `cover` is on the blade whose number
     /// comes third.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64, f64) {
-        let (dx, dy) = (x - self.centre.0, y - self.centre.1);
-        let distance = hypot(dx, dy);
-        let angle = libm::atan2(dy, dx) - self.turning * t_ns as f64 + BEND * distance / self.radius;
-        let at = angle / TAU * self.blades;
-        (distance, at - at.floor(), at.floor().rem_euclid(self.blades))
+        let (distance, angle) = self.disk.polar(x, y, t_ns);
+        let at = (angle + BEND * distance / self.disk.radius) / TAU * self.disk.parts;
+        (distance, at - at.floor(), at.floor().rem_euclid(self.disk.parts))
     }
 
     /// Pixels along the circle per place between blades.
     fn arc(&self, distance: f64) -> f64 {
-        TAU * distance / self.blades
+        TAU * distance / self.disk.parts
     }
 }
 
-impl Scene for Fan {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for Fan {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (distance, part, blade) = self.place(x, y, t_ns);
         let wall = self.wall.at(x, y);
-        let hub = covered(distance - HUB * self.radius);
-        let reach = covered(distance - self.radius);
+        let hub = covered(distance - HUB * self.disk.radius);
+        let reach = self.disk.inside(distance);
         if reach == 0.0 {
             return wall;
         }
         // Greys from 0.9 down to 0.5, so that each blade differs from the next.
-        let grey = |blade: f64| blend(0.9, 0.5, blade / self.blades);
+        let grey = |blade: f64| blend(0.9, 0.5, blade / self.disk.parts);
         let arc = self.arc(distance).max(1e-9);
         // Across the gap's middle the nearest blade is the next one.
         let middle = (1.0 + self.cover) / 2.0;
         let (from_first, from_last, blade) = if part < middle {
             (-part, part - self.cover, blade)
         } else {
-            (1.0 - part, part - 1.0 - self.cover, (blade + 1.0).rem_euclid(self.blades))
+            (1.0 - part, part - 1.0 - self.cover, (blade + 1.0).rem_euclid(self.disk.parts))
         };
         let on_blade = (covered(from_first * arc) + covered(from_last * arc) - 1.0).max(0.0);
         let disk = blend(blend(wall, grey(blade), on_blade), DARKEST, hub);
@@ -106,24 +100,24 @@ impl Scene for Fan {
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
-        self.turning * hypot(x - self.centre.0, y - self.centre.1).clamp(1.0, self.radius + 1.0)
+        self.disk.speed(x, y)
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
         let (distance, part, _) = self.place(x, y, t_ns);
-        if distance > self.radius + 0.5 || distance < HUB * self.radius - 0.5 {
+        if distance > self.disk.radius + 0.5 || distance < HUB * self.disk.radius - 0.5 {
             return i64::MAX;
         }
         let to_edge = part.min(1.0 - part).min((part - self.cover).abs());
         // Edges count as one pixel wide on both sides: the middle of a narrow gap is where the nearest blade
         // changes.
-        arrival(t_ns, to_edge * self.arc(distance), self.turning * distance)
+        arrival(t_ns, to_edge * self.arc(distance), self.disk.turning * distance)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]
@@ -131,7 +125,7 @@ mod tests {
         let fan =
             Fan::new(&FanParams { speed: Rotation::new(60_000.0 / 5.0), ..FanParams::default() }, EXTENT, 7);
         // 200 turns per second and five blades: one blade further every millisecond.
-        let (x, y) = (fan.centre.0 + 14.0, fan.centre.1 - 5.0);
+        let (x, y) = (fan.disk.centre.0 + 14.0, fan.disk.centre.1 - 5.0);
         for t in [0, 137_000, 420_000] {
             let (_, now, blade) = fan.place(x, y, t);
             let (_, then, next) = fan.place(x, y, t + 1_000_000);
@@ -144,11 +138,10 @@ mod tests {
     #[test]
     fn blades_cover_their_share_of_the_wall() {
         let fan = Fan::new(&FanParams { cover: 0.3, ..FanParams::default() }, EXTENT, 7);
-        let (x, y) = (fan.centre.0 + 20.0, fan.centre.1);
+        let (x, y) = (fan.disk.centre.0 + 20.0, fan.disk.centre.1);
         let n = 4000;
         // One turn lasts 1 / 15 s; blades are brighter than 0.4, the wall is darker.
-        let on =
-            (0..n).filter(|k| fan.reflectance(x, y, i64::from(*k) * 66_666_667 / i64::from(n)) > 0.4).count();
+        let on = (0..n).filter(|k| fan.light(x, y, i64::from(*k) * 66_666_667 / i64::from(n)) > 0.4).count();
         assert!((on as f64 / f64::from(n) - 0.3).abs() < 0.02, "{on} of {n}");
     }
 }

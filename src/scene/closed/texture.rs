@@ -1,7 +1,7 @@
 //! `texture`: a natural texture that slides, so that every pixel changes all the time.
 
-use super::shapes::Texture;
-use super::{BRIGHTEST, DARKEST, Scene};
+use super::surface::Texture;
+use super::{BRIGHTEST, ClosedScene, DARKEST};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -61,8 +61,8 @@ impl SlidingTexture {
     }
 }
 
-impl Scene for SlidingTexture {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for SlidingTexture {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         self.look(&self.surface, x, y, t_ns)
     }
 
@@ -113,9 +113,7 @@ mod tests {
             SlidingTexture::new(&TextureParams { speed: 3.0, heading: -90.0, ..TextureParams::default() }, 7);
         for (x, y) in [(0.0, 0.0), (13.5, 200.25)] {
             // 3 pixels per millisecond up.
-            assert!(
-                (texture.reflectance(x, y, 0) - texture.reflectance(x, y - 21.0, 7_000_000)).abs() < 1e-6
-            );
+            assert!((texture.light(x, y, 0) - texture.light(x, y - 21.0, 7_000_000)).abs() < 1e-6);
         }
     }
 }

@@ -1,7 +1,8 @@
 //! `pellet`: round pellets that fly straight and bounce off the borders, before a textured wall.
 
-use super::shapes::{Texture, arrival, blend, bounce, hypot};
-use super::{BRIGHTEST, Scene};
+use super::shapes::{arrival, blend, bounce, hypot};
+use super::surface::Texture;
+use super::{BRIGHTEST, ClosedScene};
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use schemars::JsonSchema;
@@ -108,8 +109,8 @@ impl Pellets {
     }
 }
 
-impl Scene for Pellets {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for Pellets {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         blend(self.wall.at(x, y), BRIGHTEST, self.flights.coverage(x, y, self.flights.centres(t_ns)))
     }
 
@@ -130,7 +131,7 @@ impl Scene for Pellets {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]
@@ -138,10 +139,10 @@ mod tests {
         let scene = Pellets::new(&PelletParams { pellets: 1, ..PelletParams::default() }, EXTENT, 7);
         for t in [0, 3_000_000, 47_000_000] {
             let (x, y) = scene.flights.centres(t).next().unwrap();
-            assert_eq!(scene.reflectance(x.round(), y.round(), t), BRIGHTEST);
+            assert_eq!(scene.light(x.round(), y.round(), t), BRIGHTEST);
             assert!((4.0..76.0).contains(&x) && (4.0..56.0).contains(&y));
             // Beyond the rim the wall is seen.
-            assert_eq!(scene.reflectance(x + 4.6, y, t), scene.wall.at(x + 4.6, y));
+            assert_eq!(scene.light(x + 4.6, y, t), scene.wall.at(x + 4.6, y));
         }
     }
 

@@ -5,11 +5,12 @@
 
 use super::disk::{Disk, WALL};
 use super::shapes::{blend, stripes};
-use super::{BRIGHTEST, DARKEST, Scene};
+use super::{BRIGHTEST, ClosedScene, DARKEST};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Parameters of the scene `siemens_disk`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -58,13 +59,13 @@ impl SiemensDisk {
 
     /// Distance from the middle, and the place in stripes.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
-        let (distance, turns) = self.disk.place(x, y, t_ns);
-        (distance, turns * self.disk.parts)
+        let (distance, angle) = self.disk.polar(x, y, t_ns);
+        (distance, angle / TAU * self.disk.parts)
     }
 }
 
-impl Scene for SiemensDisk {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for SiemensDisk {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (distance, at) = self.place(x, y, t_ns);
         let inside = self.disk.inside(distance);
         if inside == 0.0 {
@@ -84,9 +85,8 @@ impl Scene for SiemensDisk {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
-    use std::f64::consts::TAU;
 
     #[test]
     fn an_edge_turns_by_speed_times_time() {
@@ -103,7 +103,7 @@ mod tests {
             };
             let at = |angle: f64| {
                 let (x, y) = place(angle);
-                disk.reflectance(x, y, i64::from(ms) * 1_000_000)
+                disk.light(x, y, i64::from(ms) * 1_000_000)
             };
             assert!((at(angle) - middle).abs() < 1e-6, "{} at {ms} ms", at(angle));
             assert!(at(angle + 0.05) > 0.8 && at(angle - 0.05) < 0.1);
@@ -118,7 +118,7 @@ mod tests {
             let ring = (0..n).map(|k| TAU * f64::from(k) / f64::from(n));
             let sum: f64 = ring
                 .map(|a| {
-                    disk.reflectance(
+                    disk.light(
                         disk.disk.centre.0 + distance * libm::cos(a),
                         disk.disk.centre.1 + distance * libm::sin(a),
                         5_000_000,

@@ -3,13 +3,12 @@
 //! The mean over a pixel is taken along the board's own axes, where it is a product of two means in closed
 //! form.
 
-use super::Scene;
-use super::shapes::{arrival, blend, hypot, stripes, to_border, turned};
+use super::ClosedScene;
+use super::shapes::{arrival, blend, hypot, middle, stripes, to_border, turned, turning};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::TAU;
 
 /// Parameters of the scene `checkerboard`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -56,11 +55,11 @@ impl Checkerboard {
         let heading = 20f64.to_radians();
         let speed = params.speed * 1e-6;
         Checkerboard {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
+            centre: middle(extent),
             square: params.square,
             velocity: (speed * libm::cos(heading), speed * libm::sin(heading)),
             angle: params.angle.to_radians(),
-            turning: TAU * params.turning.turns_per_s() * 1e-9,
+            turning: turning(params.turning),
         }
     }
 
@@ -74,8 +73,8 @@ impl Checkerboard {
     }
 }
 
-impl Scene for Checkerboard {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for Checkerboard {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (u, v) = self.on_board(x, y, t_ns);
         let pixel = 1.0 / self.square;
         let (a, b) = (stripes(u, pixel), stripes(v, pixel));
@@ -95,7 +94,7 @@ impl Scene for Checkerboard {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     #[test]
@@ -105,8 +104,8 @@ mod tests {
         for (x, y) in [(3.0, 4.0), (41.0, 17.0)] {
             // A place that moves with the board sees the same.
             let (dx, dy) = (board.velocity.0 * 3e6, board.velocity.1 * 3e6);
-            assert!((board.reflectance(x, y, 0) - board.reflectance(x + dx, y + dy, 3_000_000)).abs() < 1e-9);
-            assert!((board.reflectance(x, y, 0) - board.reflectance(x + 20.0, y, 0)).abs() < 1e-9);
+            assert!((board.light(x, y, 0) - board.light(x + dx, y + dy, 3_000_000)).abs() < 1e-9);
+            assert!((board.light(x, y, 0) - board.light(x + 20.0, y, 0)).abs() < 1e-9);
         }
         assert!((hypot(board.velocity.0, board.velocity.1) * 1e6 - 4.0).abs() < 1e-9);
     }
@@ -118,7 +117,7 @@ mod tests {
         let board = Checkerboard::new(&params, EXTENT);
         let pixels =
             EXTENT.rows().iter().flat_map(|y| (0..EXTENT.width).map(move |x| (f64::from(x), f64::from(y))));
-        let mean = pixels.map(|(x, y)| board.reflectance(x, y, 0)).sum::<f64>() / EXTENT.pixels() as f64;
+        let mean = pixels.map(|(x, y)| board.light(x, y, 0)).sum::<f64>() / EXTENT.pixels() as f64;
         assert!((mean - 0.45).abs() < 1e-9, "{mean}");
     }
 }

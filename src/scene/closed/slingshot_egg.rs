@@ -5,8 +5,9 @@
 //! away from the hit and forwards, and tumbles. The pellet goes on behind, slower. Where shards overlap, the
 //! pixel is their mean by coverage.
 
-use super::shapes::{Texture, arrival, blend, covered, hypot, turned};
-use super::{BRIGHTEST, Scene};
+use super::shapes::{arrival, blend, covered, hypot, turned};
+use super::surface::Texture;
+use super::{BRIGHTEST, ClosedScene};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
@@ -194,8 +195,8 @@ fn outside_ellipse((x, y): (f64, f64), (a, b): (f64, f64)) -> f64 {
     if slope == 0.0 { -a.min(b) } else { size * (size - 1.0) / slope }
 }
 
-impl Scene for SlingshotEgg {
-    fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+impl ClosedScene for SlingshotEgg {
+    fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (shares, light) = self.egg(x, y, t_ns);
         let (px, py) = self.pellet_at(t_ns);
         let pellet = covered(hypot(x - px, y - py) - self.pellet_radius);
@@ -228,7 +229,7 @@ impl Scene for SlingshotEgg {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::EXTENT;
+    use super::super::EXTENT;
     use super::*;
 
     fn egg() -> SlingshotEgg {
@@ -271,7 +272,7 @@ mod tests {
         assert!((hit.0 - before.0 - 30.0).abs() < 1e-9 && hit.1 == before.1);
         let gap = outside_ellipse((hit.0 + egg.pellet_radius - egg.centre.0, hit.1 - egg.centre.1), egg.axes);
         assert!(gap.abs() < 1e-9, "{gap}");
-        assert!(egg.reflectance(before.0.round(), before.1.round(), 18_000_000) < 0.06);
+        assert!(egg.light(before.0.round(), before.1.round(), 18_000_000) < 0.06);
     }
 
     #[test]

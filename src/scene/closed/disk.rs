@@ -1,6 +1,6 @@
 //! A disk that turns before a wall: what scenes with parts around a middle share.
 
-use super::shapes::{arrival, covered, hypot, to_border};
+use super::shapes::{arrival, covered, hypot, middle, to_border, turning};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use std::f64::consts::TAU;
@@ -11,29 +11,28 @@ pub const WALL: f64 = 0.3;
 /// The disk; its middle is that of the picture.
 pub struct Disk {
     pub centre: (f64, f64),
-    radius: f64,
+    pub radius: f64,
     /// Equal parts in a turn.
     pub parts: f64,
     /// Radians per nanosecond.
-    turning: f64,
+    pub turning: f64,
 }
 
 impl Disk {
     /// With `radius` a part of the picture's shorter side.
     pub fn new(extent: Extent, radius: f64, parts: f64, speed: Rotation) -> Disk {
         Disk {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
+            centre: middle(extent),
             radius: radius * f64::from(extent.width.min(extent.height)),
             parts,
-            turning: TAU * speed.turns_per_s() * 1e-9,
+            turning: turning(speed),
         }
     }
 
-    /// Distance from the middle, pixels, and the place on the disk in turns.
-    pub fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
+    /// Distance from the middle, pixels, and the angle on the disk, radians.
+    pub fn polar(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
         let (dx, dy) = (x - self.centre.0, y - self.centre.1);
-        let angle = libm::atan2(dy, dx) - self.turning * t_ns as f64;
-        (hypot(dx, dy), angle / TAU)
+        (hypot(dx, dy), libm::atan2(dy, dx) - self.turning * t_ns as f64)
     }
 
     /// How much of a pixel so far from the middle is on the disk.
