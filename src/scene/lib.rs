@@ -36,4 +36,4 @@ pub mod target;
 #[cfg(test)]
 mod testing;
 
-pub use scene::{Cell, Scene, Tolerance};
+pub use scene::{Cell, FreeParameters, Scene, Tolerance};

@@ -2,9 +2,8 @@
 //! effects that are undone.
 
 use crate::co_located::{CoLocated, values_of};
-use crate::options::{FrontEndModel, PaperOptions, ReadoutModel, SolveOptions};
+use crate::options::{FrontEndModel, LEAST_FRAME_SIGMA_DN, PaperOptions, ReadoutModel, SolveOptions};
 use crate::pixel_events::{Stamp, StepRule, check_events, clock_offset, left_out};
-use crate::row_solver::LEAST_FRAME_SIGMA_DN;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{

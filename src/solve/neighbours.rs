@@ -20,7 +20,7 @@ use crate::co_located::CoLocated;
 use crate::host::Host;
 use crate::model::Model;
 use crate::options::SolveOptions;
-use crate::row::Recorded;
+use crate::row::{KnownOfRows, Recorded};
 use crate::row_solver::{RowLight, RowSolver};
 use crate::settings::{BLOCK_ROWS, Settings};
 use photocurrent_core::{NodeError, Rows};
@@ -29,19 +29,6 @@ use photocurrent_sensor::map::MapEvent;
 use photocurrent_sensor::mixing::Mixing;
 use photocurrent_sensor::undo::{Estimate, Known, Memory};
 use rayon::prelude::*;
-
-/// What is known of the events of every value of some rows.
-pub struct KnownOfRows {
-    first: u32,
-    of_rows: Vec<Vec<Known>>,
-}
-
-impl KnownOfRows {
-    /// Of a row.
-    pub fn of(&self, row: u32) -> &[Known] {
-        &self.of_rows[(row - self.first) as usize]
-    }
-}
 
 /// Rows of frames above and below those asked for that must be at hand; none where no photocurrent is mixed.
 pub fn halo(model: &Model, lie: CoLocated) -> Option<u32> {

@@ -1,7 +1,6 @@
 //! One pixel by itself: its events and frame values to its light, without a recording around.
 
-use crate::options::{STEPS, SolveOptions};
-use crate::row_solver::{LEAST_FRAME_SIGMA_DN, NO_EVENT_SIGMA};
+use crate::options::{LEAST_FRAME_SIGMA_DN, NO_EVENT_SIGMA, STEPS, SolveOptions};
 use crate::track::PixelTrack;
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Exposure, NodeError, Sensor};

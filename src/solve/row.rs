@@ -7,11 +7,40 @@ use crate::plausible::Plausible;
 use crate::shares::{Colours, RowShares};
 use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::map::{MapEvent, MapFrame};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, Noise};
+use photocurrent_sensor::undo::Known;
 
 /// An event is lone when none of its polarity fired this long before or after, in its pixel or in one of the
 /// eight around it, ns.
 const LONE_NS: i64 = 3_000_000;
+
+/// How the pixels of a row are solved.
+#[derive(Clone, Copy, Debug)]
+pub struct RowSetting {
+    /// First and last instant, ns.
+    pub span: (i64, i64),
+    /// How noisy its events are.
+    pub noise: Noise,
+    /// Prior, knots, steps.
+    pub options: MapOptions,
+    /// Standard deviation of frame values that the description does not explain, DN.
+    pub frame_dn: f64,
+    /// Standard deviations of light are widened by this factor.
+    pub sigma_factor: f64,
+}
+
+/// What is known of the events of every value of some rows.
+pub struct KnownOfRows {
+    pub(crate) first: u32,
+    pub(crate) of_rows: Vec<Vec<Known>>,
+}
+
+impl KnownOfRows {
+    /// Of a row.
+    pub fn of(&self, row: u32) -> &[Known] {
+        &self.of_rows[(row - self.first) as usize]
+    }
+}
 
 /// The rows of a recording that are at hand.
 #[derive(Clone, Copy)]

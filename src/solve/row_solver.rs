@@ -1,9 +1,9 @@
 //! The MAP estimate: a row of pixels cut out of the recording, and their MAP estimates put together.
 
 use crate::model::Model;
-use crate::neighbours::KnownOfRows;
+use crate::options::NO_EVENT_SIGMA;
 use crate::plausible::Plausible;
-use crate::row::{Recorded, RowData};
+use crate::row::{KnownOfRows, Recorded, RowData, RowSetting};
 use crate::status::{PLANES, Status, map_meta, planes};
 use crate::track::PixelTrack;
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
@@ -19,32 +19,12 @@ use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit
-/// would then count without limit.
-pub(crate) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
-/// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
-pub(crate) const NO_EVENT_SIGMA: f64 = 0.03;
 /// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
 const THINNED_TO: f64 = 2e-4;
 /// The same of the logarithm of its standard deviation.
 const SIGMA_THINNED_TO: f64 = 0.05;
-
-/// How the pixels of a row are solved.
-#[derive(Clone, Copy, Debug)]
-pub struct RowSetting {
-    /// First and last instant, ns.
-    pub span: (i64, i64),
-    /// How noisy its events are.
-    pub noise: Noise,
-    /// Prior, knots, steps.
-    pub options: MapOptions,
-    /// Standard deviation of frame values that the description does not explain, DN.
-    pub frame_dn: f64,
-    /// Standard deviations of light are widened by this factor.
-    pub sigma_factor: f64,
-}
 
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]

@@ -7,10 +7,9 @@
 
 use crate::host::Host;
 use crate::model::Model;
-use crate::neighbours::KnownOfRows;
 use crate::options::{STEPS, SolveOptions};
-use crate::row::{Recorded, RowData};
-use crate::row_solver::{RowSetting, known, problem, with_known};
+use crate::row::{KnownOfRows, Recorded, RowData, RowSetting};
+use crate::row_solver::{known, problem, with_known};
 use photocurrent_core::{NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Choosing;

@@ -1,7 +1,6 @@
 //! How the motion of a picture begins: frames for registration, and splines through the poses that it finds.
 
 use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
-use super::patches::moving;
 use super::setting::PictureSetting;
 use crate::case::Case;
 use crate::image::Image;
@@ -23,6 +22,23 @@ pub fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
                 libm::log(f64::max(if s.is_finite() { s } else { middle }, 0.02 * middle)) as f32
             };
             Image { width, height, values: (0..pixels).map(value).collect() }
+        })
+        .collect()
+}
+
+/// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard
+/// deviations of one value.
+pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
+    let (count, pixels) = (case.frame_count(), case.extent.pixels());
+    let differs = |l: usize, k: usize, pixel: usize| {
+        let (a, b) = (case.dn(l, pixel), case.dn(k, pixel));
+        let sigma = nominal.frame_sigma_dn(f64::max(0.5 * (a + b) - nominal.number.black_level, 0.0), noise);
+        (a - b).abs() > moves * sigma
+    };
+    (0..count * pixels)
+        .map(|n| {
+            let (l, pixel) = (n / pixels, n % pixels);
+            (l > 0 && differs(l, l - 1, pixel)) || (l + 1 < count && differs(l, l + 1, pixel))
         })
         .collect()
 }

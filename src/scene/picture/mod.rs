@@ -9,7 +9,7 @@
 //! - [`motion`]: how it lies on the array over time.
 //! - [`register`]: how one frame lies on the next; where the fit starts.
 //! - [`shading`]: the array's own shading.
-//! - [`system`]: the sparse least-squares problem.
+//! - [`rows`]: frame values as rows of one problem. [`system`]: the sparse least-squares problem.
 //! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds. `setting`: how they are made. `lay`: frame values as rows of that problem.
@@ -31,6 +31,7 @@ pub mod motion;
 pub mod patches;
 mod products;
 pub mod register;
+pub mod rows;
 mod setting;
 pub mod shading;
 pub mod sharpen;

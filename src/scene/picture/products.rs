@@ -4,8 +4,8 @@
 //! Sums are taken in [`LANES`] side by side, and nothing is contracted: the same bits on every processor.
 
 use super::motion::{Map, apply};
+use super::rows::{LANES, REST, Rows};
 use super::spline::Grid;
-use super::system::{LANES, REST, Rows};
 use multiversion::multiversion;
 use photocurrent_sensor::elementary::ln;
 use std::ops::Range;

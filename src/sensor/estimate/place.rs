@@ -9,8 +9,7 @@
 //! that come late in a scene that moves one way look like a shift against the motion: give several offsets in
 //! time around the one that [`super::offset()`] finds.
 
-use super::Estimate;
-use super::draw::{estimate, peak};
+use super::draw::{Estimate, estimate, peak};
 
 /// Pixels in a row and in a column of a patch.
 pub const SIDE: usize = 16;

@@ -1,10 +1,9 @@
 //! One pixel through time: steps, crossings, resets, and every place where an effect may enter.
 
 use super::light::{EventLight, LinearLight, Piece};
-use super::numeric::{NumericResponse, State, System};
+use super::numeric::{NumericResponse, State, System, TOLERANCE};
 use super::response::{Response, StepResponse};
 use super::steps::Steps;
-use super::{Pixel, PixelNoise};
 use crate::comparator::{fired_polarity, signed_step};
 use crate::effects::{
     Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous,
@@ -12,10 +11,30 @@ use crate::effects::{
 };
 use crate::elementary;
 use crate::front_end::settled_voltage;
+use crate::model::Pixel;
 use photocurrent_core::sensor::Reset;
 
 /// A threshold never falls below this, whatever noise is added: at zero a pixel would fire without end.
 const THRESHOLD_FLOOR: f64 = 1e-6;
+
+/// Where the simulated pixel gets its randomness from; the methods' defaults are "none".
+pub trait PixelNoise {
+    /// A number of [0, 1) for the next readout latency. Zero gives the constant latency alone.
+    fn uniform(&mut self) -> f64 {
+        0.0
+    }
+
+    /// Added to both thresholds from one event to the next, natural-log units.
+    fn threshold_offset(&mut self) -> f64 {
+        0.0
+    }
+}
+
+/// A pixel without noise.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Noiseless;
+
+impl PixelNoise for Noiseless {}
 
 /// A pixel as a description states it, its reset rule, and what goes beyond.
 #[derive(Clone, Copy)]
@@ -27,7 +46,7 @@ pub struct Chain<'a> {
     /// In the order of the catalogue.
     pub effects: &'a [Box<dyn Effect>],
     /// Error allowed per step where the front end is integrated by numbers, natural-log units:
-    /// [`TOLERANCE`](super::TOLERANCE) moves a crossing by 0.1 us at 1 ln/s.
+    /// [`TOLERANCE`] moves a crossing by 0.1 us at 1 ln/s.
     pub tolerance: f64,
 }
 
@@ -46,7 +65,7 @@ pub struct Fired {
 /// on it, neighbours' parts included.
 ///
 /// The pixel starts settled, armed, and with the reference at its voltage. `noise` is asked for thresholds
-/// and latencies as in [`super::simulate_events`]; effects draw from streams of their own.
+/// and latencies as in [`simulate_events`]; effects draw from streams of their own.
 ///
 /// # Panics
 ///
@@ -111,6 +130,27 @@ pub fn simulate(
     run.draw_thresholds(start_ns);
     run.run(start_ns, end_ns, &impulses, &spontaneous);
     run.fired
+}
+
+/// The events of one pixel of the paper's model from `start_ns` to `end_ns`, in time order: [`simulate`]
+/// without effects.
+///
+/// The pixel starts settled (Eq. 6), armed, and with the reference at its voltage. Events whose `t_in` lies
+/// in the span are put out even when their `t_off` does not.
+///
+/// # Panics
+///
+/// When `log_step` is not positive.
+pub fn simulate_events(
+    pixel: &Pixel,
+    light: &LinearLight<'_>,
+    start_ns: i64,
+    end_ns: i64,
+    noise: &mut impl PixelNoise,
+) -> Vec<PixelEvent> {
+    let chain = Chain { pixel: *pixel, reset: Reset::Resample, effects: &[], tolerance: TOLERANCE };
+    let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
+    simulate(&chain, &site, light, start_ns, end_ns, noise).into_iter().map(|fired| fired.event).collect()
 }
 
 enum Front {
