@@ -15,6 +15,8 @@
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
+#![warn(unreachable_pub)]
+
 pub mod activity;
 pub mod case;
 pub mod film;

@@ -25,7 +25,7 @@ use crate::row_solver::{RowLight, RowSolver};
 use crate::settings::{BLOCK_ROWS, Settings};
 use photocurrent_core::{NodeError, Rows};
 use photocurrent_sensor::conditional::at_each;
-use photocurrent_sensor::map::MapEvent;
+use photocurrent_sensor::map::PixelEvent;
 use photocurrent_sensor::mixing::Mixing;
 use photocurrent_sensor::undo::{Estimate, Known, Memory};
 use rayon::prelude::*;
@@ -109,7 +109,7 @@ fn known_of_row<'a>(
         if !data.has_event_pixel(x) || t_ns.is_empty() || of_row(row).has_failed(x) {
             return known;
         }
-        let (site, recorded): (_, &[MapEvent]) = data.recorded_of(x);
+        let (site, recorded): (_, &[PixelEvent]) = data.recorded_of(x);
         // Neighbours change where the pixel itself has no knots.
         refined(t_ns, spacing_ns, &mut instants);
         own.clear();

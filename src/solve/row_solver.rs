@@ -11,7 +11,7 @@ use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
-    Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise,
+    Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, PixelEvent,
     estimate,
 };
 use photocurrent_sensor::residuals::Misfit;
@@ -80,16 +80,16 @@ impl Part {
                 model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
             ) * ratio;
             knots_of[n] = begin..knots.len();
-            let status = match solution.status {
+            let status = match solution.outcome.status {
                 MapStatus::Failed => Status::FellBack,
                 _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
                 MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
             };
             of_pixels[n] = planes(
                 status,
-                solution.iterations,
-                -solution.log_evidence,
-                &solution.misfit,
+                solution.outcome.iterations,
+                -solution.outcome.log_evidence,
+                &solution.outcome.misfit,
                 plausible.excess(most),
             );
         };
@@ -270,7 +270,7 @@ impl RowSolver {
                 model.undo.sum(libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE)))
             }));
             light.of[lit[n]] = begin..light.t_ns.len();
-            light.failed[lit[n]] = solution.status == MapStatus::Failed;
+            light.failed[lit[n]] = solution.outcome.status == MapStatus::Failed;
         });
         light
     }
@@ -315,28 +315,34 @@ impl RowSolver {
         x: usize,
         hints: &[Vec<Hint>],
     ) -> Vec<f64> {
-        let RowSolver { group, taken: Taken { data, given }, .. } = self;
-        let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        let task = [MapTask { problem, options: setting.options }];
-        let known = known_of(model, &task, &[x], data, given, group);
-        let problem = with_known(&task, &known)[0].problem;
-        let problems: Vec<MapProblem<'_>> =
-            hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
-        estimate::prediction_errors(&problems, &setting.options, group)
+        self.with_known(model, setting, x, |problem, group| {
+            let problems: Vec<MapProblem<'_>> =
+                hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
+            estimate::prediction_errors(&problems, &setting.options, group)
+        })
     }
 
     /// How the frames of a pixel that are held out are missed by hints and its other measurements
     /// ([`estimate::misses`]).
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
+        self.with_known(model, setting, x, |problem, group| {
+            estimate::misses(&[MapProblem { hints, ..problem }], &setting.options, group)
+        })
+    }
+
+    /// What `answer` makes of the problem of a pixel of the row that was taken in, with what is known of its
+    /// events.
+    fn with_known<T>(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        x: usize,
+        answer: impl FnOnce(MapProblem<'_>, &mut MapGroup) -> T,
+    ) -> T {
         let RowSolver { group, taken: Taken { data, given }, .. } = self;
-        let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        let task = [MapTask { problem, options: setting.options }];
+        let task = [MapTask { problem: of_pixel(model, setting, data, x), options: setting.options }];
         let known = known_of(model, &task, &[x], data, given, group);
-        estimate::misses(
-            &[MapProblem { hints, ..with_known(&task, &known)[0].problem }],
-            &setting.options,
-            group,
-        )
+        answer(with_known(&task, &known)[0].problem, group)
     }
 }
 
@@ -382,15 +388,20 @@ fn task<'a>(
     x: usize,
     hints: &'a [Hint],
 ) -> MapTask<'a> {
-    let RowSetting { span, noise, options, .. } = *setting;
     let unrest = data.unrest(x);
     let off = |sigma: f64, unit: f64| {
         if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma }
     };
-    let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
-    let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
+    let noise = Noise { event: off(setting.noise.event, model.threshold()), ..setting.noise };
+    let problem = of_pixel(model, &RowSetting { noise, ..*setting }, data, x);
     let no_event_sigma = if data.has_event_pixel(x) { off(problem.no_event_sigma, 1.0) } else { 0.0 };
-    MapTask { problem: MapProblem { hints, no_event_sigma, ..problem }, options }
+    MapTask { problem: MapProblem { hints, no_event_sigma, ..problem }, options: setting.options }
+}
+
+/// The same without hints and what colours do.
+fn of_pixel<'a>(model: &Model, setting: &RowSetting, data: &'a RowData, x: usize) -> MapProblem<'a> {
+    let (events, is_lone) = (data.events_of(x), data.is_lone(x));
+    problem(model, events, is_lone, data.frames_of(x), setting.span, setting.noise)
 }
 
 /// What was given of the events of pixels `lit` of a row, or what each alone says.
@@ -405,7 +416,7 @@ fn known_of(
     if !given.is_empty() {
         return lit.iter().map(|&x| given[x].clone()).collect();
     }
-    let recorded: Vec<(Site, &[MapEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
+    let recorded: Vec<(Site, &[PixelEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
     known(model, tasks, &recorded, group)
 }
 
@@ -415,7 +426,7 @@ fn known_of(
 pub(crate) fn known(
     model: &Model,
     tasks: &[MapTask<'_>],
-    recorded: &[(Site, &[MapEvent])],
+    recorded: &[(Site, &[PixelEvent])],
     group: &mut MapGroup,
 ) -> Vec<Known> {
     if !model.undo.needs_light() {
@@ -431,7 +442,7 @@ pub(crate) fn known(
         group.solve(&now, |n, solution| {
             let (site, recorded) = recorded[n];
             let light = Estimate { t_ns: solution.t_ns, own: solution.log_photocurrent, seen: None };
-            if solution.status != MapStatus::Failed {
+            if solution.outcome.status != MapStatus::Failed {
                 model.undo.at_light(
                     &model.sensor,
                     &site,
@@ -466,13 +477,15 @@ pub(crate) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<M
 /// The problem of a pixel.
 pub(crate) fn problem<'a>(
     model: &Model,
-    events: &'a [MapEvent],
+    events: &'a [PixelEvent],
+    is_lone: &'a [bool],
     frames: &'a [MapFrame],
     span: (i64, i64),
     noise: Noise,
 ) -> MapProblem<'a> {
     MapProblem {
         events,
+        is_lone,
         frames,
         hints: &[],
         start_ns: span.0,

@@ -49,7 +49,7 @@ mod pixel;
 mod response;
 mod steps;
 
-pub use crate::effects::PixelEvent;
+pub use crate::comparator::PixelEvent;
 pub use crate::model::{LOG_STEP, Pixel};
 pub use frames::{FrameReadout, read_frames};
 pub use light::LinearLight;

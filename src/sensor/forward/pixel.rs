@@ -6,8 +6,8 @@ use super::response::{Response, StepResponse};
 use super::steps::Steps;
 use crate::comparator::{fired_polarity, signed_step};
 use crate::effects::{
-    Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous,
-    Thresholds, effect::BURST_GAP_NS, effect::Streams,
+    Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Site, Spontaneous, Thresholds,
+    effect::BURST_GAP_NS, effect::Streams,
 };
 use crate::elementary;
 use crate::front_end::settled_voltage;
@@ -118,7 +118,6 @@ pub fn simulate(
         drift: 0.0,
         reference: 0.0,
         before: 0.0,
-        fired_value: 0.0,
         thresholds: stated,
         threshold_offset: 0.0,
         blind_until_ns: None,
@@ -189,9 +188,8 @@ struct Run<'a, N> {
     /// included.
     drift: f64,
     reference: f64,
-    /// The reference at the last event, and the comparator's input that fired it.
+    /// The reference at the last event.
     before: f64,
-    fired_value: f64,
     thresholds: Thresholds,
     threshold_offset: f64,
     blind_until_ns: Option<i64>,
@@ -429,7 +427,7 @@ impl<N: PixelNoise> Run<'_, N> {
             Some(last) if t_in_ns - last.t_in_ns <= BURST_GAP_NS => self.history.burst_index + 1,
             _ => 1,
         };
-        let last_event = Some(LastEvent { t_in_ns, t_off_ns: left_ns, polarity, overshoot: 0.0 });
+        let last_event = Some(PixelEvent { t_in_ns, t_off_ns: left_ns, polarity });
         self.history = History { last_event, events: self.history.events + 1, burst_index };
         let refractory_ns = if self.chain.effects.is_empty() {
             pixel.refractory_ns
@@ -441,7 +439,6 @@ impl<N: PixelNoise> Run<'_, N> {
         };
         let armed_ns = left_ns + refractory_ns;
         self.before = self.reference;
-        self.fired_value = value;
         self.threshold_offset = self.noise.threshold_offset();
         // Without blind time the reference is the threshold itself: no error adds up from rounded stamps.
         let moved = match cause {
@@ -454,7 +451,6 @@ impl<N: PixelNoise> Run<'_, N> {
             self.blind_until_ns = Some(armed_ns);
         }
         if self.chain.reset != Reset::Resample || armed_ns <= t_in_ns {
-            self.fired_value = moved;
             self.take_reference(moved, t_in_ns);
         }
     }
@@ -462,9 +458,6 @@ impl<N: PixelNoise> Run<'_, N> {
     /// The reset: a new reference and new thresholds.
     fn take_reference(&mut self, ideal: f64, t_reset_ns: i64) {
         self.reference = ideal;
-        if let Some(last) = &mut self.history.last_event {
-            last.overshoot = ideal - self.fired_value;
-        }
         for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
             self.reference = effect.reference(
                 self.site,
