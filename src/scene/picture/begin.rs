@@ -8,7 +8,7 @@ use crate::nominal::Nominal;
 use nalgebra::DMatrix;
 
 /// Log frames; what is missing or dark is the median.
-pub fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
+pub(crate) fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
     let pixels = case.extent.pixels();
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     (0..case.frame_count())
@@ -28,7 +28,7 @@ pub fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
 
 /// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard
 /// deviations of one value.
-pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
+pub(crate) fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
     let (count, pixels) = (case.frame_count(), case.extent.pixels());
     let differs = |l: usize, k: usize, pixel: usize| {
         let (a, b) = (case.dn(l, pixel), case.dn(k, pixel));
@@ -56,7 +56,7 @@ pub(super) fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
 }
 
 /// Splines through the poses of the frames.
-pub fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
+pub(crate) fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
     let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
     let half = 0.5 * (f64::max(width, height) - 1.0);
     let times = &case.frames.as_ref().expect("frames are there").times;

@@ -7,22 +7,22 @@ use super::spline::Grid;
 use std::ops::Range;
 
 /// Knots that one exposure may touch.
-pub const TOUCHED: usize = 6;
+pub(crate) const TOUCHED: usize = 6;
 /// Parts in which sums over rows are taken, at most.
 const PARTS: usize = 8;
 /// And each has at least so many rows.
 const LEAST_ROWS: usize = 4_096;
 /// Lines of stencils are padded to a multiple of this, so that they are added up side by side.
-pub const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 /// Derivatives of a row by the shading's terms come first, and the poses behind them from here on.
-pub const POSES: usize = TERMS.next_multiple_of(LANES);
+pub(crate) const POSES: usize = TERMS.next_multiple_of(LANES);
 /// Derivatives of a row by everything but the picture: shading, poses of the knots it touches, each with
 /// zeros up to whole lanes.
-pub const REST: usize = POSES + (TOUCHED * DEGREES).next_multiple_of(LANES);
+pub(crate) const REST: usize = POSES + (TOUCHED * DEGREES).next_multiple_of(LANES);
 
 /// Measurements, ready to be fitted.
 #[derive(Clone, Debug, Default)]
-pub struct Rows {
+pub(crate) struct Rows {
     /// Where the stencil of a row begins in `stencil`; one more than rows.
     pub first: Vec<u32>,
     /// The first coefficient of a row's stencil, and its columns, a multiple of [`LANES`].
@@ -60,24 +60,24 @@ pub struct Rows {
 
 impl Rows {
     /// Number of rows.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.residual.len()
     }
 
     /// Surfaces that rows depend on.
-    pub fn layers(&self) -> usize {
+    pub(crate) fn layers(&self) -> usize {
         1 + usize::from(!self.behind.is_empty())
     }
 
     /// Corner, columns and stencil of row r.
     #[inline]
-    pub fn line(&self, r: usize) -> (usize, usize, &[u16]) {
+    pub(crate) fn line(&self, r: usize) -> (usize, usize, &[u16]) {
         let (corner, columns) = self.corner[r];
         (corner as usize, columns as usize, &self.stencil[self.first[r] as usize..self.first[r + 1] as usize])
     }
 
     /// Takes a stencil in, whose lines have `columns`.
-    pub fn push_stencil(&mut self, corner: u32, columns: u32, stencil: &[f32]) {
+    pub(crate) fn push_stencil(&mut self, corner: u32, columns: u32, stencil: &[f32]) {
         let most = stencil.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
         let per = f32::from(u16::MAX) / most;
         self.stencil.extend(stencil.iter().map(|a| (a * per + 0.5) as u16));
@@ -87,7 +87,7 @@ impl Rows {
     }
 
     /// Takes derivatives by shading and poses in.
-    pub fn push_rest(&mut self, by_rest: &[f32; REST]) {
+    pub(crate) fn push_rest(&mut self, by_rest: &[f32; REST]) {
         let most = by_rest.iter().fold(f32::MIN_POSITIVE, |most, by| f32::max(most, by.abs()));
         let per = f32::from(i16::MAX) / most;
         self.by_rest.push(by_rest.map(|by| (by * per).round_ties_even() as i16));
@@ -96,7 +96,7 @@ impl Rows {
 
     /// Derivatives of row r by shading and poses.
     #[cfg(test)]
-    pub fn rest_of(&self, r: usize) -> [f32; REST] {
+    pub(super) fn rest_of(&self, r: usize) -> [f32; REST] {
         self.by_rest[r].map(|by| f32::from(by) * self.rest_unit[r])
     }
 

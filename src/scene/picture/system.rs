@@ -19,7 +19,7 @@ use std::ops::Range;
 
 /// What is fitted, or a step of it.
 #[derive(Clone, Debug, Default)]
-pub struct Unknowns {
+pub(crate) struct Unknowns {
     /// Coefficients of the picture; behind them, before a still ground, of how much of the ground it hides.
     pub picture: Vec<f32>,
     /// Six numbers for each knot, then the shading's terms.
@@ -28,7 +28,7 @@ pub struct Unknowns {
 
 /// Weights of the second differences of the picture: one over their standard deviation.
 #[derive(Clone, Debug, Default)]
-pub struct Smoothness {
+pub(crate) struct Smoothness {
     /// Along x, at each coefficient.
     pub along_x: Vec<f32>,
     /// Along y.
@@ -45,7 +45,7 @@ pub struct Smoothness {
 
 impl Rows {
     /// Residuals of another surface under the same motion and shading.
-    pub fn look_at(&mut self, grid: &Grid, surface: &[f32]) {
+    pub(crate) fn look_at(&mut self, grid: &Grid, surface: &[f32]) {
         let parts: Vec<Vec<f32>> = self
             .parts()
             .into_par_iter()
@@ -168,7 +168,7 @@ fn motion_differences(knots: usize, mut with: impl FnMut(usize, usize, usize)) {
 }
 
 /// Squares of the weighted differences.
-pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
+pub(crate) fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
     let mut sum = 0.0;
     differences(grid, smooth, |at, by, weight| {
         let value: f32 = at.iter().zip(by).map(|(&at, by)| by * picture[at]).sum();
@@ -180,7 +180,7 @@ pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
 /// The step that lessens the sum of squares most: residuals of the rows, roughness of `now` plus the step.
 ///
 /// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
-pub fn solve(
+pub(crate) fn solve(
     rows: &Rows,
     grid: &Grid,
     smooth: &Smoothness,
@@ -204,7 +204,7 @@ pub fn solve(
 /// given back in part (twicing; Tukey, Exploratory Data Analysis, 1977; Osher et al., Multiscale Modeling and
 /// Simulation 4, 2005). Motion and shading are held. `begin`: where the search for it begins, the step of the
 /// time before; nothing is zero.
-pub fn again(
+pub(crate) fn again(
     rows: &Rows,
     grid: &Grid,
     smooth: &Smoothness,
@@ -234,7 +234,7 @@ pub fn again(
 ///
 /// By perturbation: random residuals with the noise of each row and random differences with the variance of
 /// each weight, fitted (Papandreou and Yuille, NIPS 2010).
-pub fn draw(
+pub(crate) fn draw(
     rows: &Rows,
     grid: &Grid,
     smooth: &Smoothness,
@@ -453,14 +453,14 @@ fn dot(a: &Unknowns, b: &Unknowns) -> f64 {
 }
 
 /// `x += by * step`.
-pub fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
+pub(crate) fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
     x.picture.iter_mut().zip(&step.picture).for_each(|(x, step)| *x += by as f32 * step);
     x.rest.iter_mut().zip(&step.rest).for_each(|(x, step)| *x += by * step);
 }
 
 /// Adds the weights of one instant to a stencil of `columns` columns whose corner is (`i0`, `j0`).
 #[inline]
-pub fn stamp(
+pub(crate) fn stamp(
     stencil: &mut [f32],
     columns: usize,
     corner: (usize, usize),
