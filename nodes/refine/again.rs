@@ -13,10 +13,10 @@ use photocurrent_scene::activity::Activity;
 use photocurrent_scene::film::Fired;
 use photocurrent_scene::film::STEP_NS;
 use photocurrent_sensor::map::estimate;
-use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use photocurrent_sensor::map::{Hint, MapFrame, PixelEvent};
 use photocurrent_solve::co_located::CoLocated;
-use photocurrent_solve::row::Recorded;
-use photocurrent_solve::row_solver::{RowSetting, RowSolver, Taken};
+use photocurrent_solve::row::{Recorded, RowSetting};
+use photocurrent_solve::row_solver::{RowSolver, Taken};
 use photocurrent_solve::settings::Settings;
 use photocurrent_solve::shares::Colours;
 use photocurrent_solve::{Model, SolveOptions, neighbours};
@@ -142,7 +142,7 @@ impl Row {
     }
 
     /// The events of pixel x, in order of in-pixel time.
-    pub fn events_of(&self, x: usize) -> &[MapEvent] {
+    pub fn events_of(&self, x: usize) -> &[PixelEvent] {
         self.taken.data().events_of(x)
     }
 
@@ -191,8 +191,12 @@ impl Again {
     /// Where and when pixels fired with events of their neighbours.
     pub fn activity(&self) -> Activity {
         let width = self.meta.extent.width as usize;
-        let events =
-            self.rows.iter().flat_map(|row| (0..width).map(move |x| (x, row.row as usize, row.events_of(x))));
+        let events = self.rows.iter().flat_map(|row| {
+            let of_pixel = move |x: usize| {
+                row.taken.data().in_company(x).map(move |event| (x, row.row as usize, event.t_in_ns))
+            };
+            (0..width).flat_map(of_pixel)
+        });
         Activity::new(self.meta.extent, (self.meta.span.start.0, self.meta.span.end.0), events)
     }
 

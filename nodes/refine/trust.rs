@@ -15,7 +15,7 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_scene::film::LogTracks;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use photocurrent_sensor::map::{Hint, MapFrame, PixelEvent};
 use photocurrent_sensor::model::Model;
 use photocurrent_sensor::undo::sum;
 
@@ -54,7 +54,7 @@ pub(super) struct Measured<'a> {
     pub sensor: &'a Posed,
     pub extent: Extent,
     pub place: (usize, usize),
-    pub events: &'a [MapEvent],
+    pub events: &'a [PixelEvent],
     pub frames: &'a [MapFrame],
     /// How exactly the pixel knows its light by itself, natural-log units.
     pub threshold: f64,
@@ -342,13 +342,9 @@ mod tests {
             [0.1, 0.2, 0.3, 0.4]
                 .map(|ms| (((6.0 * f64::from(edge) + ms) * 1e6) as i64, if edge % 2 == 0 { 1 } else { -1 }))
         });
-        let event = |(t_in_ns, polarity): (i64, i8)| MapEvent {
-            t_in_ns,
-            t_off_ns: t_in_ns + 1_000,
-            polarity,
-            is_lone: false,
-        };
-        let events: Vec<MapEvent> = edges.map(event).collect();
+        let event =
+            |(t_in_ns, polarity): (i64, i8)| PixelEvent { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity };
+        let events: Vec<PixelEvent> = edges.map(event).collect();
         let (t, i): (Vec<i64>, Vec<f64>) = light.into_iter().unzip();
         let light = LinearLight::new(&t, &i);
         let frame = |l: i64| {

@@ -11,7 +11,7 @@ use photocurrent_diagnosis::candidates::{CANDIDATES, Scales, Signs, Trial};
 use photocurrent_diagnosis::covariates::Covariate;
 use photocurrent_diagnosis::scenes::MadeUp;
 use photocurrent_diagnosis::targets::Sketches;
-use photocurrent_scene::case::{Case, PixelEvents, Recorded};
+use photocurrent_scene::case::{Case, PixelEvent, PixelEvents};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::target::Form;
 use serde::{Deserialize, Serialize};
@@ -193,7 +193,7 @@ fn outside(
     let covariate = OF_STAMPS[(random.uniform() * OF_STAMPS.len() as f64) as usize % OF_STAMPS.len()];
     let delay_ns = (60e3 + 400e3 * random.uniform()) as i64;
     let usual_ns = (0.3e9 / f64::max(scales.rate_hz / f64::from(width * height), 1.0)) as i64;
-    let of = |pixel: usize| -> Vec<Recorded> {
+    let of = |pixel: usize| -> Vec<PixelEvent> {
         let (x, y) = plain.place(pixel);
         let events = plain.events.of(pixel);
         let late = |k: usize| {
@@ -210,7 +210,7 @@ fn outside(
         };
         let moved = |k: usize| {
             let by = if late(k) { delay_ns } else { 0 };
-            Recorded { t_in_ns: events[k].t_in_ns + by, t_off_ns: events[k].t_off_ns + by, ..events[k] }
+            PixelEvent { t_in_ns: events[k].t_in_ns + by, t_off_ns: events[k].t_off_ns + by, ..events[k] }
         };
         (0..events.len()).map(moved).filter(|event| event.t_off_ns < plain.span.1).collect()
     };

@@ -10,7 +10,7 @@ use crate::digest::DigestBuilder;
 use crate::extent::Extent;
 use crate::handle::{BandMeta, Handle};
 use crate::series::{Series, SeriesBand, SeriesMeta};
-use crate::time::TimeSpan;
+use crate::time::{TimeSpan, between};
 use serde::{Deserialize, Serialize};
 
 /// What is known about light before its data.
@@ -73,15 +73,7 @@ pub type LightBand = SeriesBand<LightMeta>;
 pub fn at(pixel: Series<'_>, t_ns: i64) -> Option<f64> {
     let after = pixel.t.partition_point(|&instant| instant <= t_ns);
     let photocurrent = |k: usize| f64::from(pixel.photocurrent[k]);
-    match (after.checked_sub(1), pixel.t.get(after)) {
-        (None, None) => None,
-        (None, Some(_)) => Some(photocurrent(0)),
-        (Some(last), None) => Some(photocurrent(last)),
-        (Some(before), Some(&next)) => {
-            let share = (t_ns - pixel.t[before]) as f64 / (next - pixel.t[before]) as f64;
-            Some(photocurrent(before) * (1.0 - share) + photocurrent(after) * share)
-        }
-    }
+    between(pixel.t, after, t_ns, photocurrent, |a, b, share| a * (1.0 - share) + b * share)
 }
 
 #[cfg(test)]

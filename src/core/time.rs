@@ -111,6 +111,28 @@ impl Exposure {
     }
 }
 
+/// What is known at rising instants, ns, at another one, `t_ns`, of which number `after` is the first behind:
+/// `join` of the values on both sides and of the share of the way from one to the other; beyond either end the
+/// value there. `None` without instants.
+#[inline]
+pub fn between<T>(
+    instants: &[i64],
+    after: usize,
+    t_ns: i64,
+    value: impl Fn(usize) -> T,
+    join: impl FnOnce(T, T, f64) -> T,
+) -> Option<T> {
+    match (after.checked_sub(1), instants.get(after)) {
+        (None, None) => None,
+        (None, Some(_)) => Some(value(0)),
+        (Some(last), None) => Some(value(last)),
+        (Some(before), Some(&next)) => {
+            let share = (t_ns - instants[before]) as f64 / (next - instants[before]) as f64;
+            Some(join(value(before), value(after), share))
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

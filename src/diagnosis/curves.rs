@@ -1,5 +1,7 @@
 //! The light of sampled pixels: log light at knots, linear between.
 
+use photocurrent_sensor::conditional::at;
+
 /// Knots, log light, and whether it is known.
 pub type Curve = (Vec<i64>, Vec<f64>, bool);
 
@@ -48,13 +50,6 @@ impl Curves {
     /// Log light of pixel `n` of the sample at an instant: linear between knots, constant beyond them.
     pub fn at(&self, n: usize, t_ns: i64) -> f64 {
         let (t, u) = self.pixel(n);
-        let after = t.partition_point(|&knot| knot <= t_ns);
-        match (after.checked_sub(1), t.get(after)) {
-            (None, _) => u[0],
-            (Some(last), None) => u[last],
-            (Some(before), Some(&next)) => {
-                u[before] + (u[after] - u[before]) * (t_ns - t[before]) as f64 / (next - t[before]) as f64
-            }
-        }
+        at(t, u, t_ns)
     }
 }

@@ -10,10 +10,10 @@
 use crate::curves::Curves;
 use crate::sample::Sample;
 use photocurrent_core::random::Random;
-use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::array::{self, Array};
-use photocurrent_sensor::effects::{ArrayEvent, Effect, Kernel, PixelEvent, Tap, from_description};
+use photocurrent_sensor::effects::{ArrayEvent, Effect, Kernel, Tap, from_description};
 use photocurrent_sensor::forward::LinearLight;
 use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
 use rayon::prelude::*;
@@ -69,7 +69,7 @@ pub fn record(
     let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
     let effects: &[Box<dyn Effect>] = &effects;
     let array = Array { model: nominal, effects, tolerance: TOLERANCE, span: case.span };
-    let one = |n: usize| -> (Vec<Recorded>, Vec<f32>) {
+    let one = |n: usize| -> (Vec<PixelEvent>, Vec<f32>) {
         let pixel = sample.pixels[n] as usize;
         let own = linear(scene, n);
         let seen = kernel.as_ref().map_or_else(|| own.clone(), |kernel| mix(case, sample, scene, kernel, n));
@@ -93,7 +93,7 @@ pub fn record(
         });
         (events, frames)
     };
-    let recorded: Vec<(Vec<Recorded>, Vec<f32>)> =
+    let recorded: Vec<(Vec<PixelEvent>, Vec<f32>)> =
         (0..sample.len()).into_par_iter().with_min_len(16).map(one).collect();
     let mut pixels = vec![Vec::new(); case.extent.pixels()];
     let frames = case.frames.as_ref().map(|frames| {
@@ -132,28 +132,20 @@ fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
     let mut load: Vec<ArrayEvent> = Vec::with_capacity(case.events.len());
     for pixel in 0..case.events.pixels() {
         let (x, y) = case.place(pixel);
-        load.extend(case.events.of(pixel).iter().map(|event| ArrayEvent {
-            x,
-            y,
-            event: as_pixel_event(event),
-        }));
+        load.extend(case.events.of(pixel).iter().map(|&event| ArrayEvent { x, y, event }));
     }
     load.sort_by_key(|event| event.event.t_off_ns);
     array::inform(effects, &load);
 }
 
-fn as_pixel_event(event: &Recorded) -> PixelEvent {
-    PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity }
-}
-
 /// Stamps as the recorder writes them: on its grid, or the in-pixel time taken from the off-pixel one where
 /// it was not recorded.
-fn on_grid(case: &Case, nominal: &Nominal, event: &PixelEvent) -> Recorded {
+fn on_grid(case: &Case, nominal: &Nominal, event: &PixelEvent) -> PixelEvent {
     let step = case.t_resolution_ns;
     let rounded = |t: i64| if step > 1 { (t as f64 / step as f64).round() as i64 * step } else { t };
     let t_off_ns = rounded(event.t_off_ns);
     let t_in_ns = if case.has_t_in { rounded(event.t_in_ns) } else { t_off_ns - nominal.pixel.latency_ns };
-    Recorded { t_in_ns, t_off_ns, polarity: event.polarity }
+    PixelEvent { t_in_ns, t_off_ns, polarity: event.polarity }
 }
 
 /// Photocurrent of log light, positive and finite whatever an estimate ran to.

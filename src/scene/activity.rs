@@ -2,7 +2,6 @@
 //! else.
 
 use photocurrent_core::Extent;
-use photocurrent_sensor::map::MapEvent;
 
 /// Side of the blocks of the mask, pixels.
 const SIDE: usize = 8;
@@ -25,23 +24,21 @@ pub struct Activity {
 }
 
 impl Activity {
-    /// From the events of all pixels, with column and row; isolated events, without another of their polarity
-    /// near, are left out.
-    pub fn new<'a>(
+    /// From column, row and in-pixel time of all events but the isolated ones, without another of their
+    /// polarity near.
+    pub fn new(
         extent: Extent,
         span: (i64, i64),
-        events: impl Iterator<Item = (usize, usize, &'a [MapEvent])>,
+        events: impl Iterator<Item = (usize, usize, i64)>,
     ) -> Activity {
         let (columns, lines) =
             ((extent.width as usize).div_ceil(SIDE), (extent.height as usize).div_ceil(SIDE));
         let times = ((span.1 - span.0) / STEP_NS + 1) as usize;
         let none = vec![false; times * columns * lines];
         let mut activity = Activity { columns, lines, start_ns: span.0, fires: none, is_active: Vec::new() };
-        for (x, y, events) in events {
-            for event in events.iter().filter(|event| !event.is_lone) {
-                for time in activity.times((event.t_in_ns - LONG_NS, event.t_in_ns + LONG_NS)) {
-                    activity.fires[(time * lines + y / SIDE) * columns + x / SIDE] = true;
-                }
+        for (x, y, t_ns) in events {
+            for time in activity.times((t_ns - LONG_NS, t_ns + LONG_NS)) {
+                activity.fires[(time * lines + y / SIDE) * columns + x / SIDE] = true;
             }
         }
         activity.is_active = activity
@@ -111,14 +108,9 @@ mod tests {
 
     const EXTENT: Extent = Extent { width: 200, height: 100 };
 
-    fn activity(is_lone: bool) -> Activity {
-        let event = MapEvent { t_in_ns: 100_000_000, t_off_ns: 100_001_000, polarity: 1, is_lone };
-        Activity::new(EXTENT, (0, 1_000_000_000), [(60, 40, &[event][..])].into_iter())
-    }
-
     #[test]
     fn places_near_neighbouring_events_are_active_for_a_while() {
-        let activity = activity(false);
+        let activity = Activity::new(EXTENT, (0, 1_000_000_000), std::iter::once((60, 40, 100_000_000)));
         let at = |x: usize, y: usize, ms: i64| {
             !activity.places((ms * 1_000_000, ms * 1_000_000), [(x, y)].into_iter()).is_empty()
         };
@@ -128,10 +120,5 @@ mod tests {
         assert_eq!(activity.places((0, 1_000_000_000), [(0, 0), (60, 40), (199, 99)].into_iter()), [1]);
         let pixels = activity.pixels((0, 1_000_000_000), EXTENT);
         assert!(pixels[40 * 200 + 60] && pixels[33 * 200 + 60] && !pixels[20 * 200 + 60]);
-    }
-
-    #[test]
-    fn an_isolated_event_is_noise() {
-        assert!(activity(true).places((0, 1_000_000_000), [(60, 40)].into_iter()).is_empty());
     }
 }

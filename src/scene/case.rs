@@ -3,7 +3,7 @@
 
 use crate::grey::Grey;
 use crate::recorded::Gathered;
-pub use crate::recorded::{CaseFrames, PixelEvents, Recorded};
+pub use crate::recorded::{CaseFrames, PixelEvents};
 use photocurrent_core::events::{Event, EventRow};
 use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
@@ -12,6 +12,7 @@ use photocurrent_core::{
     Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence,
     FrameTimes, FramesMeta, Meta, Polarity, Rows, Sensor, TimeSpan,
 };
+pub use photocurrent_sensor::comparator::PixelEvent;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -51,7 +52,7 @@ impl Case {
         let events = events.map_or(0, |meta| {
             let count = meta.count_hint.unwrap_or(8 * meta.extent.pixels() as u64);
             let band = Meta::Events(meta.clone()).estimated_bytes() / bands(count);
-            count.saturating_mul(size_of::<Recorded>() as u64).saturating_add(band)
+            count.saturating_mul(size_of::<PixelEvent>() as u64).saturating_add(band)
         });
         events.saturating_add(frames.map_or(0, |meta| Meta::Frames(meta.clone()).estimated_bytes()))
     }
@@ -206,7 +207,8 @@ impl Case {
             frames.times.exposure(of.start, 0).start.0,
             frames.times.exposure(of.end - 1, self.extent.height - 1).end.0,
         );
-        let within = |event: &&Recorded| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
+        let within =
+            |event: &&PixelEvent| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
         let events = PixelEvents::new(
             (0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()),
         );
@@ -291,7 +293,7 @@ fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gather
     for k in 0..row.len() {
         let t_off_ns = row.t[k];
         let t_in_ns = row.t_in.map_or(t_off_ns - latency_ns, |t_in| t_in[k]);
-        of[usize::from(row.x[k])].push(Recorded {
+        of[usize::from(row.x[k])].push(PixelEvent {
             t_in_ns,
             t_off_ns,
             polarity: if row.on[k] == 1 { 1 } else { -1 },

@@ -2,7 +2,7 @@
 //! estimated.
 
 use crate::image::Image;
-use photocurrent_core::{Extent, TrackBand};
+use photocurrent_core::{Extent, TrackBand, time};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
@@ -58,16 +58,7 @@ impl LogTracks {
 
 /// Log light at an instant; `after` is the number of the first knot behind it.
 fn between(t: &[i64], log: &[f32], after: usize, t_ns: i64) -> Option<f64> {
-    let log = |k: usize| f64::from(log[k]);
-    match (after.checked_sub(1), t.get(after)) {
-        (None, None) => None,
-        (None, Some(_)) => Some(log(0)),
-        (Some(before), None) => Some(log(before)),
-        (Some(before), Some(&next)) => {
-            let share = (t_ns - t[before]) as f64 / (next - t[before]) as f64;
-            Some(log(before) + share * (log(after) - log(before)))
-        }
-    }
+    time::between(t, after, t_ns, |k| f64::from(log[k]), |a, b, share| a + share * (b - a))
 }
 
 /// When the pixels had events.

@@ -2,7 +2,6 @@
 
 use super::*;
 use photocurrent_core::Extent;
-use photocurrent_sensor::map::MapEvent;
 
 /// Log light that slides by 0.7 and 0.2 pixels a millisecond.
 fn texture(x: usize, y: usize, ms: f64) -> f64 {
@@ -24,11 +23,10 @@ fn the_motion_of_a_sliding_texture_is_found() {
         first: numbers.start,
         pictures: numbers.map(picture).collect(),
     };
-    let event = MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let activity = Activity::new(
         Extent { width: 24, height: 16 },
         (0, 20_000_000),
-        std::iter::once((12, 8, &[event][..])),
+        std::iter::once((12, 8, 10_000_000)),
     );
     let flow = Flow::new((24, 16), (0, 41), &activity, (&MotionParams::default(), true), film);
     for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
@@ -55,9 +53,8 @@ fn what_passes_before_a_ground_leaves_its_motion_alone() {
         first: numbers.start,
         pictures: numbers.map(picture).collect(),
     };
-    let event = MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let extent = Extent { width: width as u32, height: height as u32 };
-    let activity = Activity::new(extent, (0, 20_000_000), std::iter::once((30, 22, &[event][..])));
+    let activity = Activity::new(extent, (0, 20_000_000), std::iter::once((30, 22, 10_000_000)));
     let flow = Flow::new((width, height), (0, 41), &activity, (&MotionParams::default(), true), film);
     // In a ring around it, as far as windows reach.
     let ring: Vec<(usize, usize)> = (0..width * height)

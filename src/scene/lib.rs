@@ -16,6 +16,8 @@
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
+#![warn(unreachable_pub)]
+
 pub mod activity;
 pub mod case;
 pub mod closed;
@@ -38,4 +40,4 @@ pub mod target;
 #[cfg(test)]
 mod testing;
 
-pub use scene::{Cell, Scene, Tolerance};
+pub use scene::{Cell, FreeParameters, Scene, Tolerance};

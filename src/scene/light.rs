@@ -68,7 +68,8 @@ impl Light {
     }
 }
 
-/// Log photocurrent of one pixel, known at steady instants, at any instant; none where it is not known.
+/// Log photocurrent of one pixel, known at steady instants, at any instant; none where it is not known. No
+/// search, unlike [`photocurrent_core::time::between`].
 pub fn between(log: &[f32], (start_ns, step_ns): (i64, i64), t_ns: i64) -> Option<f64> {
     let last = log.len().checked_sub(1)?;
     let place = ((t_ns - start_ns) as f64 / step_ns as f64).clamp(0.0, last as f64);

@@ -2,32 +2,23 @@
 //! mask next to them.
 
 use photocurrent_core::FrameTimes;
+use photocurrent_sensor::comparator::PixelEvent;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// An event as it was recorded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Recorded {
-    /// When it fired, ns: the recorded in-pixel stamp, or the off-pixel stamp less the smallest latency.
-    pub t_in_ns: i64,
-    /// When it left the array, ns, as recorded.
-    pub t_off_ns: i64,
-    /// +1 or -1.
-    pub polarity: i8,
-}
-
-/// The events of all pixels of an array, pixel by pixel, each in order of in-pixel time. A copy shares them.
+/// The recorded events of all pixels of an array, pixel by pixel, each in order of in-pixel time: the recorded
+/// in-pixel stamp, or the off-pixel stamp less the smallest latency. A copy shares them.
 #[derive(Clone, Debug, Default)]
 pub struct PixelEvents {
     /// Where the events of each pixel begin and end.
     of: Arc<Vec<(usize, usize)>>,
-    all: Arc<Vec<Recorded>>,
+    all: Arc<Vec<PixelEvent>>,
     count: usize,
 }
 
 impl PixelEvents {
     /// From the events of each pixel, in row-major order of pixels; sorts each.
-    pub fn new(pixels: impl IntoIterator<Item = Vec<Recorded>>) -> PixelEvents {
+    pub fn new(pixels: impl IntoIterator<Item = Vec<PixelEvent>>) -> PixelEvents {
         let mut gathered = Gathered::default();
         pixels.into_iter().for_each(|events| gathered.pixel(events));
         gathered.finish()
@@ -39,7 +30,7 @@ impl PixelEvents {
     }
 
     /// The events of a pixel (`y * width + x`).
-    pub fn of(&self, pixel: usize) -> &[Recorded] {
+    pub fn of(&self, pixel: usize) -> &[PixelEvent] {
         let (from, to) = self.of[pixel];
         &self.all[from..to]
     }
@@ -60,7 +51,7 @@ impl PixelEvents {
     }
 
     /// Every event, pixel by pixel.
-    pub fn iter(&self) -> impl Iterator<Item = &Recorded> {
+    pub fn iter(&self) -> impl Iterator<Item = &PixelEvent> {
         self.of.iter().flat_map(|&(from, to)| &self.all[from..to])
     }
 
@@ -84,17 +75,17 @@ impl PartialEq for PixelEvents {
 #[derive(Debug, Default)]
 pub(crate) struct Gathered {
     of: Vec<(usize, usize)>,
-    all: Vec<Recorded>,
+    all: Vec<PixelEvent>,
 }
 
 impl Gathered {
     /// Makes room for so many more events.
-    pub fn reserve(&mut self, events: usize) {
+    pub(crate) fn reserve(&mut self, events: usize) {
         self.all.reserve_exact(events);
     }
 
     /// The events of the next pixel.
-    pub fn pixel(&mut self, events: impl IntoIterator<Item = Recorded>) {
+    pub(crate) fn pixel(&mut self, events: impl IntoIterator<Item = PixelEvent>) {
         let from = self.all.len();
         self.all.extend(events);
         self.all[from..].sort_by_key(|event| (event.t_in_ns, event.t_off_ns));
@@ -102,7 +93,7 @@ impl Gathered {
     }
 
     /// All of them.
-    pub fn finish(mut self) -> PixelEvents {
+    pub(crate) fn finish(mut self) -> PixelEvents {
         self.all.shrink_to_fit();
         PixelEvents { count: self.all.len(), of: Arc::new(self.of), all: Arc::new(self.all) }
     }

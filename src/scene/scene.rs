@@ -5,7 +5,6 @@ use crate::gate::Gate;
 use crate::light::Light;
 use crate::nominal::Nominal;
 use crate::statistics::median;
-use crate::target::Target;
 use rayon::prelude::*;
 
 /// A part of the scene and a cell of it.
@@ -72,10 +71,21 @@ pub trait Scene: Sync {
         seed: u64,
     ) -> Result<Option<Box<dyn Scene>>, String>;
 
-    /// The target with free parameters that it is, if it is one.
-    fn target(&self) -> Option<&Target> {
+    /// Its free parameters, of a target.
+    fn target(&self) -> Option<&dyn FreeParameters> {
         None
     }
+}
+
+/// A scene in closed form with free parameters that were fitted.
+pub trait FreeParameters: Sync {
+    /// For each free parameter where it stands in its range, 0 to 1, and the step of its derivatives, a share
+    /// of the range, away from the nearer end.
+    fn free(&self) -> Vec<(f64, f64)>;
+
+    /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their
+    /// ranges; none where they make no scene.
+    fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light>;
 }
 
 impl dyn Scene + '_ {

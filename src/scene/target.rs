@@ -5,7 +5,7 @@
 //! mean of the scene over its row's exposure, from the best places of a search
 //! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the
 //! sensor put into the fit, is fitted with every effect: the
-//! derivative of every residual by each free parameter ([`Target::free`], [`Target::moved`]).
+//! derivative of every residual by each free parameter ([`FreeParameters`]).
 
 use crate::case::Case;
 use crate::closed::ClosedScene;
@@ -13,7 +13,7 @@ use crate::known::KnownLight;
 use crate::light::{Knots, Light};
 use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
-use crate::scene::{Scene, Tolerance};
+use crate::scene::{FreeParameters, Scene, Tolerance};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::random::Random;
 use photocurrent_sensor::conditional::at_each;
@@ -320,10 +320,8 @@ fn all_knots(scene: &dyn ClosedScene, case: &Case) -> Vec<Knots> {
     (0..case.extent.pixels()).into_par_iter().map(of).collect()
 }
 
-impl Target {
-    /// For each free parameter where it stands in its range, 0 to 1, and the step of its derivatives, a share
-    /// of the range, away from the nearer end.
-    pub fn free(&self) -> Vec<(f64, f64)> {
+impl FreeParameters for Target {
+    fn free(&self) -> Vec<(f64, f64)> {
         // Wide enough to reach across the bends of an edge.
         let step = |(share, error): (&f64, f64)| {
             (*share, error.clamp(STEP, 0.02) * if *share > 0.5 { -1.0 } else { 1.0 })
@@ -331,9 +329,7 @@ impl Target {
         self.shares.iter().zip(self.errors()).map(step).collect()
     }
 
-    /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their
-    /// ranges; none where they make no scene.
-    pub fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
+    fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
         let shares: Vec<f64> =
             self.shares.iter().zip(by).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares)?;
@@ -413,7 +409,7 @@ impl Scene for Target {
         self.light.misfit()
     }
 
-    fn target(&self) -> Option<&Target> {
+    fn target(&self) -> Option<&dyn FreeParameters> {
         Some(self)
     }
 }

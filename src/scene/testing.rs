@@ -1,6 +1,6 @@
 //! Small recordings for tests: a texture of waves that drifts across an array, written out in closed form.
 
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
+use crate::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
 
@@ -12,7 +12,7 @@ const ROW_NS: i64 = 20_000;
 const STEP_NS: i64 = 100_000;
 
 /// A sensor with thresholds of 0.2 and a gain of 1000 DN.
-pub fn sensor() -> Sensor {
+pub(crate) fn sensor() -> Sensor {
     let mut sensor = Sensor::unknown("test");
     sensor.front_end.tau_0 = Some(Duration::new(30_000));
     sensor.front_end.alpha = Some(Duration::new(5_000_000));
@@ -24,7 +24,7 @@ pub fn sensor() -> Sensor {
 }
 
 /// Log photocurrent of the texture on a pixel: four waves that drift by 60 and -35 pixels a second.
-pub fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
+pub(crate) fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
     let (x, y) = (x + 60e-9 * t_ns as f64, y - 35e-9 * t_ns as f64);
     let waves = [(0.61, 0.25, 0.3), (-0.29, 0.57, 1.1), (0.43, -0.49, 2.0), (1.01, -0.32, 0.7)];
     4.0 + 0.2 * waves.iter().map(|(a, b, c)| libm::sin(a * x + b * y + c)).sum::<f64>()
@@ -32,7 +32,7 @@ pub fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
 
 /// A recording of the texture with so many frames, without noise: events where the log light has moved by
 /// 0.2, frames that collect it behind a rolling shutter.
-pub fn texture(extent: Extent, frames: usize) -> Case {
+pub(crate) fn texture(extent: Extent, frames: usize) -> Case {
     let end_ns = PERIOD_NS * frames as i64;
     let exposures: Vec<Exposure> =
         (0..frames as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + PERIOD_NS / 2)).collect();
@@ -44,7 +44,7 @@ pub fn texture(extent: Extent, frames: usize) -> Case {
         for t_in_ns in (0..end_ns).step_by(STEP_NS as usize) {
             let moved = at(pixel, t_in_ns) - reference;
             if moved.abs() >= 0.2 {
-                events.push(Recorded {
+                events.push(PixelEvent {
                     t_in_ns,
                     t_off_ns: t_in_ns + 1_000,
                     polarity: if moved > 0.0 { 1 } else { -1 },
@@ -73,6 +73,6 @@ pub fn texture(extent: Extent, frames: usize) -> Case {
 }
 
 /// A recording of 12 x 10 pixels, 7 frames.
-pub fn case() -> Case {
+pub(crate) fn case() -> Case {
     Case { span: (0, 60_000_000), ..texture(Extent { width: 12, height: 10 }, 7) }
 }

@@ -7,6 +7,17 @@
 //! polarity carries the sign. Limits: no noise, no comparator delay; noise is the caller's, added to a
 //! threshold.
 
+/// An event of one pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelEvent {
+    /// In-pixel time, ns: when the comparator fired.
+    pub t_in_ns: i64,
+    /// Off-pixel time, ns: when the event left the pixel array.
+    pub t_off_ns: i64,
+    /// +1 for ON, -1 for OFF.
+    pub polarity: i8,
+}
+
 /// The polarity, +1 or -1, of the event that fires now, or `None` while the voltage stays inside both
 /// thresholds.
 ///

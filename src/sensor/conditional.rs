@@ -14,13 +14,13 @@
 
 use crate::comparator::signed_step;
 use crate::effects::{
-    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent,
-    Reading, RowSite, Site, Thresholds,
+    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Reading,
+    RowSite, Site, Thresholds,
 };
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
 use crate::front_end::FrontEnd;
-use crate::map::{MapEvent, MapFrame};
+use crate::map::MapFrame;
 use crate::model::Model;
 use multiversion::multiversion;
 use photocurrent_core::random::Random;
@@ -114,7 +114,7 @@ pub struct Look<'a> {
     /// Log light that the event path sees at the instants of the track; none = its own.
     pub seen: Option<&'a [f64]>,
     /// Events as recorded.
-    pub events: &'a [MapEvent],
+    pub events: &'a [PixelEvent],
     /// Frames as recorded; one that is missing in the recording is missing here.
     pub frames: &'a [MapFrame],
 }
@@ -268,12 +268,9 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     };
     let mut history = History::default();
     let mut reference = walk.input();
-    let (mut before, mut fired_value) = (reference, reference);
+    let mut before = reference;
     let mut thresholds = draw(&history, start_ns, &mut random);
-    let mut reset = |ideal: f64, fired_value: f64, t_ns: i64, before: f64, history: &mut History| {
-        if let Some(last) = &mut history.last_event {
-            last.overshoot = ideal - fired_value;
-        }
+    let mut reset = |ideal: f64, t_ns: i64, before: f64, history: &History| {
         let reference = effects
             .iter()
             .fold(ideal, |reference, effect| effect.reference(site, history, &mut random, reference, before));
@@ -283,9 +280,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
         walk.go_to(t_ns);
         match mark {
             Mark::Impulse(n) => walk.impulse(&impulses[n]),
-            Mark::Latch(_) => {
-                (reference, thresholds) = reset(walk.input(), fired_value, t_ns, before, &mut history)
-            }
+            Mark::Latch(_) => (reference, thresholds) = reset(walk.input(), t_ns, before, &history),
             Mark::Fire(k) => {
                 let (event, time) = (&look.events[k], &times[k]);
                 let step = signed_step(event.polarity, thresholds.on, thresholds.off);
@@ -296,19 +291,15 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
                     Some(last) if t_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
                     _ => 1,
                 };
-                let last_event = Some(LastEvent {
-                    t_in_ns: t_ns,
-                    t_off_ns: time.left_ns,
-                    polarity: event.polarity,
-                    overshoot: 0.0,
-                });
+                let last_event =
+                    Some(PixelEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity });
                 history = History { last_event, events: history.events + 1, burst_index };
-                (before, fired_value) = (reference, value);
+                before = reference;
                 if model.reset != Reset::Resample {
                     // A reference that moves by one threshold is the voltage of the event, unless the event
                     // was held back.
                     let moved = if time.is_armed { value } else { reference + step };
-                    (reference, thresholds) = reset(moved, moved, t_ns, before, &mut history);
+                    (reference, thresholds) = reset(moved, t_ns, before, &history);
                 }
             }
         }
@@ -393,16 +384,14 @@ fn times(
         };
         blind_until = i64::max(blind_until, event.t_off_ns + model.pixel.refractory_ns);
         before = event.t_in_ns;
-        let mut recorded =
-            PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
-        let stamp = recorded;
+        let mut recorded = *event;
         for effect in effects {
             effect.stamp(site, random, &mut recorded);
         }
-        let fired_ns = (2 * stamp.t_in_ns - recorded.t_in_ns).clamp(first_ns, last_ns);
+        let fired_ns = (2 * event.t_in_ns - recorded.t_in_ns).clamp(first_ns, last_ns);
         let hidden_ns: i64 =
             effects.iter().map(|effect| effect.latency(site, random, fired_ns).hidden_ns).sum();
-        let left_ns = i64::max(2 * stamp.t_off_ns - recorded.t_off_ns + hidden_ns, fired_ns);
+        let left_ns = i64::max(2 * event.t_off_ns - recorded.t_off_ns + hidden_ns, fired_ns);
         let light = exp(at(&track.t_ns, seen, left_ns));
         let refractory_ns = effects.iter().fold(model.pixel.refractory_ns, |refractory_ns, effect| {
             effect.refractory_ns(site, light, refractory_ns)
@@ -425,7 +414,8 @@ pub fn at(t_ns: &[i64], values: &[f64], instant: i64) -> f64 {
     between(t_ns, values, t_ns.partition_point(|&t| t <= instant), instant)
 }
 
-/// The same, where `after` is the first instant behind `instant`.
+/// The same, where `after` is the first instant behind `instant`. Rounds in another order than
+/// [`photocurrent_core::time::between`].
 fn between(t_ns: &[i64], values: &[f64], after: usize, instant: i64) -> f64 {
     match (after.checked_sub(1), t_ns.get(after)) {
         (None, _) => values[0],

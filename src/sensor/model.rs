@@ -5,12 +5,35 @@
 //! it; each user asks for what it needs beforehand ([`photocurrent_core::Sensor::need_all`]).
 
 use crate::exposure::DigitalNumber;
-use crate::forward::{LOG_STEP, Pixel};
 use crate::front_end::FrontEnd;
 use crate::map::MapSensor;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Reset;
+
+/// The usual step: a crossing is then exact to a part in 100,000 of the time that the light takes for the
+/// step, some nanoseconds.
+pub const LOG_STEP: f64 = 0.025;
+
+/// What the simulated pixel is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pixel {
+    /// The low-pass of Eq. (3).
+    pub front_end: FrontEnd,
+    /// Contrast threshold of an ON event, positive, natural-log units.
+    pub threshold_on: f64,
+    /// Contrast threshold of an OFF event, positive, natural-log units.
+    pub threshold_off: f64,
+    /// The part of the readout latency that is always there, nanoseconds, not negative.
+    pub latency_ns: i64,
+    /// Mean of the exponentially distributed part of the readout latency, nanoseconds, not negative.
+    pub latency_spread_ns: f64,
+    /// Refractory period after `t_off`, nanoseconds, not negative.
+    pub refractory_ns: i64,
+    /// The most by which ln i changes over one step of the low-pass, positive; [`LOG_STEP`] unless errors are
+    /// studied.
+    pub log_step: f64,
+}
 
 /// The nominal sensor, but for its `[effects]`.
 #[derive(Clone, Debug)]

@@ -32,7 +32,7 @@ use crate::conditional::{Conditional, Look, Track, at, conditional};
 use crate::effects::{ArrayEvent, Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};
 use crate::elementary::exp;
 use crate::forward::neighbours::TwoDomains;
-use crate::map::{MapEvent, MapFrame};
+use crate::map::MapFrame;
 use crate::mixing::Mixing;
 use crate::model::Model;
 use photocurrent_core::Exposure;
@@ -91,7 +91,7 @@ pub struct Estimate<'a> {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Known {
     /// The events as the stated front end would have fired them.
-    pub events: Vec<MapEvent>,
+    pub events: Vec<PixelEvent>,
     /// By how much each step is beyond its threshold ([`crate::map::MapProblem::beyond`]); empty = nothing.
     pub beyond: Vec<f64>,
     /// Standard deviation over time of the pixel's own log photocurrent around what its event pixel sees,
@@ -173,13 +173,14 @@ impl Undo {
 
     /// Gives effects that depend on the load the events of the whole array, as recorded and in any order;
     /// from then on they are undone as well. Does nothing the second time.
-    pub fn inform(&mut self, recorded: impl Iterator<Item = (Site, MapEvent)>) {
+    pub fn inform(&mut self, recorded: impl Iterator<Item = (Site, PixelEvent)>) {
         if self.coupled.is_empty() {
             return;
         }
-        let of = |(site, event): (Site, MapEvent)| {
-            let MapEvent { t_in_ns, t_off_ns, polarity, .. } = self.event(&site, &event);
-            ArrayEvent { x: site.x, y: site.y, event: PixelEvent { t_in_ns, t_off_ns, polarity } }
+        let of = |(site, event): (Site, PixelEvent)| ArrayEvent {
+            x: site.x,
+            y: site.y,
+            event: self.event(&site, &event),
         };
         let mut load: Vec<ArrayEvent> = recorded.map(of).collect();
         load.sort_unstable_by_key(|asked| (asked.event.t_off_ns, asked.event.t_in_ns, asked.y, asked.x));
@@ -231,17 +232,16 @@ impl Undo {
     }
 
     /// When an event really fired and left, its recorded stamps given.
-    pub fn event(&self, site: &Site, event: &MapEvent) -> MapEvent {
+    pub fn event(&self, site: &Site, event: &PixelEvent) -> PixelEvent {
         let mut random = Random::new(0, &[]);
-        let mut recorded =
-            PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
+        let mut recorded = *event;
         for effect in &self.effects {
             effect.stamp(site, &mut random, &mut recorded);
         }
         let t_in_ns = 2 * event.t_in_ns - recorded.t_in_ns;
         let hidden_ns: i64 =
             self.effects.iter().map(|effect| effect.latency(site, &mut random, t_in_ns).hidden_ns).sum();
-        MapEvent {
+        PixelEvent {
             t_in_ns,
             t_off_ns: i64::max(2 * event.t_off_ns - recorded.t_off_ns + hidden_ns, t_in_ns),
             ..*event
@@ -345,8 +345,8 @@ impl Undo {
         model: &Model,
         site: &Site,
         light: Estimate<'_>,
-        recorded: &[MapEvent],
-        events: &[MapEvent],
+        recorded: &[PixelEvent],
+        events: &[PixelEvent],
         known: &mut Known,
         memory: &mut Memory,
     ) {

@@ -47,20 +47,14 @@ fn stated(frame: i64) -> Exposure {
 }
 
 /// What a pixel records with an effect.
-fn recorded(model: &Model, effects: &[Box<dyn Effect>]) -> (Vec<MapEvent>, Vec<f64>) {
+fn recorded(model: &Model, effects: &[Box<dyn Effect>]) -> (Vec<PixelEvent>, Vec<f64>) {
     let t_ns: Vec<i64> = (0..=END_NS / 20_000).map(|n| n * 20_000).collect();
     let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log_light(t))).collect();
     let light = LinearLight::new(&t_ns, &current);
     let chain =
         Chain { pixel: model.pixel, reset: model.reset, effects, tolerance: crate::forward::TOLERANCE };
     let fired = simulate(&chain, &SITE, &light, 0, END_NS, &mut Noiseless);
-    let event = |event: PixelEvent| MapEvent {
-        t_in_ns: event.t_in_ns,
-        t_off_ns: event.t_off_ns,
-        polarity: event.polarity,
-        is_lone: false,
-    };
-    let events = fired.into_iter().filter_map(|fired| fired.recorded).map(event).collect();
+    let events = fired.into_iter().filter_map(|fired| fired.recorded).collect();
     let readout = FrameReadout {
         number: model.number,
         saturation: model.saturation_dn,
@@ -71,7 +65,7 @@ fn recorded(model: &Model, effects: &[Box<dyn Effect>]) -> (Vec<MapEvent>, Vec<f
 }
 
 /// Root mean square error of the solved log light, away from the ends.
-fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>), rounds: usize) -> f64 {
+fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<PixelEvent>, Vec<f64>), rounds: usize) -> f64 {
     let frame = |(l, dn): (usize, &f64)| {
         let Exposure { start, end } = stated(l as i64);
         MapFrame { start_ns: start.0, end_ns: end.0, dn: *dn, sigma_dn: 0.01 * dn + 1.0, saturated: false }
@@ -79,7 +73,7 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
     let mut frames: Vec<MapFrame> = dn.iter().enumerate().map(frame).collect();
     undo.frames(model, &SITE, &mut frames);
     frames.iter_mut().for_each(|frame| undo.raise(model, frame));
-    let events: Vec<MapEvent> = recorded.iter().map(|event| undo.event(&SITE, event)).collect();
+    let events: Vec<PixelEvent> = recorded.iter().map(|event| undo.event(&SITE, event)).collect();
     let (mut known, mut memory, mut group) =
         (Known { events: events.clone(), ..Known::default() }, Memory::default(), MapGroup::default());
     let mut rms = f64::NAN;
@@ -200,8 +194,11 @@ fn what_is_drawn_widens_and_what_mixes_neighbours_is_named() {
     assert_eq!((chance.of_pixels, chance.of_events), (0.03, 0.04));
     assert!((chance.of_stamps_s - 50e-6).abs() < 1e-12);
     // The known part of the skew: 10 rows of 5 us.
-    let event = MapEvent { t_in_ns: MS, t_off_ns: MS + 20_000, polarity: 1, is_lone: false };
-    assert_eq!(undo.event(&SITE, &event), MapEvent { t_in_ns: MS - 50_000, t_off_ns: MS - 30_000, ..event });
+    let event = PixelEvent { t_in_ns: MS, t_off_ns: MS + 20_000, polarity: 1 };
+    assert_eq!(
+        undo.event(&SITE, &event),
+        PixelEvent { t_in_ns: MS - 50_000, t_off_ns: MS - 30_000, ..event }
+    );
 }
 
 #[test]
@@ -212,11 +209,10 @@ fn waits_follow_from_the_load_without_what_effects_did_to_its_stamps() {
     let event = |y: u32| {
         (
             Site { y, ..SITE },
-            MapEvent {
+            PixelEvent {
                 t_in_ns: MS + 60_000 * i64::from(y),
                 t_off_ns: MS + 60_000 * i64::from(y) + 5_000,
                 polarity: 1,
-                is_lone: false,
             },
         )
     };
@@ -234,8 +230,8 @@ fn what_the_event_pixel_sees_beyond_the_pixels_own_light_is_known_of_its_steps()
     let own: Vec<f64> = (0..=400).map(|n| 6.0 + 0.004 * f64::from(n)).collect();
     // Neighbours that change alike leave three quarters of a change.
     let seen: Vec<f64> = own.iter().map(|u| 0.75 * u).collect();
-    let events: Vec<MapEvent> = (1..10)
-        .map(|k| MapEvent { t_in_ns: 8 * k * MS, t_off_ns: 8 * k * MS + 5_000, polarity: 1, is_lone: false })
+    let events: Vec<PixelEvent> = (1..10)
+        .map(|k| PixelEvent { t_in_ns: 8 * k * MS, t_off_ns: 8 * k * MS + 5_000, polarity: 1 })
         .collect();
     let (mut known, mut memory) = (Known::default(), Memory::default());
     undo.at_light(

@@ -1,6 +1,6 @@
 //! What a solution takes from its caller: whether to go on, and what other bands of the same recording chose.
 
-use crate::row_solver::RowSetting;
+use crate::row::RowSetting;
 use photocurrent_core::{Context, NodeError};
 
 /// Settings that bands of a recording share, and interruptions. `()` shares nothing and never interrupts.

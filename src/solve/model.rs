@@ -2,9 +2,8 @@
 //! effects that are undone.
 
 use crate::co_located::{CoLocated, values_of};
-use crate::options::{FrontEndModel, PaperOptions, ReadoutModel, SolveOptions};
+use crate::options::{FrontEndModel, LEAST_FRAME_SIGMA_DN, PaperOptions, ReadoutModel, SolveOptions};
 use crate::pixel_events::{Stamp, StepRule, check_events, clock_offset, left_out};
-use crate::row_solver::LEAST_FRAME_SIGMA_DN;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
@@ -12,7 +11,7 @@ use photocurrent_core::{
 };
 use photocurrent_sensor::effects::{Site, from_description};
 use photocurrent_sensor::front_end::FrontEnd;
-use photocurrent_sensor::map::MapEvent;
+use photocurrent_sensor::map::PixelEvent;
 use photocurrent_sensor::model::Model as SensorModel;
 use photocurrent_sensor::undo::Undo;
 
@@ -68,10 +67,10 @@ impl Model {
     }
 
     /// Event `k` of a row as recorded, on the clock of the frames.
-    pub(crate) fn event(&self, row: &EventRow<'_>, k: usize) -> MapEvent {
+    pub(crate) fn event(&self, row: &EventRow<'_>, k: usize) -> PixelEvent {
         let t_in_ns = self.rule.time(row, k);
         let t_off_ns = i64::max(row.t[k] - self.clock_offset_ns, t_in_ns);
-        MapEvent { t_in_ns, t_off_ns, polarity: if row.on[k] == 1 { 1 } else { -1 }, is_lone: false }
+        PixelEvent { t_in_ns, t_off_ns, polarity: if row.on[k] == 1 { 1 } else { -1 } }
     }
 
     /// Does some effect depend on the events of all pixels?
@@ -81,7 +80,7 @@ impl Model {
 
     /// Event `k` of a row as recorded, on the clock of the frames; and without what effects did to its
     /// stamps.
-    pub fn event_undone(&self, site: &Site, row: &EventRow<'_>, k: usize) -> (MapEvent, MapEvent) {
+    pub fn event_undone(&self, site: &Site, row: &EventRow<'_>, k: usize) -> (PixelEvent, PixelEvent) {
         let event = self.event(row, k);
         (event, self.undo.event(site, &event))
     }

@@ -20,28 +20,15 @@ use crate::co_located::CoLocated;
 use crate::host::Host;
 use crate::model::Model;
 use crate::options::SolveOptions;
-use crate::row::Recorded;
+use crate::row::{KnownOfRows, Recorded};
 use crate::row_solver::{RowLight, RowSolver};
 use crate::settings::{BLOCK_ROWS, Settings};
 use photocurrent_core::{NodeError, Rows};
 use photocurrent_sensor::conditional::at_each;
-use photocurrent_sensor::map::MapEvent;
+use photocurrent_sensor::map::PixelEvent;
 use photocurrent_sensor::mixing::Mixing;
 use photocurrent_sensor::undo::{Estimate, Known, Memory};
 use rayon::prelude::*;
-
-/// What is known of the events of every value of some rows.
-pub struct KnownOfRows {
-    first: u32,
-    of_rows: Vec<Vec<Known>>,
-}
-
-impl KnownOfRows {
-    /// Of a row.
-    pub fn of(&self, row: u32) -> &[Known] {
-        &self.of_rows[(row - self.first) as usize]
-    }
-}
 
 /// Rows of frames above and below those asked for that must be at hand; none where no photocurrent is mixed.
 pub fn halo(model: &Model, lie: CoLocated) -> Option<u32> {
@@ -122,7 +109,7 @@ fn known_of_row<'a>(
         if !data.has_event_pixel(x) || t_ns.is_empty() || of_row(row).has_failed(x) {
             return known;
         }
-        let (site, recorded): (_, &[MapEvent]) = data.recorded_of(x);
+        let (site, recorded): (_, &[PixelEvent]) = data.recorded_of(x);
         // Neighbours change where the pixel itself has no knots.
         refined(t_ns, spacing_ns, &mut instants);
         own.clear();

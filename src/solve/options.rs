@@ -179,6 +179,11 @@ impl Default for PaperOptions {
     }
 }
 
+/// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit
+/// would then count without limit.
+pub(crate) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
+/// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
+pub(crate) const NO_EVENT_SIGMA: f64 = 0.03;
 /// The usual [`SolveOptions::frame_noise`].
 pub(crate) const FRAME_NOISE: f64 = 0.02;
 /// The usual [`SolveOptions::knot_spacing`].

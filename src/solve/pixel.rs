@@ -1,12 +1,11 @@
 //! One pixel by itself: its events and frame values to its light, without a recording around.
 
-use crate::options::{STEPS, SolveOptions};
-use crate::row_solver::{LEAST_FRAME_SIGMA_DN, NO_EVENT_SIGMA};
+use crate::options::{LEAST_FRAME_SIGMA_DN, NO_EVENT_SIGMA, STEPS, SolveOptions};
 use crate::track::PixelTrack;
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Exposure, NodeError, Sensor};
 use photocurrent_sensor::map::{
-    MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, Noise, SecondStart, estimate,
+    MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, Noise, PixelEvent, SecondStart, estimate,
 };
 use photocurrent_sensor::model::Model;
 
@@ -47,13 +46,12 @@ pub fn solve_pixel(
         saturated: dn >= model.saturation_dn,
     };
     let frames: Vec<MapFrame> = frames.iter().filter(|(_, dn)| dn.is_finite()).map(frame).collect();
-    let event = |&(t_ns, polarity): &(i64, Polarity)| MapEvent {
+    let event = |&(t_ns, polarity): &(i64, Polarity)| PixelEvent {
         t_in_ns: t_ns,
         t_off_ns: t_ns,
         polarity: if polarity == Polarity::On { 1 } else { -1 },
-        is_lone: false,
     };
-    let events: Vec<MapEvent> = events.iter().map(event).collect();
+    let events: Vec<PixelEvent> = events.iter().map(event).collect();
     let instants = || {
         frames
             .iter()
@@ -89,6 +87,6 @@ pub fn solve_pixel(
             .iter()
             .map(|variance| libm::exp(estimate::log_sigma(*variance)))
             .collect(),
-        has_converged: solution.status != MapStatus::Failed,
+        has_converged: solution.outcome.status != MapStatus::Failed,
     })
 }

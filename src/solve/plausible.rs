@@ -11,7 +11,7 @@
 //! held too. A frame value below 1 DN counts as 1 DN: noise decides there.
 
 use crate::model::Model;
-use crate::row_solver::LEAST_FRAME_SIGMA_DN;
+use crate::options::LEAST_FRAME_SIGMA_DN;
 use crate::shares::Share;
 
 /// How bright a pixel may get.

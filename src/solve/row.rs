@@ -7,11 +7,40 @@ use crate::plausible::Plausible;
 use crate::shares::{Colours, RowShares};
 use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::map::{MapEvent, MapFrame};
+use photocurrent_sensor::map::{MapFrame, MapOptions, Noise, PixelEvent};
+use photocurrent_sensor::undo::Known;
 
 /// An event is lone when none of its polarity fired this long before or after, in its pixel or in one of the
 /// eight around it, ns.
 const LONE_NS: i64 = 3_000_000;
+
+/// How the pixels of a row are solved.
+#[derive(Clone, Copy, Debug)]
+pub struct RowSetting {
+    /// First and last instant, ns.
+    pub span: (i64, i64),
+    /// How noisy its events are.
+    pub noise: Noise,
+    /// Prior, knots, steps.
+    pub options: MapOptions,
+    /// Standard deviation of frame values that the description does not explain, DN.
+    pub frame_dn: f64,
+    /// Standard deviations of light are widened by this factor.
+    pub sigma_factor: f64,
+}
+
+/// What is known of the events of every value of some rows.
+pub struct KnownOfRows {
+    pub(crate) first: u32,
+    pub(crate) of_rows: Vec<Vec<Known>>,
+}
+
+impl KnownOfRows {
+    /// Of a row.
+    pub fn of(&self, row: u32) -> &[Known] {
+        &self.of_rows[(row - self.first) as usize]
+    }
+}
 
 /// The rows of a recording that are at hand.
 #[derive(Clone, Copy)]
@@ -171,15 +200,26 @@ impl RowData {
     }
 
     /// The events of pixel x, in order of in-pixel time.
-    pub fn events_of(&self, x: usize) -> &[MapEvent] {
+    pub fn events_of(&self, x: usize) -> &[PixelEvent] {
         self.event_column(x).map_or(&[], |column| self.events.of(column))
+    }
+
+    /// Which of the events of pixel x are lone.
+    pub fn is_lone(&self, x: usize) -> &[bool] {
+        self.event_column(x).map_or(&[], |column| &self.events.is_lone[self.events.range(column)])
+    }
+
+    /// The events of pixel x that have company.
+    pub fn in_company(&self, x: usize) -> impl Iterator<Item = &PixelEvent> {
+        let events = self.events_of(x).iter().zip(self.is_lone(x));
+        events.filter(|(_, is_lone)| !**is_lone).map(|(event, _)| event)
     }
 
     /// Where the event pixel of value x is, and its events as recorded, in the order of
     /// [`RowData::events_of`].
-    pub fn recorded_of(&self, x: usize) -> (Site, &[MapEvent]) {
+    pub fn recorded_of(&self, x: usize) -> (Site, &[PixelEvent]) {
         let Some(column) = self.event_column(x) else { return (self.places.event(x), &[]) };
-        let range = self.events.first[column]..self.events.first[column + 1];
+        let range = self.events.range(column);
         let recorded = self.events.recorded.get(range.clone()).unwrap_or(&self.events.all[range]);
         (self.event_places.event(column), recorded)
     }
@@ -207,7 +247,7 @@ impl RowData {
                         || self.above.count(neighbour, &event) > 0
                         || self.below.count(neighbour, &event) > 0
                 });
-                self.events.all[k].is_lone = !has_company;
+                self.events.is_lone.push(!has_company);
             }
         }
     }
@@ -268,15 +308,18 @@ impl RowData {
 /// The events of a row, pixel by pixel.
 #[derive(Default)]
 struct Events {
-    all: Vec<MapEvent>,
+    all: Vec<PixelEvent>,
     /// The same with stamps as recorded; empty where no effect is undone.
-    recorded: Vec<MapEvent>,
+    recorded: Vec<PixelEvent>,
+    /// Which are lone; only of the row itself.
+    is_lone: Vec<bool>,
     first: Vec<usize>,
 }
 
 impl Events {
     fn clear(&mut self) {
         self.all.clear();
+        self.is_lone.clear();
         self.recorded.clear();
         self.first.clear();
     }
@@ -292,7 +335,7 @@ impl Events {
                 self.all[begin..].sort_by_key(|event| event.t_in_ns);
                 if !model.undo.is_none() {
                     let site = places.event(x);
-                    let mut pairs: Vec<(MapEvent, MapEvent)> = self.all[begin..]
+                    let mut pairs: Vec<(PixelEvent, PixelEvent)> = self.all[begin..]
                         .iter()
                         .map(|event| (model.undo.event(&site, event), *event))
                         .collect();
@@ -307,12 +350,16 @@ impl Events {
         })
     }
 
-    fn of(&self, x: usize) -> &[MapEvent] {
-        if self.first.is_empty() { &[] } else { &self.all[self.first[x]..self.first[x + 1]] }
+    fn range(&self, x: usize) -> std::ops::Range<usize> {
+        self.first[x]..self.first[x + 1]
+    }
+
+    fn of(&self, x: usize) -> &[PixelEvent] {
+        if self.first.is_empty() { &[] } else { &self.all[self.range(x)] }
     }
 
     /// Events of pixel x around `event`, of its polarity.
-    fn count(&self, x: usize, event: &MapEvent) -> usize {
+    fn count(&self, x: usize, event: &PixelEvent) -> usize {
         let events = self.of(x);
         let from = events.partition_point(|other| other.t_in_ns < event.t_in_ns - LONE_NS);
         events[from..]

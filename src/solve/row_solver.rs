@@ -1,9 +1,9 @@
 //! The MAP estimate: a row of pixels cut out of the recording, and their MAP estimates put together.
 
 use crate::model::Model;
-use crate::neighbours::KnownOfRows;
+use crate::options::NO_EVENT_SIGMA;
 use crate::plausible::Plausible;
-use crate::row::{Recorded, RowData};
+use crate::row::{KnownOfRows, Recorded, RowData, RowSetting};
 use crate::status::{PLANES, Status, map_meta, planes};
 use crate::track::PixelTrack;
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
@@ -11,7 +11,7 @@ use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
-    Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise,
+    Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, PixelEvent,
     estimate,
 };
 use photocurrent_sensor::residuals::Misfit;
@@ -19,32 +19,12 @@ use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit
-/// would then count without limit.
-pub(crate) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
-/// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
-pub(crate) const NO_EVENT_SIGMA: f64 = 0.03;
 /// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
 const THINNED_TO: f64 = 2e-4;
 /// The same of the logarithm of its standard deviation.
 const SIGMA_THINNED_TO: f64 = 0.05;
-
-/// How the pixels of a row are solved.
-#[derive(Clone, Copy, Debug)]
-pub struct RowSetting {
-    /// First and last instant, ns.
-    pub span: (i64, i64),
-    /// How noisy its events are.
-    pub noise: Noise,
-    /// Prior, knots, steps.
-    pub options: MapOptions,
-    /// Standard deviation of frame values that the description does not explain, DN.
-    pub frame_dn: f64,
-    /// Standard deviations of light are widened by this factor.
-    pub sigma_factor: f64,
-}
 
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]
@@ -100,16 +80,16 @@ impl Part {
                 model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
             ) * ratio;
             knots_of[n] = begin..knots.len();
-            let status = match solution.status {
+            let status = match solution.outcome.status {
                 MapStatus::Failed => Status::FellBack,
                 _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
                 MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
             };
             of_pixels[n] = planes(
                 status,
-                solution.iterations,
-                -solution.log_evidence,
-                &solution.misfit,
+                solution.outcome.iterations,
+                -solution.outcome.log_evidence,
+                &solution.outcome.misfit,
                 plausible.excess(most),
             );
         };
@@ -290,7 +270,7 @@ impl RowSolver {
                 model.undo.sum(libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE)))
             }));
             light.of[lit[n]] = begin..light.t_ns.len();
-            light.failed[lit[n]] = solution.status == MapStatus::Failed;
+            light.failed[lit[n]] = solution.outcome.status == MapStatus::Failed;
         });
         light
     }
@@ -335,28 +315,34 @@ impl RowSolver {
         x: usize,
         hints: &[Vec<Hint>],
     ) -> Vec<f64> {
-        let RowSolver { group, taken: Taken { data, given }, .. } = self;
-        let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        let task = [MapTask { problem, options: setting.options }];
-        let known = known_of(model, &task, &[x], data, given, group);
-        let problem = with_known(&task, &known)[0].problem;
-        let problems: Vec<MapProblem<'_>> =
-            hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
-        estimate::prediction_errors(&problems, &setting.options, group)
+        self.with_known(model, setting, x, |problem, group| {
+            let problems: Vec<MapProblem<'_>> =
+                hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
+            estimate::prediction_errors(&problems, &setting.options, group)
+        })
     }
 
     /// How the frames of a pixel that are held out are missed by hints and its other measurements
     /// ([`estimate::misses`]).
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
+        self.with_known(model, setting, x, |problem, group| {
+            estimate::misses(&[MapProblem { hints, ..problem }], &setting.options, group)
+        })
+    }
+
+    /// What `answer` makes of the problem of a pixel of the row that was taken in, with what is known of its
+    /// events.
+    fn with_known<T>(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        x: usize,
+        answer: impl FnOnce(MapProblem<'_>, &mut MapGroup) -> T,
+    ) -> T {
         let RowSolver { group, taken: Taken { data, given }, .. } = self;
-        let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        let task = [MapTask { problem, options: setting.options }];
+        let task = [MapTask { problem: of_pixel(model, setting, data, x), options: setting.options }];
         let known = known_of(model, &task, &[x], data, given, group);
-        estimate::misses(
-            &[MapProblem { hints, ..with_known(&task, &known)[0].problem }],
-            &setting.options,
-            group,
-        )
+        answer(with_known(&task, &known)[0].problem, group)
     }
 }
 
@@ -402,15 +388,20 @@ fn task<'a>(
     x: usize,
     hints: &'a [Hint],
 ) -> MapTask<'a> {
-    let RowSetting { span, noise, options, .. } = *setting;
     let unrest = data.unrest(x);
     let off = |sigma: f64, unit: f64| {
         if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma }
     };
-    let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
-    let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
+    let noise = Noise { event: off(setting.noise.event, model.threshold()), ..setting.noise };
+    let problem = of_pixel(model, &RowSetting { noise, ..*setting }, data, x);
     let no_event_sigma = if data.has_event_pixel(x) { off(problem.no_event_sigma, 1.0) } else { 0.0 };
-    MapTask { problem: MapProblem { hints, no_event_sigma, ..problem }, options }
+    MapTask { problem: MapProblem { hints, no_event_sigma, ..problem }, options: setting.options }
+}
+
+/// The same without hints and what colours do.
+fn of_pixel<'a>(model: &Model, setting: &RowSetting, data: &'a RowData, x: usize) -> MapProblem<'a> {
+    let (events, is_lone) = (data.events_of(x), data.is_lone(x));
+    problem(model, events, is_lone, data.frames_of(x), setting.span, setting.noise)
 }
 
 /// What was given of the events of pixels `lit` of a row, or what each alone says.
@@ -425,7 +416,7 @@ fn known_of(
     if !given.is_empty() {
         return lit.iter().map(|&x| given[x].clone()).collect();
     }
-    let recorded: Vec<(Site, &[MapEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
+    let recorded: Vec<(Site, &[PixelEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
     known(model, tasks, &recorded, group)
 }
 
@@ -435,7 +426,7 @@ fn known_of(
 pub(crate) fn known(
     model: &Model,
     tasks: &[MapTask<'_>],
-    recorded: &[(Site, &[MapEvent])],
+    recorded: &[(Site, &[PixelEvent])],
     group: &mut MapGroup,
 ) -> Vec<Known> {
     if !model.undo.needs_light() {
@@ -451,7 +442,7 @@ pub(crate) fn known(
         group.solve(&now, |n, solution| {
             let (site, recorded) = recorded[n];
             let light = Estimate { t_ns: solution.t_ns, own: solution.log_photocurrent, seen: None };
-            if solution.status != MapStatus::Failed {
+            if solution.outcome.status != MapStatus::Failed {
                 model.undo.at_light(
                     &model.sensor,
                     &site,
@@ -486,13 +477,15 @@ pub(crate) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<M
 /// The problem of a pixel.
 pub(crate) fn problem<'a>(
     model: &Model,
-    events: &'a [MapEvent],
+    events: &'a [PixelEvent],
+    is_lone: &'a [bool],
     frames: &'a [MapFrame],
     span: (i64, i64),
     noise: Noise,
 ) -> MapProblem<'a> {
     MapProblem {
         events,
+        is_lone,
         frames,
         hints: &[],
         start_ns: span.0,

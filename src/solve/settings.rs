@@ -7,16 +7,16 @@
 
 use crate::host::Host;
 use crate::model::Model;
-use crate::neighbours::KnownOfRows;
 use crate::options::{STEPS, SolveOptions};
-use crate::row::{Recorded, RowData};
-use crate::row_solver::{RowSetting, known, problem, with_known};
+use crate::row::{KnownOfRows, Recorded, RowData, RowSetting};
+use crate::row_solver::{known, problem, with_known};
 use photocurrent_core::{NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Choosing;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
-    MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, SecondStart, estimate, frame_noise,
+    MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, PixelEvent, SecondStart, estimate,
+    frame_noise,
 };
 use photocurrent_sensor::undo::Known;
 use rayon::prelude::*;
@@ -190,7 +190,7 @@ fn choose(
 
 /// How many events of a pixel are not alone.
 pub fn events_in_company(data: &RowData, x: usize) -> usize {
-    data.events_of(x).iter().filter(|event| !event.is_lone).count()
+    data.in_company(x).count()
 }
 
 /// What frames differ by without an event.
@@ -214,11 +214,20 @@ impl Unexplained {
     }
 }
 
+/// What a pixel measured.
+struct Sampled {
+    events: Vec<PixelEvent>,
+    is_lone: Vec<bool>,
+    frames: Vec<MapFrame>,
+    /// Where its event pixel is.
+    site: Site,
+    /// Its events with stamps as recorded.
+    recorded: Vec<PixelEvent>,
+}
+
 /// Pixels that settings are tried on, cut out of the recording.
 pub struct Sample {
-    pixels: Vec<(Vec<MapEvent>, Vec<MapFrame>)>,
-    /// Where their event pixels are, and events with stamps as recorded.
-    recorded: Vec<(Site, Vec<MapEvent>)>,
+    pixels: Vec<Sampled>,
     /// First and last instant, ns.
     span: (i64, i64),
     /// How they are solved.
@@ -236,14 +245,19 @@ impl Sample {
             second: Some(SecondStart::USUAL),
             ..MapOptions::default()
         };
-        Sample { pixels: Vec::new(), recorded: Vec::new(), span, options }
+        Sample { pixels: Vec::new(), span, options }
     }
 
     /// Takes in a pixel of a row.
     pub fn push(&mut self, data: &RowData, x: usize) {
-        self.pixels.push((data.events_of(x).to_vec(), data.frames_of(x).to_vec()));
-        let (site, events) = data.recorded_of(x);
-        self.recorded.push((site, events.to_vec()));
+        let (site, recorded) = data.recorded_of(x);
+        self.pixels.push(Sampled {
+            events: data.events_of(x).to_vec(),
+            is_lone: data.is_lone(x).to_vec(),
+            frames: data.frames_of(x).to_vec(),
+            site,
+            recorded: recorded.to_vec(),
+        });
     }
 
     /// How many pixels there are.
@@ -258,12 +272,12 @@ impl Sample {
 
     /// How many events they have together.
     pub fn events(&self) -> usize {
-        self.pixels.iter().map(|(events, _)| events.len()).sum()
+        self.pixels.iter().map(|pixel| pixel.events.len()).sum()
     }
 
     /// Adds `frame_dn` in squares to the standard deviation of every frame value.
     pub fn add_noise(&mut self, frame_dn: f64) {
-        for frame in self.pixels.iter_mut().flat_map(|(_, frames)| frames) {
+        for frame in self.pixels.iter_mut().flat_map(|pixel| &mut pixel.frames) {
             frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
         }
     }
@@ -278,14 +292,14 @@ impl Sample {
         group: &mut MapGroup,
         work: impl FnOnce(&[MapProblem<'_>], &mut MapGroup) -> T,
     ) -> T {
-        let problems: Vec<_> = self.pixels[pixels.clone()]
-            .iter()
-            .map(|(events, frames)| problem(model, events, frames, self.span, Noise::default()))
-            .collect();
+        let pixels = &self.pixels[pixels];
+        let posed = pixels.iter().map(|Sampled { events, is_lone, frames, .. }| {
+            problem(model, events, is_lone, frames, self.span, Noise::default())
+        });
         let tasks: Vec<MapTask<'_>> =
-            problems.iter().map(|&problem| MapTask { problem, options: self.options }).collect();
-        let looks: Vec<(Site, &[MapEvent])> =
-            self.recorded[pixels].iter().map(|(site, events)| (*site, events.as_slice())).collect();
+            posed.map(|problem| MapTask { problem, options: self.options }).collect();
+        let looks: Vec<(Site, &[PixelEvent])> =
+            pixels.iter().map(|pixel| (pixel.site, pixel.recorded.as_slice())).collect();
         let known = given.unwrap_or_else(|| known(model, &tasks, &looks, group));
         let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
         // Or pixels that have lost events would choose for all.

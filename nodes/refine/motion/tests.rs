@@ -75,12 +75,8 @@ fn tracks_of_light(own: f64) -> LogTracks {
 /// The hints of that pixel, when its frame is brighter by `brighter`.
 fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let tracks = tracks_of_light(own);
-    let event = photocurrent_sensor::map::MapEvent {
-        t_in_ns: 20_000_000,
-        t_off_ns: 20_001_000,
-        polarity: 1,
-        is_lone: false,
-    };
+    let event =
+        photocurrent_sensor::map::PixelEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1 };
     // The mean light of an exposure of 4 ms.
     let light: f64 =
         (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;

@@ -15,7 +15,7 @@
 
 use super::still::noise_dn;
 use super::{Finding, NATS, half, lowest, quantile};
-use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::case::{Case, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
 
 /// Exposures longer than this share of the period say too little.
@@ -239,7 +239,7 @@ impl Shifts {
 /// Events of a pixel at the middle of the light that they stand for: what made their step before them, and
 /// what is lost after them while the pixel is blind. The next interval of the same sign stands in where it is
 /// shorter, and `usual_ns` where there is none.
-pub(super) fn centred(events: &[Recorded], usual_ns: i64, blind_ns: i64) -> impl Iterator<Item = i64> {
+pub(super) fn centred(events: &[PixelEvent], usual_ns: i64, blind_ns: i64) -> impl Iterator<Item = i64> {
     let interval = |a: usize, b: usize| {
         (events[a].polarity == events[b].polarity).then(|| events[b].t_in_ns - events[a].t_in_ns)
     };

@@ -5,7 +5,7 @@ use super::Finding;
 use super::changes::findings;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
-use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 
 const PERIOD_NS: i64 = 40_000_000;
 const FRAMES: i64 = 26;
@@ -22,7 +22,7 @@ pub(super) fn seeded(seed: u64, late_ns: i64, blind_ns: i64) -> Case {
     let extent = Extent { width: 40, height: 32 };
     let mut random = Random::new(seed, &[]);
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
-    let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
+    let pixels: Vec<Vec<PixelEvent>> = (0..extent.pixels())
         .map(|pixel| {
             // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing
             // moves, and they show that frames are without noise.
@@ -41,7 +41,7 @@ pub(super) fn seeded(seed: u64, late_ns: i64, blind_ns: i64) -> Case {
                 t += 40_000;
                 let away = log(t) - reference;
                 if away.abs() >= 1.2 * THRESHOLD {
-                    events.push(Recorded {
+                    events.push(PixelEvent {
                         t_in_ns: t + late_ns,
                         t_off_ns: t + late_ns,
                         polarity: if away > 0.0 { 1 } else { -1 },

@@ -20,7 +20,7 @@ use super::changes::{
 use super::still::noise_dn;
 use super::{Finding, NATS, half, lowest, quantile};
 use photocurrent_core::sensor::Reset;
-use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::case::{Case, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::front_end::time_constant;
 
@@ -159,7 +159,7 @@ impl Pairs {
 }
 
 /// The steps of a pixel's events, in order of time; `slow_ns` is how late its front end is.
-fn steps(case: &Case, nominal: &Nominal, events: &[Recorded], usual_ns: i64, slow_ns: i64) -> Vec<Step> {
+fn steps(case: &Case, nominal: &Nominal, events: &[PixelEvent], usual_ns: i64, slow_ns: i64) -> Vec<Step> {
     let is_losing = case.sensor.comparator.reset != Reset::Advance;
     let lost = |k: usize| -> f64 {
         let next = events.get(k + 1).filter(|next| is_losing && next.polarity == events[k].polarity);

@@ -4,7 +4,7 @@
 use super::Finding;
 use super::means::{Proposed, proposed};
 use photocurrent_core::{Exposure, Extent, FrameTimes};
-use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 
 const PERIOD_NS: i64 = 25_000_000;
 const EXPOSURE_NS: i64 = 16_000_000;
@@ -40,7 +40,7 @@ fn camera(actual: Actual) -> Case {
     let (on, off) =
         (STATED.0 * (1.0 + actual.scale) * (1.0 + actual.scale_on), STATED.1 * (1.0 + actual.scale));
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
-    let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
+    let pixels: Vec<Vec<PixelEvent>> = (0..extent.pixels())
         .map(|pixel| {
             for frame in 0..FRAMES {
                 let steps = EXPOSURE_NS / STEP_NS;
@@ -54,7 +54,7 @@ fn camera(actual: Actual) -> Case {
                 let (t_ns, away) = (n * STEP_NS, voltage(n * STEP_NS) - reference);
                 if away >= on || away <= -off {
                     let t = t_ns + actual.late_ns;
-                    events.push(Recorded {
+                    events.push(PixelEvent {
                         t_in_ns: t,
                         t_off_ns: t,
                         polarity: if away > 0.0 { 1 } else { -1 },

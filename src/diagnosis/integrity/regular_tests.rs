@@ -4,7 +4,7 @@ use super::regular::dependences;
 use crate::covariates::Covariate;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
-use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 
 const PERIOD_NS: i64 = 8_000_000;
 const ROW_NS: i64 = 40_000;
@@ -23,7 +23,7 @@ fn waves(keep: impl Fn(u32, i64, i8) -> f64) -> Case {
             let wave = 0.6 + 0.4 * libm::sin(0.4 * f64::from(x) + 0.3 * f64::from(y) - t as f64 * 2e-7);
             let sign = if random.uniform() < 0.5 { 1 } else { -1 };
             if random.uniform() < wave * keep(y, t, sign) {
-                events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: sign });
+                events.push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity: sign });
             }
         }
         events

@@ -148,7 +148,7 @@ mod tests {
     use super::*;
     use crate::testing;
     use photocurrent_core::{Exposure, Timestamp};
-    use photocurrent_scene::case::{CaseFrames, PixelEvents, Recorded};
+    use photocurrent_scene::case::{CaseFrames, PixelEvent, PixelEvents};
 
     /// Waves over the array, seen by an ideal pixel with these thresholds, and frames of 1 ms every 20 ms;
     /// the description is that of the test's recording.
@@ -170,7 +170,7 @@ mod tests {
                 let polarity = if v - reference >= on { 1 } else { -i8::from(reference - v >= off) };
                 if polarity != 0 {
                     reference += if polarity > 0 { on } else { -off };
-                    fired.push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
+                    fired.push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity });
                 }
             }
             fired

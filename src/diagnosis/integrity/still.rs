@@ -11,7 +11,7 @@
 
 use super::{Finding, Heldout, half, median};
 use crate::page::readable;
-use photocurrent_scene::case::{Case, CaseFrames, Recorded};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
 
 /// Fewer frames say too little of what stands still.
@@ -93,7 +93,7 @@ pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
 }
 
 /// Events of still pixels, by pixel.
-fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, &'a Recorded)> {
+fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, &'a PixelEvent)> {
     still
         .iter()
         .flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel as usize, event)))

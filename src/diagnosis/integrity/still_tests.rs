@@ -4,7 +4,7 @@ use super::coupling::coupling;
 use super::still::{leak, still};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
-use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
 
 const WIDTH: usize = 48;
 const HEIGHT: usize = 40;
@@ -26,7 +26,7 @@ fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case
     let mut random = Random::new(4, &[]);
     for n in 0..150 {
         let (t, pixel, polarity) = event(n, &mut random);
-        pixels[pixel].push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
+        pixels[pixel].push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity });
     }
     Case {
         extent: Extent { width: WIDTH as u32, height: HEIGHT as u32 },
@@ -51,7 +51,7 @@ pub(super) fn leaking(seed: u64, rate_hz: f64) -> Case {
             if t >= end || pixel % WIDTH >= WIDTH - 6 {
                 return events;
             }
-            events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 });
+            events.push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 });
         }
     }));
     case
@@ -178,7 +178,7 @@ fn the_size_of_an_impulse_is_counted_where_light_rises() {
         (read, pixel, 1)
     });
     let mut random = Random::new(8, &[]);
-    let pixels: Vec<Vec<Recorded>> = (0..WIDTH * HEIGHT)
+    let pixels: Vec<Vec<PixelEvent>> = (0..WIDTH * HEIGHT)
         .map(|pixel| {
             if pixel % WIDTH < WIDTH - 6 {
                 return case.events.of(pixel).to_vec();
@@ -187,7 +187,7 @@ fn the_size_of_an_impulse_is_counted_where_light_rises() {
             let slope = 40.0 + 40.0 * random.uniform();
             let (mut events, mut t, mut left) = (Vec::new(), readout(0), 0.2 * random.uniform());
             for n in 1..FRAMES as i64 {
-                let mut fire = |t: i64| events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 });
+                let mut fire = |t: i64| events.push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 });
                 while t + (left / slope * 1e9) as i64 <= readout(n) {
                     t += (left / slope * 1e9) as i64;
                     left = 0.2;

@@ -3,7 +3,7 @@
 use super::*;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
-use photocurrent_scene::case::{PixelEvents, Recorded};
+use photocurrent_scene::case::{PixelEvent, PixelEvents};
 
 /// 24 x 20 pixels that see a wave at 30 Hz: bursts of five events of a sign, some milliseconds apart, at
 /// times of their own in each pixel.
@@ -21,7 +21,7 @@ pub(super) fn bursts_on(extent: Extent, seed: u64, step_ns: i64) -> Case {
         while t < 290_000_000 {
             for _ in 0..5 {
                 let stamp = t - t.rem_euclid(step_ns);
-                events.push(Recorded { t_in_ns: stamp, t_off_ns: stamp, polarity });
+                events.push(PixelEvent { t_in_ns: stamp, t_off_ns: stamp, polarity });
                 t += 2_000_000 + (random.uniform() * 1e6) as i64;
             }
             t += 5_000_000 + (random.uniform() * 1e6) as i64;
@@ -42,8 +42,8 @@ pub(super) fn bursts_on(extent: Extent, seed: u64, step_ns: i64) -> Case {
 }
 
 /// With events changed pixel by pixel.
-pub(super) fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<Recorded>)) -> Case {
-    let pixels: Vec<Vec<Recorded>> = (0..case.events.pixels())
+pub(super) fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<PixelEvent>)) -> Case {
+    let pixels: Vec<Vec<PixelEvent>> = (0..case.events.pixels())
         .map(|pixel| {
             let mut events = case.events.of(pixel).to_vec();
             change(pixel, &mut events);
@@ -54,10 +54,10 @@ pub(super) fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<Record
     case
 }
 
-pub(super) fn add(events: &mut Vec<Recorded>, random: &mut Random, count: usize, polarity: i8) {
+pub(super) fn add(events: &mut Vec<PixelEvent>, random: &mut Random, count: usize, polarity: i8) {
     for _ in 0..count {
         let t = (random.uniform() * 3e5) as i64 * 1000;
-        events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
+        events.push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity });
     }
 }
 
@@ -188,7 +188,7 @@ fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
                 for n in 0..(200.0 * share) as i64 {
                     let t = (random.uniform() * 2.9e5) as i64 * 1000;
                     let polarity = if n % 2 == 0 { 1 } else { -1 };
-                    events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
+                    events.push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity });
                 }
             }
         })
@@ -205,7 +205,7 @@ fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
 fn a_light_that_blinks_once_is_no_hot_pixel() {
     let case = with(bursts(1000), |pixel, events| {
         if pixel == 100 {
-            events.extend((0..200).map(|k| Recorded {
+            events.extend((0..200).map(|k| PixelEvent {
                 t_in_ns: 120_000_000 + k * 90_000,
                 t_off_ns: 120_000_000 + k * 90_000,
                 polarity: 1,
@@ -244,7 +244,7 @@ pub(super) fn wide_wave_on(case: Case, seed: u64) -> Case {
         while t < 290_000_000 {
             for _ in 0..10 {
                 let stamp = (t + (random.uniform() * 3e5) as i64) / 1000 * 1000;
-                events.push(Recorded { t_in_ns: stamp, t_off_ns: stamp, polarity });
+                events.push(PixelEvent { t_in_ns: stamp, t_off_ns: stamp, polarity });
                 t += 2_500_000;
             }
             t += 6_000_000;
@@ -298,7 +298,7 @@ fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
         events.retain(|event| event.polarity < 0 || event.t_in_ns % 3_000 == 0);
         events.extend((0..15).map(|l| {
             let t = l * 20_000_000 + 9_100_000 + (pixel / 24) as i64 * 100_000;
-            Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 }
+            PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 }
         }));
     });
     let found = of(&coupled);
@@ -329,7 +329,7 @@ fn windows_that_are_full_have_lost_events() {
             continue;
         }
         *window += 1;
-        pixels[event.pixel as usize].push(Recorded {
+        pixels[event.pixel as usize].push(PixelEvent {
             t_in_ns: event.t_ns,
             t_off_ns: event.t_ns,
             polarity: event.polarity,
@@ -456,7 +456,7 @@ fn bursts_in_step_with_the_frames_are_coupling() {
         if pixel % 4 == 0 {
             events.extend((0..15).map(|l| {
                 let t = l * 20_000_000 + 9_100_000 + pixel as i64 * 300;
-                Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 }
+                PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 }
             }));
         }
     });
@@ -481,7 +481,7 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
                 for _ in 0..3 {
                     let t = period * 10_000_000 + centre + ((random.uniform() - 0.5) * 4e6) as i64;
                     if t >= 0 {
-                        events.push(Recorded {
+                        events.push(PixelEvent {
                             t_in_ns: t / 1000 * 1000,
                             t_off_ns: t / 1000 * 1000,
                             polarity,
@@ -500,7 +500,7 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
 #[test]
 fn clocks_that_share_no_time_are_broken_data_with_both_times_in_the_message() {
     let mut case = crate::testing::case();
-    let moved = |event: &Recorded| Recorded {
+    let moved = |event: &PixelEvent| PixelEvent {
         t_in_ns: event.t_in_ns + 5_000_000_000,
         t_off_ns: event.t_off_ns + 5_000_000_000,
         ..*event

@@ -8,7 +8,7 @@ use crate::scenes::MadeUp;
 use crate::testing;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
-use photocurrent_scene::case::{PixelEvents, Recorded};
+use photocurrent_scene::case::{PixelEvent, PixelEvents};
 use photocurrent_scene::known::KnownLight;
 use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::nominal::Nominal;
@@ -39,7 +39,7 @@ fn with_effect(
 
 /// Events of one recording where `is_other` says so (pixel, time in ns), and of another elsewhere.
 fn mixed(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> Case {
-    let of = |pixel: usize| -> Vec<Recorded> {
+    let of = |pixel: usize| -> Vec<PixelEvent> {
         let from = |case: &Case, wanted: bool| {
             case.events
                 .of(pixel)

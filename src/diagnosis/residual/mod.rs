@@ -28,14 +28,14 @@ mod table;
 
 use crate::candidates::Trial;
 use photocurrent_core::{Exposure, Timestamp};
-use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::case::Case;
 use photocurrent_scene::light::Light;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
-use photocurrent_sensor::map::{MapEvent, MapFrame};
+use photocurrent_sensor::map::{MapFrame, PixelEvent};
 use prepared::Prepared;
 use rayon::prelude::*;
 
@@ -299,7 +299,7 @@ impl View<'_> {
         all: &mut Residuals,
         pixel: usize,
         k: usize,
-        events: &[MapEvent],
+        events: &[PixelEvent],
         out: &Conditional,
         log: &[f64],
     ) {
@@ -372,13 +372,8 @@ impl View<'_> {
 }
 
 /// The events of a pixel, with stamps as recorded.
-fn events_of(case: &Case, pixel: usize) -> Vec<MapEvent> {
-    let event = |event: &Recorded| MapEvent {
-        t_in_ns: event.t_in_ns,
-        t_off_ns: event.t_off_ns.max(event.t_in_ns),
-        polarity: event.polarity,
-        is_lone: false,
-    };
+fn events_of(case: &Case, pixel: usize) -> Vec<PixelEvent> {
+    let event = |event: &PixelEvent| PixelEvent { t_off_ns: event.t_off_ns.max(event.t_in_ns), ..*event };
     case.events.of(pixel).iter().map(event).collect()
 }
 

@@ -7,6 +7,7 @@ use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use crate::scenes::MadeUp;
 use crate::targets::Sketches;
 use photocurrent_core::Extent;
+use photocurrent_scene::FreeParameters;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::picture::PictureSetting;

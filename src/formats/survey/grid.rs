@@ -198,7 +198,7 @@ impl Grid {
             right_px: found.right.into(),
             down_px: found.down.into(),
             correlation: (found.correlation, found.correlation_at_none),
-            at_one_offset: found.at_one_offset,
+            at_one_offset: (found.shift_at_one_offset, found.correlation_at_one_offset),
             patches: found.patches,
         })
     }

@@ -1,7 +1,6 @@
 //! How the motion of a picture begins: frames for registration, and splines through the poses that it finds.
 
 use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
-use super::patches::moving;
 use super::setting::PictureSetting;
 use crate::case::Case;
 use crate::image::Image;
@@ -9,7 +8,7 @@ use crate::nominal::Nominal;
 use nalgebra::DMatrix;
 
 /// Log frames; what is missing or dark is the median.
-pub fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
+pub(crate) fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
     let pixels = case.extent.pixels();
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     (0..case.frame_count())
@@ -27,6 +26,23 @@ pub fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
         .collect()
 }
 
+/// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard
+/// deviations of one value.
+pub(crate) fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
+    let (count, pixels) = (case.frame_count(), case.extent.pixels());
+    let differs = |l: usize, k: usize, pixel: usize| {
+        let (a, b) = (case.dn(l, pixel), case.dn(k, pixel));
+        let sigma = nominal.frame_sigma_dn(f64::max(0.5 * (a + b) - nominal.number.black_level, 0.0), noise);
+        (a - b).abs() > moves * sigma
+    };
+    (0..count * pixels)
+        .map(|n| {
+            let (l, pixel) = (n / pixels, n % pixels);
+            (l > 0 && differs(l, l - 1, pixel)) || (l + 1 < count && differs(l, l + 1, pixel))
+        })
+        .collect()
+}
+
 /// The share of frame values that are those of the frame before, within a few standard deviations of one.
 pub(super) fn unchanged(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> f64 {
     let changes = moving(case, nominal, (setting.frame_dn, setting.frame_share), setting.robust);
@@ -40,7 +56,7 @@ pub(super) fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
 }
 
 /// Splines through the poses of the frames.
-pub fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
+pub(crate) fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
     let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
     let half = 0.5 * (f64::max(width, height) - 1.0);
     let times = &case.frames.as_ref().expect("frames are there").times;

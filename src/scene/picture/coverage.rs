@@ -1,29 +1,10 @@
 //! The light of a picture on a pixel, and how many exposures cover the place that lies there: where none
 //! does, the picture is its neighbourhood extrapolated.
 
-use super::Picture;
+use super::estimate::Picture;
 use super::motion::Map;
 use super::products;
 use super::shading;
-use super::spline::Grid;
-use super::system::Rows;
-
-/// How many exposures cover the place of each coefficient, of the frame values that were fitted: one that lay
-/// there throughout counts 1, one that passed by less.
-pub(super) fn coverage(rows: &Rows, grid: &Grid) -> Vec<f32> {
-    let mut coverage = vec![0.0; grid.coefficients()];
-    // A frame spreads one value over each square pixel of the picture.
-    let per_coefficient = (1.0 / (grid.pitch * grid.pitch)) as f32;
-    for r in (0..rows.count()).filter(|r| rows.weight[*r] > 0.0) {
-        let (corner, columns, stencil) = rows.line(r);
-        let all: f32 = stencil.iter().map(|a| f32::from(*a)).sum();
-        for (j, line) in stencil.chunks_exact(columns).enumerate() {
-            let there = &mut coverage[corner + j * grid.width..][..columns];
-            there.iter_mut().zip(line).for_each(|(sum, a)| *sum += f32::from(*a) / all * per_coefficient);
-        }
-    }
-    coverage
-}
 
 impl Picture {
     /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time

@@ -2,13 +2,13 @@
 //! estimated on the way.
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
-use super::coverage::coverage;
 use super::motion::{DEGREES, Map, Motion, RIGID, apply, compose};
 use super::register::register;
+use super::rows::{LANES, Rows};
 use super::setting::PictureSetting;
 use super::shading::TERMS;
 use super::spline::Grid;
-use super::system::{LANES, Rows, Smoothness, Unknowns, add, again, draw, roughness, solve};
+use super::system::{Smoothness, Unknowns, add, again, draw, roughness, solve};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
@@ -532,7 +532,7 @@ impl<'a> Fit<'a> {
             residual[*at as usize] = *value;
         }
         self.picture.residual = residual;
-        self.picture.coverage = coverage(rows, &self.picture.grid);
+        self.picture.coverage = rows.coverage(&self.picture.grid);
     }
 }
 

@@ -1,6 +1,6 @@
 //! Derivatives of the fit against finite steps; the same picture with any number of threads; sharper edges.
 
-use super::super::system::{POSES, TOUCHED};
+use super::super::rows::{POSES, TOUCHED};
 use super::*;
 use crate::testing;
 use photocurrent_core::Extent;

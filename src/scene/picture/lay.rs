@@ -3,9 +3,10 @@
 
 use super::estimate::{Fit, Picture};
 use super::motion::{DEGREES, Map, Pose, apply, derivatives, map_of};
+use super::rows::{LANES, POSES, REST, Rows, TOUCHED};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
-use super::system::{LANES, POSES, REST, Rows, TOUCHED, stamp};
+use super::system::stamp;
 use rayon::prelude::*;
 
 /// Gauss-Legendre instants of an exposure (of -1 to 1) and their shares of the mean.

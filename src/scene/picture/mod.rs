@@ -9,7 +9,7 @@
 //! - [`motion`]: how it lies on the array over time.
 //! - [`register`]: how one frame lies on the next; where the fit starts.
 //! - [`shading`]: the array's own shading.
-//! - [`system`]: the sparse least-squares problem.
+//! - [`rows`]: frame values as rows of one problem. [`system`]: the sparse least-squares problem.
 //! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds. `setting`: how they are made. `lay`: frame values as rows of that problem.
@@ -23,19 +23,20 @@
 //! Limits: one affine motion for each picture; what moves before something that moves as well has parts only;
 //! a surface that is sharper than its pitch is softened.
 
-pub mod begin;
+pub(crate) mod begin;
 mod coverage;
-pub mod estimate;
+pub(crate) mod estimate;
 mod lay;
-pub mod motion;
+pub(crate) mod motion;
 pub mod patches;
 mod products;
-pub mod register;
+pub(crate) mod register;
+pub(crate) mod rows;
 mod setting;
-pub mod shading;
-pub mod sharpen;
-pub mod spline;
-pub mod system;
+pub(crate) mod shading;
+pub(crate) mod sharpen;
+pub(crate) mod spline;
+pub(crate) mod system;
 
 pub use estimate::{Begin, Picture, Report};
 pub use setting::PictureSetting;

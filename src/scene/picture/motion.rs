@@ -6,18 +6,18 @@
 use super::spline::{ORDER, weights};
 
 /// Numbers of a pose: shift along x and y, turn, scale, shear, and shear at 45 degrees.
-pub const DEGREES: usize = 6;
+pub(crate) const DEGREES: usize = 6;
 /// The first of them that a rigid motion does not have.
-pub const RIGID: usize = 3;
+pub(crate) const RIGID: usize = 3;
 
 /// Shift, turn, scale and shears, pixels.
-pub type Pose = [f64; DEGREES];
+pub(crate) type Pose = [f64; DEGREES];
 
 /// An affine map of places in pixels from the array's centre: `X = m0 + m1 x + m2 y`, `Y = m3 + m4 x + m5 y`.
-pub type Map = [f64; 6];
+pub(crate) type Map = [f64; 6];
 
 /// The map of a pose.
-pub fn map_of(pose: &Pose, half: f64) -> Map {
+pub(crate) fn map_of(pose: &Pose, half: f64) -> Map {
     let (turn, scale, a, b) = (pose[2] / half, libm::exp(pose[3] / half), pose[4] / half, pose[5] / half);
     let (c, s) = (scale * libm::cos(turn), scale * libm::sin(turn));
     [
@@ -31,7 +31,7 @@ pub fn map_of(pose: &Pose, half: f64) -> Map {
 }
 
 /// The pose of a map.
-pub fn pose_of(map: &Map, half: f64) -> Pose {
+pub(crate) fn pose_of(map: &Map, half: f64) -> Pose {
     // A = k R(turn) (1 + a, b; b, 1 - a): sums give turn and scale, differences the shears.
     let turn = libm::atan2(map[4] - map[2], map[1] + map[5]);
     let scale = 0.5 * libm::hypot(map[4] - map[2], map[1] + map[5]);
@@ -46,12 +46,12 @@ pub fn pose_of(map: &Map, half: f64) -> Pose {
 
 /// Where a map takes a place.
 #[inline]
-pub fn apply(map: &Map, x: f64, y: f64) -> (f64, f64) {
+pub(crate) fn apply(map: &Map, x: f64, y: f64) -> (f64, f64) {
     (map[0] + map[1] * x + map[2] * y, map[3] + map[4] * x + map[5] * y)
 }
 
 /// `first` after `second`.
-pub fn compose(first: &Map, second: &Map) -> Map {
+pub(crate) fn compose(first: &Map, second: &Map) -> Map {
     let (x, y) = apply(first, second[0], second[3]);
     let part = |a: f64, b: f64| (first[1] * a + first[2] * b, first[4] * a + first[5] * b);
     let ((xx, yx), (xy, yy)) = (part(second[1], second[4]), part(second[2], second[5]));
@@ -60,7 +60,7 @@ pub fn compose(first: &Map, second: &Map) -> Map {
 
 /// Derivatives of the place that a pose takes (`x`, `y`) to, by each of its numbers.
 #[inline]
-pub fn derivatives(map: &Map, pose: &Pose, half: f64, x: f64, y: f64) -> [(f64, f64); DEGREES] {
+pub(crate) fn derivatives(map: &Map, pose: &Pose, half: f64, x: f64, y: f64) -> [(f64, f64); DEGREES] {
     let (px, py) = apply(map, x, y);
     let (dx, dy) = ((px - map[0]) / half, (py - map[3]) / half);
     let scale = libm::exp(pose[3] / half);

@@ -9,6 +9,7 @@
 //! CVIU 1996). Limits: what comes out from behind something else is seen by too few frames, and one patch has
 //! one motion.
 
+use super::begin::{images, moving};
 use super::estimate::{Begin, Picture};
 use super::motion::{Map, apply, compose};
 use super::setting::PictureSetting;
@@ -150,23 +151,6 @@ impl Part {
             sensor: case.sensor.clone(),
         }
     }
-}
-
-/// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard
-/// deviations of one value.
-pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
-    let (count, pixels) = (case.frame_count(), case.extent.pixels());
-    let differs = |l: usize, k: usize, pixel: usize| {
-        let (a, b) = (case.dn(l, pixel), case.dn(k, pixel));
-        let sigma = nominal.frame_sigma_dn(f64::max(0.5 * (a + b) - nominal.number.black_level, 0.0), noise);
-        (a - b).abs() > moves * sigma
-    };
-    (0..count * pixels)
-        .map(|n| {
-            let (l, pixel) = (n / pixels, n % pixels);
-            (l > 0 && differs(l, l - 1, pixel)) || (l + 1 < count && differs(l, l + 1, pixel))
-        })
-        .collect()
 }
 
 /// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than
@@ -313,7 +297,7 @@ impl Patch {
 /// The one motion from frame to frame that predicts moving values best, a shift or a turn around their
 /// middle: poses of all frames.
 pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> Vec<Map> {
-    let smooth: Vec<_> = super::begin::images(case, nominal).iter().map(|image| image.smoothed(1)).collect();
+    let smooth: Vec<_> = images(case, nominal).iter().map(|image| image.smoothed(1)).collect();
     let width = case.extent.width as usize;
     let pixels = case.extent.pixels();
     let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));

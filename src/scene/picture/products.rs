@@ -4,8 +4,8 @@
 //! Sums are taken in [`LANES`] side by side, and nothing is contracted: the same bits on every processor.
 
 use super::motion::{Map, apply};
+use super::rows::{LANES, REST, Rows};
 use super::spline::Grid;
-use super::system::{LANES, REST, Rows};
 use multiversion::multiversion;
 use photocurrent_sensor::elementary::ln;
 use std::ops::Range;
@@ -167,7 +167,7 @@ pub fn of_rest(rows: &Rows, run: Range<usize>, rest: usize, factor: &[f32], sum:
 }
 
 /// Squares of the weights of second differences.
-pub struct Pull {
+pub(super) struct Pull {
     along_x: Vec<f32>,
     along_y: Vec<f32>,
     across: Vec<f32>,
@@ -175,13 +175,13 @@ pub struct Pull {
 
 impl Pull {
     /// Of weights.
-    pub fn new(along_x: &[f32], along_y: &[f32], across: &[f32]) -> Pull {
+    pub(super) fn new(along_x: &[f32], along_y: &[f32], across: &[f32]) -> Pull {
         let squares = |weights: &[f32]| weights.iter().map(|w| w * w).collect();
         Pull { along_x: squares(along_x), along_y: squares(along_y), across: squares(across) }
     }
 
     /// Adds the pull of smoothness.
-    pub fn add(&self, grid: &Grid, picture: &[f32], out: &mut [f32]) {
+    pub(super) fn add(&self, grid: &Grid, picture: &[f32], out: &mut [f32]) {
         let count = grid.coefficients();
         for (layer, (picture, out)) in
             picture.chunks_exact(count).zip(out.chunks_exact_mut(count)).enumerate()

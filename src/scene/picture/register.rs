@@ -54,7 +54,12 @@ const LARGE: usize = 20_000;
 ///
 /// # Panics
 /// When the images differ in size or are smaller than 8 x 8.
-pub fn register(still: &Image, moved: &Image, search: &Search, begin: Option<Affine>) -> (Affine, f64) {
+pub(crate) fn register(
+    still: &Image,
+    moved: &Image,
+    search: &Search,
+    begin: Option<Affine>,
+) -> (Affine, f64) {
     assert!(
         still.width == moved.width && still.height == moved.height && still.width.min(still.height) >= 8,
         "two images of one size, at least 8 x 8"

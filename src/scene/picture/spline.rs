@@ -1,12 +1,12 @@
 //! Uniform cubic B-splines: the weights of the four coefficients around a place, along one axis.
 
 /// Coefficients along one axis that a value depends on.
-pub const ORDER: usize = 4;
+pub(crate) const ORDER: usize = 4;
 
 /// Weights of the four coefficients from the one before the interval on, at a share `f` (0 to 1) of the
 /// interval.
 #[inline]
-pub fn weights(f: f64) -> [f64; ORDER] {
+pub(crate) fn weights(f: f64) -> [f64; ORDER] {
     let g = 1.0 - f;
     [
         g * g * g / 6.0,
@@ -18,7 +18,7 @@ pub fn weights(f: f64) -> [f64; ORDER] {
 
 /// Derivatives of [`weights`] by `f`.
 #[inline]
-pub fn slopes(f: f64) -> [f64; ORDER] {
+pub(crate) fn slopes(f: f64) -> [f64; ORDER] {
     let g = 1.0 - f;
     [-0.5 * g * g, -2.0 * f + 1.5 * f * f, 2.0 * g - 1.5 * g * g, 0.5 * f * f]
 }

@@ -9,6 +9,7 @@
 
 use super::motion::DEGREES;
 use super::products::{self, Pull};
+use super::rows::{REST, Rows};
 use super::shading::TERMS;
 use super::spline::{Grid, ORDER};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
@@ -16,61 +17,9 @@ use photocurrent_core::random::Random;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Knots that one exposure may touch.
-pub const TOUCHED: usize = 6;
-/// Parts in which sums over rows are taken, at most.
-const PARTS: usize = 8;
-/// And each has at least so many rows.
-const LEAST_ROWS: usize = 4_096;
-/// Lines of stencils are padded to a multiple of this, so that they are added up side by side.
-pub const LANES: usize = 8;
-/// Derivatives of a row by the shading's terms come first, and the poses behind them from here on.
-pub const POSES: usize = TERMS.next_multiple_of(LANES);
-/// Derivatives of a row by everything but the picture: shading, poses of the knots it touches, each with
-/// zeros up to whole lanes.
-pub const REST: usize = POSES + (TOUCHED * DEGREES).next_multiple_of(LANES);
-
-/// Measurements, ready to be fitted.
-#[derive(Clone, Debug, Default)]
-pub struct Rows {
-    /// Where the stencil of a row begins in `stencil`; one more than rows.
-    pub first: Vec<u32>,
-    /// The first coefficient of a row's stencil, and its columns, a multiple of [`LANES`].
-    pub corner: Vec<(u32, u32)>,
-    /// Derivatives by coefficients, stencil after stencil, row-major, in units of their row: they are never
-    /// negative.
-    pub stencil: Vec<u16>,
-    /// The unit of each row.
-    pub unit: Vec<f32>,
-    /// What is measured, DN above black.
-    pub measured: Vec<f32>,
-    /// Is it at least that much?
-    pub is_saturated: Vec<bool>,
-    /// What is not yet explained, DN.
-    pub residual: Vec<f32>,
-    /// One over the standard deviation; 0 = left out.
-    pub weight: Vec<f32>,
-    /// The first knot that the exposure touches.
-    pub knot: Vec<u32>,
-    /// How many it touches.
-    pub touched: Vec<u8>,
-    /// Derivatives by the shading's terms; from [`POSES`] on by the poses of the knots: in units of their
-    /// row.
-    pub by_rest: Vec<[i16; REST]>,
-    /// The unit of each row.
-    pub rest_unit: Vec<f32>,
-    /// The measured value above black, DN.
-    pub signal: Vec<f32>,
-    /// Which frame value it is: index as [frame][y][x].
-    pub index: Vec<u32>,
-    /// Before a still ground: the ground of each row, in units of the second half of the surface, which takes
-    /// it off. Empty without one.
-    pub behind: Vec<f32>,
-}
-
 /// What is fitted, or a step of it.
 #[derive(Clone, Debug, Default)]
-pub struct Unknowns {
+pub(crate) struct Unknowns {
     /// Coefficients of the picture; behind them, before a still ground, of how much of the ground it hides.
     pub picture: Vec<f32>,
     /// Six numbers for each knot, then the shading's terms.
@@ -79,7 +28,7 @@ pub struct Unknowns {
 
 /// Weights of the second differences of the picture: one over their standard deviation.
 #[derive(Clone, Debug, Default)]
-pub struct Smoothness {
+pub(crate) struct Smoothness {
     /// Along x, at each coefficient.
     pub along_x: Vec<f32>,
     /// Along y.
@@ -95,49 +44,8 @@ pub struct Smoothness {
 }
 
 impl Rows {
-    /// Number of rows.
-    pub fn count(&self) -> usize {
-        self.residual.len()
-    }
-
-    /// Surfaces that rows depend on.
-    pub fn layers(&self) -> usize {
-        1 + usize::from(!self.behind.is_empty())
-    }
-
-    /// Corner, columns and stencil of row r.
-    #[inline]
-    pub fn line(&self, r: usize) -> (usize, usize, &[u16]) {
-        let (corner, columns) = self.corner[r];
-        (corner as usize, columns as usize, &self.stencil[self.first[r] as usize..self.first[r + 1] as usize])
-    }
-
-    /// Takes a stencil in, whose lines have `columns`.
-    pub fn push_stencil(&mut self, corner: u32, columns: u32, stencil: &[f32]) {
-        let most = stencil.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
-        let per = f32::from(u16::MAX) / most;
-        self.stencil.extend(stencil.iter().map(|a| (a * per + 0.5) as u16));
-        self.unit.push(most / f32::from(u16::MAX));
-        self.corner.push((corner, columns));
-        self.first.push(self.stencil.len() as u32);
-    }
-
-    /// Takes derivatives by shading and poses in.
-    pub fn push_rest(&mut self, by_rest: &[f32; REST]) {
-        let most = by_rest.iter().fold(f32::MIN_POSITIVE, |most, by| f32::max(most, by.abs()));
-        let per = f32::from(i16::MAX) / most;
-        self.by_rest.push(by_rest.map(|by| (by * per).round_ties_even() as i16));
-        self.rest_unit.push(most / f32::from(i16::MAX));
-    }
-
-    /// Derivatives of row r by shading and poses.
-    #[cfg(test)]
-    pub fn rest_of(&self, r: usize) -> [f32; REST] {
-        self.by_rest[r].map(|by| f32::from(by) * self.rest_unit[r])
-    }
-
     /// Residuals of another surface under the same motion and shading.
-    pub fn look_at(&mut self, grid: &Grid, surface: &[f32]) {
+    pub(crate) fn look_at(&mut self, grid: &Grid, surface: &[f32]) {
         let parts: Vec<Vec<f32>> = self
             .parts()
             .into_par_iter()
@@ -155,37 +63,6 @@ impl Rows {
             .zip(&self.is_saturated)
             .filter(|(_, is)| **is)
             .for_each(|(residual, _)| *residual = residual.max(0.0));
-    }
-
-    /// Numbers of the rest that the rows of a knot touch; none beyond the last knot and in the padding.
-    fn indices(&self, knots: usize, knot: usize) -> [Option<usize>; REST] {
-        std::array::from_fn(|n| match n.checked_sub(POSES) {
-            Some(n) if n < TOUCHED * DEGREES => Some(knot * DEGREES + n).filter(|at| *at < knots * DEGREES),
-            Some(_) => None,
-            None => Some(n).filter(|term| *term < TERMS).map(|term| knots * DEGREES + term),
-        })
-    }
-
-    /// Ranges of rows that sums are taken in.
-    fn parts(&self) -> Vec<Range<usize>> {
-        let parts = (self.count() / LEAST_ROWS).clamp(1, PARTS);
-        let length = self.count().div_ceil(parts).max(1);
-        (0..parts).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
-    }
-
-    /// Rows of a range that touch the same knots, and how many numbers they have in addition to the picture.
-    fn runs(&self, range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
-        let mut at = range.start;
-        std::iter::from_fn(move || {
-            let begun = at;
-            let of = |r: usize| (self.knot[r], self.touched[r]);
-            while at < range.end && of(at) == of(begun) {
-                at += 1;
-            }
-            (begun < at).then(|| {
-                (begun..at, POSES + (usize::from(self.touched[begun]) * DEGREES).next_multiple_of(LANES))
-            })
-        })
     }
 }
 
@@ -291,7 +168,7 @@ fn motion_differences(knots: usize, mut with: impl FnMut(usize, usize, usize)) {
 }
 
 /// Squares of the weighted differences.
-pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
+pub(crate) fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
     let mut sum = 0.0;
     differences(grid, smooth, |at, by, weight| {
         let value: f32 = at.iter().zip(by).map(|(&at, by)| by * picture[at]).sum();
@@ -303,7 +180,7 @@ pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
 /// The step that lessens the sum of squares most: residuals of the rows, roughness of `now` plus the step.
 ///
 /// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
-pub fn solve(
+pub(crate) fn solve(
     rows: &Rows,
     grid: &Grid,
     smooth: &Smoothness,
@@ -327,7 +204,7 @@ pub fn solve(
 /// given back in part (twicing; Tukey, Exploratory Data Analysis, 1977; Osher et al., Multiscale Modeling and
 /// Simulation 4, 2005). Motion and shading are held. `begin`: where the search for it begins, the step of the
 /// time before; nothing is zero.
-pub fn again(
+pub(crate) fn again(
     rows: &Rows,
     grid: &Grid,
     smooth: &Smoothness,
@@ -357,7 +234,7 @@ pub fn again(
 ///
 /// By perturbation: random residuals with the noise of each row and random differences with the variance of
 /// each weight, fitted (Papandreou and Yuille, NIPS 2010).
-pub fn draw(
+pub(crate) fn draw(
     rows: &Rows,
     grid: &Grid,
     smooth: &Smoothness,
@@ -576,14 +453,14 @@ fn dot(a: &Unknowns, b: &Unknowns) -> f64 {
 }
 
 /// `x += by * step`.
-pub fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
+pub(crate) fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
     x.picture.iter_mut().zip(&step.picture).for_each(|(x, step)| *x += by as f32 * step);
     x.rest.iter_mut().zip(&step.rest).for_each(|(x, step)| *x += by * step);
 }
 
 /// Adds the weights of one instant to a stencil of `columns` columns whose corner is (`i0`, `j0`).
 #[inline]
-pub fn stamp(
+pub(crate) fn stamp(
     stencil: &mut [f32],
     columns: usize,
     corner: (usize, usize),

@@ -1,6 +1,7 @@
 //! The solver of the picture against the same problem written out.
 
 use super::*;
+use crate::picture::rows::{LANES, POSES, TOUCHED};
 use nalgebra::DMatrix;
 
 /// Rows that see four by four coefficients of a picture each, at random places, with random weights and

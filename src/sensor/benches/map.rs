@@ -15,7 +15,7 @@ use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Pixel, PixelNoi
 use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::map::estimate::Choosing;
 use photocurrent_sensor::map::{
-    MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, estimate, solve,
+    MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, PixelEvent, estimate, solve,
 };
 
 const SPAN_NS: i64 = 250_000_000;
@@ -44,11 +44,11 @@ fn main() {
         for pixel in &pixels {
             let solution = solve(&pixel.problem(), &five_steps(), &mut group);
             assert!(
-                solution.status != MapStatus::Failed,
+                solution.outcome.status != MapStatus::Failed,
                 "a bench of double-integral estimates would flatter"
             );
             knots += solution.t_ns.len();
-            steps += solution.iterations * solution.t_ns.len();
+            steps += solution.outcome.iterations * solution.t_ns.len();
             events += pixel.events.len();
         }
         eprintln!(
@@ -85,7 +85,7 @@ impl PixelNoise for Random {
 }
 
 struct Recorded {
-    events: Vec<MapEvent>,
+    events: Vec<PixelEvent>,
     frames: Vec<MapFrame>,
 }
 
@@ -134,15 +134,7 @@ fn pixels(kind: &str) -> Vec<Recorded> {
             SPAN_NS,
             &mut noise,
         );
-        let events = fired
-            .iter()
-            .map(|f| MapEvent {
-                t_in_ns: f.event.t_in_ns,
-                t_off_ns: f.event.t_off_ns,
-                polarity: f.event.polarity,
-                is_lone: false,
-            })
-            .collect();
+        let events = fired.iter().map(|fired| fired.event).collect();
         let frames = (0..30).map(|l| {
             let (start_ns, end_ns) = (l * 8_333_333, l * 8_333_333 + 6_500_000);
             let clean = GAIN * light.integral(Exposure::new(start_ns, end_ns));
@@ -188,7 +180,7 @@ fn events_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
     let (mut group, options) = (MapGroup::default(), five_steps());
     bencher.counter(events(&pixels)).bench_local(|| {
-        problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>()
+        problems.iter().map(|problem| solve(problem, &options, &mut group).outcome.log_evidence).sum::<f64>()
     });
 }
 
@@ -212,7 +204,7 @@ fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {
     let mut group = MapGroup::default();
     bencher.counter(events(&pixels)).bench_local(|| {
         let mut sum = 0.0;
-        group.solve(&tasks, |_, solution| sum += solution.log_evidence);
+        group.solve(&tasks, |_, solution| sum += solution.outcome.log_evidence);
         sum
     });
 }
@@ -224,7 +216,7 @@ fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let (mut group, options) = (MapGroup::default(), five_steps());
     let knots: usize = problems.iter().map(|problem| solve(problem, &options, &mut group).t_ns.len()).sum();
     bencher.counter(ItemsCount::new(knots)).bench_local(|| {
-        problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>()
+        problems.iter().map(|problem| solve(problem, &options, &mut group).outcome.log_evidence).sum::<f64>()
     });
 }
 

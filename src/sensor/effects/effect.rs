@@ -7,6 +7,7 @@
 //! to the event (a mismatch, a hot pixel) is `site.random("purpose")`, which starts the same stream at every
 //! call.
 
+use crate::comparator::PixelEvent;
 use crate::front_end::FrontEnd;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
@@ -88,36 +89,11 @@ fn purpose_code(purpose: &str) -> u64 {
         .fold(0xcbf2_9ce4_8422_2325, |code, byte| (code ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// An event as the simulated pixel puts it out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PixelEvent {
-    /// In-pixel time: when the comparator fired.
-    pub t_in_ns: i64,
-    /// Off-pixel time: when the event left the pixel array.
-    pub t_off_ns: i64,
-    /// +1 for ON, -1 for OFF.
-    pub polarity: i8,
-}
-
-/// The pixel's most recent event.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LastEvent {
-    /// True in-pixel time.
-    pub t_in_ns: i64,
-    /// True off-pixel time.
-    pub t_off_ns: i64,
-    /// +1 for ON, -1 for OFF.
-    pub polarity: i8,
-    /// What the voltage moved between firing and the reset, signed, natural-log units. Zero until the reset
-    /// happens.
-    pub overshoot: f64,
-}
-
 /// What an effect may know of the pixel's past.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct History {
     /// The most recent event, lost ones included: a lost event has reset its pixel.
-    pub last_event: Option<LastEvent>,
+    pub last_event: Option<PixelEvent>,
     /// Events so far.
     pub events: u64,
     /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event.

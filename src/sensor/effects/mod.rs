@@ -58,10 +58,10 @@ mod timestamp_jitter;
 mod timestamp_quantization;
 mod vignetting;
 
+pub use crate::comparator::PixelEvent;
 pub use effect::{
     ArrayEvent, BURST_GAP_NS, Chance, Domain, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget,
-    Kernel, LastEvent, Latency, Leak, PixelEvent, Reading, RowSite, SecondPole, Site, Spontaneous, Tap,
-    Thresholds, row_random,
+    Kernel, Latency, Leak, Reading, RowSite, SecondPole, Site, Spontaneous, Tap, Thresholds, row_random,
 };
 pub use parameters::{EffectDecl, EffectKind, ParameterDecl, Parameters, Stage, Unit};
 

@@ -11,8 +11,8 @@
 //! Limits: a change of all tiles of a pair alike is taken out (an exposure that adapts). Neighbouring pairs
 //! share a frame, whose noise is then in both halves.
 
-use super::draw::{estimate, peak};
-use super::{Centring, Estimate};
+use super::draw::{Estimate, estimate, peak};
+use super::panel::Centring;
 
 /// Pixels in a row and in a column of a tile.
 pub const TILE: usize = 8;

@@ -10,8 +10,8 @@
 //! is smoothed by a mean over any time, so that some length always explains noisy events a little better, the
 //! wrong one: only a length that explains much is given. Dark places are left out, as for thresholds.
 
-use super::draw::{estimate, top};
-use super::{Estimate, Panel};
+use super::draw::{Estimate, estimate, top};
+use super::panel::{Panel, Stretch};
 
 /// Lengths that are tried, from 0 on.
 const LENGTHS: usize = 17;
@@ -159,13 +159,7 @@ impl Curve {
 
 /// Logarithm of the mean over an exposure of what events say of the light, at every place; none where the
 /// exposure leaves the stretch.
-fn log_mean(
-    panel: &Panel,
-    stretch: &super::Stretch,
-    summed: &[f32],
-    mid: f64,
-    length: f64,
-) -> Option<Vec<f32>> {
+fn log_mean(panel: &Panel, stretch: &Stretch, summed: &[f32], mid: f64, length: f64) -> Option<Vec<f32>> {
     let places = panel.places();
     let mut middle = vec![0.0; places];
     if !stretch.add_at(summed, mid, 1.0, &mut middle) {

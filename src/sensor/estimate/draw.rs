@@ -1,11 +1,26 @@
 //! Intervals by drawing again: the same estimate from units drawn at random with replacement, and the middle
 //! 95 % of what comes out.
 
-use super::Estimate;
 use photocurrent_core::random::Random;
 
 /// Draws: the ends of the interval then have an error of about a tenth of it.
 const DRAWS: usize = 200;
+
+/// A value with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// The value.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: (f64, f64),
+}
+
+impl Estimate {
+    /// Does the interval hold a value?
+    pub fn holds(&self, value: f64) -> bool {
+        self.ci95.0 <= value && value <= self.ci95.1
+    }
+}
 
 /// An estimate from `units` that count once, with the interval from units that count as often as they are
 /// drawn. None when the estimate is none, or in a tenth of the draws.

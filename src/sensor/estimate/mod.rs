@@ -32,26 +32,11 @@ mod step;
 
 pub use agree::{Agreement, Changes, STEPS, TILE, Trial, Waits, agreements};
 pub use blur::{Unclear, exposure};
+pub use draw::Estimate;
 pub use panel::{Centring, Delay, NOWHERE, Panel, Stretch};
 pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};
 pub use shift::{Drift, Shift, agreement_from, drift, offset, row_time};
 pub use step::{StepGains, Steps, step_gains, thresholds};
-
-/// A value with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// The value.
-    pub value: f64,
-    /// Its 95 % interval.
-    pub ci95: (f64, f64),
-}
-
-impl Estimate {
-    /// Does the interval hold a value?
-    pub fn holds(&self, value: f64) -> bool {
-        self.ci95.0 <= value && value <= self.ci95.1
-    }
-}
 
 #[cfg(test)]
 mod tests;

@@ -9,8 +9,7 @@
 //! that come late in a scene that moves one way look like a shift against the motion: give several offsets in
 //! time around the one that [`super::offset()`] finds.
 
-use super::Estimate;
-use super::draw::{estimate, peak};
+use super::draw::{Estimate, estimate, peak};
 
 /// Pixels in a row and in a column of a patch.
 pub const SIDE: usize = 16;
@@ -140,9 +139,11 @@ pub struct Displacement {
     pub correlation: f64,
     /// Correlation without a shift, at the offset that suits that best.
     pub correlation_at_none: f64,
-    /// Whole pixels right and down that agree best at that same offset, and the correlation there: what is a
-    /// shift for the one offset and none for the other is motion.
-    pub at_one_offset: ((i32, i32), f64),
+    /// Whole pixels right and down that agree best at that same offset: what is a shift for the one offset and
+    /// none for the other is motion.
+    pub shift_at_one_offset: (i32, i32),
+    /// Correlation there.
+    pub correlation_at_one_offset: f64,
     /// Patches with events.
     pub patches: usize,
 }
@@ -156,7 +157,8 @@ pub struct Displacement {
 pub fn displacement(patches: &[Patch], offsets_ns: &[f64]) -> Option<Displacement> {
     let none = SHIFTS * REACH + REACH;
     let mut found: Option<(f64, Vec<Vec<[f64; 3]>>)> = None;
-    let (mut at_none, mut at_one_offset) = (f64::NEG_INFINITY, ((0, 0), 0.0));
+    let mut at_none = f64::NEG_INFINITY;
+    let (mut shift_at_one_offset, mut correlation_at_one_offset) = ((0, 0), 0.0);
     let mut by_patch: Vec<Vec<Option<Vec<[f64; 3]>>>> =
         patches.iter().map(|patch| patch.sums(offsets_ns)).collect();
     for offset in 0..offsets_ns.len() {
@@ -170,7 +172,8 @@ pub fn displacement(patches: &[Patch], offsets_ns: &[f64]) -> Option<Displacemen
         let most = all[at];
         if all[none] > at_none {
             let pixels = |at: usize| at as i32 - REACH as i32;
-            (at_none, at_one_offset) = (all[none], ((pixels(at % SHIFTS), pixels(at / SHIFTS)), most));
+            (at_none, correlation_at_one_offset) = (all[none], most);
+            shift_at_one_offset = (pixels(at % SHIFTS), pixels(at / SHIFTS));
         }
         if found.as_ref().is_none_or(|(best, _)| most > *best) {
             found = Some((most, sums));
@@ -194,7 +197,8 @@ pub fn displacement(patches: &[Patch], offsets_ns: &[f64]) -> Option<Displacemen
         down: estimate(sums.len(), |weights| best(weights).map(|found| found.1))?,
         correlation,
         correlation_at_none: at_none,
-        at_one_offset,
+        shift_at_one_offset,
+        correlation_at_one_offset,
         patches: sums.len(),
     })
 }

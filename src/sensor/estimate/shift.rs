@@ -4,8 +4,8 @@
 //! against the log change of the frames. The shift with the largest correlation is how late events are: +5 ms
 //! means that events are stamped 5 ms after the frames saw the same change.
 
-use super::draw::{estimate, top};
-use super::{Estimate, Panel};
+use super::draw::{Estimate, estimate, top};
+use super::panel::Panel;
 
 /// Shifts to each side of none.
 const SHIFTS: usize = 40;

@@ -13,9 +13,8 @@
 //! fitted need not begin at zero, and its slope counts. The largest values may be saturated and are taken as
 //! unknown.
 
-use super::draw::estimate;
-use super::panel::ACROSS;
-use super::{Estimate, Panel};
+use super::draw::{Estimate, estimate};
+use super::panel::{ACROSS, Panel};
 
 /// Smaller changes of the logarithm are left out: noise of frames would be taken for change without events.
 const LEAST_CHANGE: f64 = 0.3;

@@ -1,6 +1,6 @@
 //! Frame values: what one pixel's light becomes in every frame, Eq. (5), with what effects add.
 
-use super::LinearLight;
+use super::light::LinearLight;
 use crate::effects::{Effect, Reading, RowSite, Site};
 use crate::exposure::DigitalNumber;
 use photocurrent_core::Exposure;

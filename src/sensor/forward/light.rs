@@ -6,6 +6,7 @@
 
 use crate::effects::{Effect, Site};
 use photocurrent_core::Exposure;
+use photocurrent_core::time::between;
 use std::borrow::Cow;
 
 /// Light on one pixel: photocurrent at instants, linear between them, constant before the first and after the
@@ -43,14 +44,9 @@ impl<'a> LinearLight<'a> {
 
     /// The photocurrent at `t_ns`, when `after` is the first instant after it.
     pub(super) fn between(&self, after: usize, t_ns: i64) -> f64 {
-        match (after.checked_sub(1), self.t_ns.get(after)) {
-            (None, _) => self.photocurrent[0],
-            (Some(last), None) => self.photocurrent[last],
-            (Some(before), Some(&next)) => {
-                let share = (t_ns - self.t_ns[before]) as f64 / (next - self.t_ns[before]) as f64;
-                self.photocurrent[before] * (1.0 - share) + self.photocurrent[after] * share
-            }
-        }
+        let photocurrent = |k: usize| self.photocurrent[k];
+        between(self.t_ns, after, t_ns, photocurrent, |a, b, share| a * (1.0 - share) + b * share)
+            .expect("light has an instant")
     }
 
     /// The exact integral over `exposure`, in photocurrent times seconds: Eq. (5) without its gain.

@@ -49,79 +49,12 @@ mod pixel;
 mod response;
 mod steps;
 
-pub use crate::effects::PixelEvent;
+pub use crate::comparator::PixelEvent;
+pub use crate::model::{LOG_STEP, Pixel};
 pub use frames::{FrameReadout, read_frames};
 pub use light::LinearLight;
 pub use numeric::TOLERANCE;
-pub use pixel::{Chain, Fired, simulate};
-
-use crate::effects::Site;
-use crate::front_end::FrontEnd;
-use photocurrent_core::sensor::Reset;
-
-/// The usual step: a crossing is then exact to a part in 100,000 of the time that the light takes for the
-/// step, some nanoseconds.
-pub const LOG_STEP: f64 = 0.025;
-
-/// What the simulated pixel is made of.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pixel {
-    /// The low-pass of Eq. (3).
-    pub front_end: FrontEnd,
-    /// Contrast threshold of an ON event, positive, natural-log units.
-    pub threshold_on: f64,
-    /// Contrast threshold of an OFF event, positive, natural-log units.
-    pub threshold_off: f64,
-    /// The part of the readout latency that is always there, nanoseconds, not negative.
-    pub latency_ns: i64,
-    /// Mean of the exponentially distributed part of the readout latency, nanoseconds, not negative.
-    pub latency_spread_ns: f64,
-    /// Refractory period after `t_off`, nanoseconds, not negative.
-    pub refractory_ns: i64,
-    /// The most by which ln i changes over one step of the low-pass, positive; [`LOG_STEP`] unless errors are
-    /// studied.
-    pub log_step: f64,
-}
-
-/// Where the simulated pixel gets its randomness from; the methods' defaults are "none".
-pub trait PixelNoise {
-    /// A number of [0, 1) for the next readout latency. Zero gives the constant latency alone.
-    fn uniform(&mut self) -> f64 {
-        0.0
-    }
-
-    /// Added to both thresholds from one event to the next, natural-log units.
-    fn threshold_offset(&mut self) -> f64 {
-        0.0
-    }
-}
-
-/// A pixel without noise.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Noiseless;
-
-impl PixelNoise for Noiseless {}
-
-/// The events of one pixel of the paper's model from `start_ns` to `end_ns`, in time order: [`simulate`]
-/// without effects.
-///
-/// The pixel starts settled (Eq. 6), armed, and with the reference at its voltage. Events whose `t_in` lies
-/// in the span are put out even when their `t_off` does not.
-///
-/// # Panics
-///
-/// When `log_step` is not positive.
-pub fn simulate_events(
-    pixel: &Pixel,
-    light: &LinearLight<'_>,
-    start_ns: i64,
-    end_ns: i64,
-    noise: &mut impl PixelNoise,
-) -> Vec<PixelEvent> {
-    let chain = Chain { pixel: *pixel, reset: Reset::Resample, effects: &[], tolerance: TOLERANCE };
-    let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
-    simulate(&chain, &site, light, start_ns, end_ns, noise).into_iter().map(|fired| fired.event).collect()
-}
+pub use pixel::{Chain, Fired, Noiseless, PixelNoise, simulate, simulate_events};
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -1,21 +1,40 @@
 //! One pixel through time: steps, crossings, resets, and every place where an effect may enter.
 
 use super::light::{EventLight, LinearLight, Piece};
-use super::numeric::{NumericResponse, State, System};
+use super::numeric::{NumericResponse, State, System, TOLERANCE};
 use super::response::{Response, StepResponse};
 use super::steps::Steps;
-use super::{Pixel, PixelNoise};
 use crate::comparator::{fired_polarity, signed_step};
 use crate::effects::{
-    Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous,
-    Thresholds, effect::BURST_GAP_NS, effect::Streams,
+    Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Site, Spontaneous, Thresholds,
+    effect::BURST_GAP_NS, effect::Streams,
 };
 use crate::elementary;
 use crate::front_end::settled_voltage;
+use crate::model::Pixel;
 use photocurrent_core::sensor::Reset;
 
 /// A threshold never falls below this, whatever noise is added: at zero a pixel would fire without end.
 const THRESHOLD_FLOOR: f64 = 1e-6;
+
+/// Where the simulated pixel gets its randomness from; the methods' defaults are "none".
+pub trait PixelNoise {
+    /// A number of [0, 1) for the next readout latency. Zero gives the constant latency alone.
+    fn uniform(&mut self) -> f64 {
+        0.0
+    }
+
+    /// Added to both thresholds from one event to the next, natural-log units.
+    fn threshold_offset(&mut self) -> f64 {
+        0.0
+    }
+}
+
+/// A pixel without noise.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Noiseless;
+
+impl PixelNoise for Noiseless {}
 
 /// A pixel as a description states it, its reset rule, and what goes beyond.
 #[derive(Clone, Copy)]
@@ -27,7 +46,7 @@ pub struct Chain<'a> {
     /// In the order of the catalogue.
     pub effects: &'a [Box<dyn Effect>],
     /// Error allowed per step where the front end is integrated by numbers, natural-log units:
-    /// [`TOLERANCE`](super::TOLERANCE) moves a crossing by 0.1 us at 1 ln/s.
+    /// [`TOLERANCE`] moves a crossing by 0.1 us at 1 ln/s.
     pub tolerance: f64,
 }
 
@@ -46,7 +65,7 @@ pub struct Fired {
 /// on it, neighbours' parts included.
 ///
 /// The pixel starts settled, armed, and with the reference at its voltage. `noise` is asked for thresholds
-/// and latencies as in [`super::simulate_events`]; effects draw from streams of their own.
+/// and latencies as in [`simulate_events`]; effects draw from streams of their own.
 ///
 /// # Panics
 ///
@@ -99,7 +118,6 @@ pub fn simulate(
         drift: 0.0,
         reference: 0.0,
         before: 0.0,
-        fired_value: 0.0,
         thresholds: stated,
         threshold_offset: 0.0,
         blind_until_ns: None,
@@ -111,6 +129,27 @@ pub fn simulate(
     run.draw_thresholds(start_ns);
     run.run(start_ns, end_ns, &impulses, &spontaneous);
     run.fired
+}
+
+/// The events of one pixel of the paper's model from `start_ns` to `end_ns`, in time order: [`simulate`]
+/// without effects.
+///
+/// The pixel starts settled (Eq. 6), armed, and with the reference at its voltage. Events whose `t_in` lies
+/// in the span are put out even when their `t_off` does not.
+///
+/// # Panics
+///
+/// When `log_step` is not positive.
+pub fn simulate_events(
+    pixel: &Pixel,
+    light: &LinearLight<'_>,
+    start_ns: i64,
+    end_ns: i64,
+    noise: &mut impl PixelNoise,
+) -> Vec<PixelEvent> {
+    let chain = Chain { pixel: *pixel, reset: Reset::Resample, effects: &[], tolerance: TOLERANCE };
+    let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
+    simulate(&chain, &site, light, start_ns, end_ns, noise).into_iter().map(|fired| fired.event).collect()
 }
 
 enum Front {
@@ -149,9 +188,8 @@ struct Run<'a, N> {
     /// included.
     drift: f64,
     reference: f64,
-    /// The reference at the last event, and the comparator's input that fired it.
+    /// The reference at the last event.
     before: f64,
-    fired_value: f64,
     thresholds: Thresholds,
     threshold_offset: f64,
     blind_until_ns: Option<i64>,
@@ -389,7 +427,7 @@ impl<N: PixelNoise> Run<'_, N> {
             Some(last) if t_in_ns - last.t_in_ns <= BURST_GAP_NS => self.history.burst_index + 1,
             _ => 1,
         };
-        let last_event = Some(LastEvent { t_in_ns, t_off_ns: left_ns, polarity, overshoot: 0.0 });
+        let last_event = Some(PixelEvent { t_in_ns, t_off_ns: left_ns, polarity });
         self.history = History { last_event, events: self.history.events + 1, burst_index };
         let refractory_ns = if self.chain.effects.is_empty() {
             pixel.refractory_ns
@@ -401,7 +439,6 @@ impl<N: PixelNoise> Run<'_, N> {
         };
         let armed_ns = left_ns + refractory_ns;
         self.before = self.reference;
-        self.fired_value = value;
         self.threshold_offset = self.noise.threshold_offset();
         // Without blind time the reference is the threshold itself: no error adds up from rounded stamps.
         let moved = match cause {
@@ -414,7 +451,6 @@ impl<N: PixelNoise> Run<'_, N> {
             self.blind_until_ns = Some(armed_ns);
         }
         if self.chain.reset != Reset::Resample || armed_ns <= t_in_ns {
-            self.fired_value = moved;
             self.take_reference(moved, t_in_ns);
         }
     }
@@ -422,9 +458,6 @@ impl<N: PixelNoise> Run<'_, N> {
     /// The reset: a new reference and new thresholds.
     fn take_reference(&mut self, ideal: f64, t_reset_ns: i64) {
         self.reference = ideal;
-        if let Some(last) = &mut self.history.last_event {
-            last.overshoot = ideal - self.fired_value;
-        }
         for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
             self.reference = effect.reference(
                 self.site,

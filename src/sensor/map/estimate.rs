@@ -141,7 +141,7 @@ pub fn choose(
     let choices =
         spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
     consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
-    if problems.iter().any(|problem| problem.events.iter().any(|event| event.is_lone)) {
+    if problems.iter().any(|problem| problem.is_lone.contains(&true)) {
         let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
         consider(vec![Choice { noise, ..best.choice }], &|_| clearly_better, &mut best);
     }
@@ -219,7 +219,7 @@ impl Tried<'_> {
             losses[n] = if self.kept.is_some() {
                 prediction_error(problem, self.dark_dn, &solution)
             } else {
-                -solution.log_evidence
+                -solution.outcome.log_evidence
             };
         });
         // Problem by problem, whatever order they were solved in.

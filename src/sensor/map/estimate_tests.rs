@@ -137,15 +137,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         100_000_000,
         &mut Noiseless,
     );
-    let events: Vec<MapEvent> = fired
-        .iter()
-        .map(|f| MapEvent {
-            t_in_ns: f.event.t_in_ns,
-            t_off_ns: f.event.t_off_ns,
-            polarity: f.event.polarity,
-            is_lone: false,
-        })
-        .collect();
+    let events: Vec<PixelEvent> = fired.iter().map(|fired| fired.event).collect();
     let sensor = MapSensor { threshold_on: 0.3, threshold_off: 0.3, ..sensor(Reset::Resample) };
     let problem = MapProblem::new(sensor, &events, &frames, (0, 100_000_000));
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
@@ -171,11 +163,14 @@ fn lone_events_are_doubted_where_they_mislead_about_frames() {
             saturated: false,
         })
         .collect();
-    let noise_events: Vec<MapEvent> = [1, 4, 7]
+    let noise_events: Vec<PixelEvent> = [1, 4, 7]
         .into_iter()
-        .map(|l| MapEvent { is_lone: true, ..event(l * 8_000_000 + 2_000_000, if l == 4 { -1 } else { 1 }) })
+        .map(|l| event(l * 8_000_000 + 2_000_000, if l == 4 { -1 } else { 1 }))
         .collect();
-    let problem = MapProblem::new(sensor(Reset::Resample), &noise_events, &frames, (0, 95_000_000));
+    let problem = MapProblem {
+        is_lone: &[true; 3],
+        ..MapProblem::new(sensor(Reset::Resample), &noise_events, &frames, (0, 95_000_000))
+    };
     let choice =
         estimate::choose(&[problem; 14], None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default());
     assert_eq!(choice.noise.lone, LoneEvents::Doubted);

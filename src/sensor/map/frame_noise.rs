@@ -13,7 +13,8 @@
 //! Limits: one number for all values, however bright; where everything moves, noise is taken from the
 //! description.
 
-use super::problem::{MapEvent, MapFrame};
+use super::problem::MapFrame;
+use crate::comparator::PixelEvent;
 
 /// With fewer differences than this, noise is taken from the description.
 pub(crate) const FEWEST_DIFFERENCES: usize = 60;
@@ -35,7 +36,7 @@ const AT_REST: f64 = 0.1;
 /// The second differences of a pixel where it is silent: no event from the start of the first exposure to the
 /// end of the third.
 pub fn differences<'a>(
-    events: &'a [MapEvent],
+    events: &'a [PixelEvent],
     frames: &'a [MapFrame],
 ) -> impl Iterator<Item = Difference> + 'a {
     frames.windows(3).filter_map(move |three| {
@@ -106,7 +107,7 @@ mod tests {
         (0..pixels).map(|pixel| values(pixel).into_iter().map(frame).collect()).collect()
     }
 
-    fn missing(film: &[Vec<MapFrame>], events: &[MapEvent]) -> f64 {
+    fn missing(film: &[Vec<MapFrame>], events: &[PixelEvent]) -> f64 {
         let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(events, frames)).collect();
         missing_dn(&mut all, film.len() * 10)
     }
@@ -136,13 +137,12 @@ mod tests {
 
     #[test]
     fn pixels_that_fire_are_left_out() {
-        let event = |l: i64| MapEvent {
+        let event = |l: i64| PixelEvent {
             t_in_ns: l * 8_000_000 + 3_000_000,
             t_off_ns: l * 8_000_000 + 3_001_000,
             polarity: 1,
-            is_lone: false,
         };
-        let busy: Vec<MapEvent> = (0..12).step_by(3).map(event).collect();
+        let busy: Vec<PixelEvent> = (0..12).step_by(3).map(event).collect();
         let film = film(200, |_, _| 100.0);
         assert_eq!(film.iter().flat_map(|frames| differences(&busy, frames)).count(), 0);
         assert_eq!(missing(&film, &busy), 0.0);

@@ -183,7 +183,8 @@ impl Knots {
                         && (sensor.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
                 }
             };
-            let doubted = event.is_lone && problem.noise.lone == LoneEvents::Doubted;
+            let is_lone = problem.is_lone.get(k).copied().unwrap_or(false);
+            let doubted = is_lone && problem.noise.lone == LoneEvents::Doubted;
             let after_loss = problem.lost_before.binary_search(&(k as u32)).is_ok();
             if after_loss && blind_until <= event.t_in_ns {
                 self.marks.push((i64::max(blind_until, start_ns), 6, Op::Lose));
@@ -230,10 +231,10 @@ impl Knots {
 mod tests {
     use super::*;
     use crate::front_end::FrontEnd;
-    use crate::map::{MapEvent, MapFrame, MapSensor, Noise};
+    use crate::map::{MapFrame, MapSensor, Noise, PixelEvent};
 
-    fn event(t_in_ns: i64, polarity: i8) -> MapEvent {
-        MapEvent { t_in_ns, t_off_ns: t_in_ns, polarity, is_lone: false }
+    fn event(t_in_ns: i64, polarity: i8) -> PixelEvent {
+        PixelEvent { t_in_ns, t_off_ns: t_in_ns, polarity }
     }
 
     /// Of nothing yet.

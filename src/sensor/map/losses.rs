@@ -36,7 +36,7 @@ pub struct Plain {
 impl Plain {
     /// Of a solution.
     pub fn of(solution: &MapSolution<'_>) -> Plain {
-        Plain { largest_square: solution.largest_square, log_evidence: solution.log_evidence }
+        Plain { largest_square: solution.outcome.largest_square, log_evidence: solution.outcome.log_evidence }
     }
 }
 

@@ -29,7 +29,7 @@ fn log(t_ns: i64) -> f64 {
 
 /// What an ideal front end gives, to the microsecond: each event is `shaken` assumed standard deviations,
 /// times a normal number, off its threshold. The reference is where light is as the blind time ends.
-fn events(shaken: f64, random: &mut Random) -> Vec<MapEvent> {
+fn events(shaken: f64, random: &mut Random) -> Vec<PixelEvent> {
     let mut events = Vec::new();
     let (mut reference, mut off) = (log(0), shaken * EVENT * random.normal());
     let mut t_ns = 1_000;
@@ -37,12 +37,7 @@ fn events(shaken: f64, random: &mut Random) -> Vec<MapEvent> {
         let change = log(t_ns) - reference;
         if change > SENSOR.threshold_on * (1.0 + off) || -change > SENSOR.threshold_off * (1.0 + off) {
             let t_off_ns = t_ns + 10_000;
-            events.push(MapEvent {
-                t_in_ns: t_ns,
-                t_off_ns,
-                polarity: if change > 0.0 { 1 } else { -1 },
-                is_lone: false,
-            });
+            events.push(PixelEvent { t_in_ns: t_ns, t_off_ns, polarity: if change > 0.0 { 1 } else { -1 } });
             t_ns = t_off_ns + SENSOR.refractory_ns;
             (reference, off) = (log(t_ns), shaken * EVENT * random.normal());
         }
@@ -69,7 +64,7 @@ fn misfit(event: f64, frame: f64) -> Misfit {
     let (events, frames) = (events(event, &mut random), frames(frame, &mut random));
     let hint = |t_ns: i64| Hint { t_ns, log_photocurrent: log(t_ns), variance: 1e-10, for_sigma: 1e-10 };
     // At every knot: also where events fire and where the reference is taken.
-    let latch = |event: &MapEvent| event.t_off_ns + SENSOR.refractory_ns;
+    let latch = |event: &PixelEvent| event.t_off_ns + SENSOR.refractory_ns;
     let mut known: Vec<i64> = (0..=END_NS / 250_000).map(|k| k * 250_000).collect();
     known.extend(events.iter().flat_map(|event| [event.t_in_ns, latch(event)]).filter(|t| *t < END_NS));
     known.sort_unstable();
@@ -80,7 +75,7 @@ fn misfit(event: f64, frame: f64) -> Misfit {
         noise: Noise { event: EVENT, ..Noise::default() },
         ..MapProblem::new(SENSOR, &events, &frames, (0, END_NS))
     };
-    solve(&problem, &MapOptions::default(), &mut MapGroup::default()).misfit
+    solve(&problem, &MapOptions::default(), &mut MapGroup::default()).outcome.misfit
 }
 
 #[test]

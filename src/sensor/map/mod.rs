@@ -25,7 +25,7 @@
 //! use photocurrent_sensor::forward::{LOG_STEP, LinearLight, Noiseless, Pixel, simulate_events};
 //! use photocurrent_sensor::front_end::FrontEnd;
 //! use photocurrent_sensor::map::{
-//!     MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, solve,
+//!     MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, solve,
 //! };
 //!
 //! const MS: i64 = 1_000_000;
@@ -35,11 +35,7 @@
 //!     log_step: LOG_STEP,
 //! };
 //! let light = LinearLight::new(&[0, 10 * MS, 30 * MS, 50 * MS], &[100.0, 100.0, 200.0, 200.0]);
-//! let fired = simulate_events(&pixel, &light, 0, 50 * MS, &mut Noiseless);
-//! let event = |e: &photocurrent_sensor::forward::PixelEvent| MapEvent {
-//!     t_in_ns: e.t_in_ns, t_off_ns: e.t_off_ns, polarity: e.polarity, is_lone: false,
-//! };
-//! let events: Vec<MapEvent> = fired.iter().map(event).collect();
+//! let events = simulate_events(&pixel, &light, 0, 50 * MS, &mut Noiseless);
 //!
 //! // 100 for 5 ms at 1000 DN per unit and second, and 200.
 //! let frame = |start_ns, dn| MapFrame {
@@ -56,7 +52,7 @@
 //! let solution = solve(
 //!     &MapProblem::new(sensor, &events, &frames, (0, 50 * MS)), &MapOptions::default(), &mut memory,
 //! );
-//! assert_ne!(solution.status, MapStatus::Failed);
+//! assert_ne!(solution.outcome.status, MapStatus::Failed);
 //! // Between events the light is known to a threshold.
 //! for (t_ns, log) in solution.t_ns.iter().zip(solution.log_photocurrent) {
 //!     let light = 100.0 + 5e-6 * (t_ns - 10 * MS).clamp(0, 20 * MS) as f64;
@@ -84,11 +80,12 @@ mod state;
 mod tests;
 mod thresholds;
 
+pub use crate::comparator::PixelEvent;
 pub use group::MapGroup;
 pub use knots::COARSEST;
-pub use options::{MapOptions, MapSolution, MapStatus, MapTask, SecondStart};
+pub use options::{MapOptions, MapOutcome, MapSolution, MapStatus, MapTask, SecondStart};
 pub use prior::{Local, Prior};
-pub use problem::{Hint, LoneEvents, MapEvent, MapFrame, MapProblem, MapSensor, Noise, Offsets};
+pub use problem::{Hint, LoneEvents, MapFrame, MapProblem, MapSensor, Noise, Offsets};
 pub use segment::ramp_voltage;
 
 /// Solves one pixel.

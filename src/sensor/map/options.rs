@@ -119,6 +119,13 @@ pub struct MapSolution<'a> {
     pub log_photocurrent: &'a [f64],
     /// Posterior variance of it where requested, else empty.
     pub variance: &'a [f64],
+    /// How it came out, but for the light.
+    pub outcome: MapOutcome,
+}
+
+/// How a pixel came out, but for its light.
+#[derive(Clone, Copy, Debug)]
+pub struct MapOutcome {
     /// Thresholds and first reference of this pixel.
     pub offsets: Offsets,
     /// How it went.

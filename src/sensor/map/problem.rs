@@ -1,20 +1,8 @@
 //! What is measured and known of one pixel: the problem that the solver is given.
 
+use crate::comparator::PixelEvent;
 use crate::front_end::FrontEnd;
 use photocurrent_core::sensor::Reset;
-
-/// An event of the pixel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MapEvent {
-    /// When it fired, ns.
-    pub t_in_ns: i64,
-    /// When its readout was over, ns; not before `t_in_ns`.
-    pub t_off_ns: i64,
-    /// +1 or -1.
-    pub polarity: i8,
-    /// Did nothing else happen around it, in time and space? Such an event may be noise: see [`Noise::lone`].
-    pub is_lone: bool,
-}
 
 /// A frame value of the pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -130,8 +118,11 @@ impl Offsets {
 /// Everything measured and known about one pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct MapProblem<'a> {
-    /// Events in order of in-pixel time.
-    pub events: &'a [MapEvent],
+    /// Events in order of in-pixel time; none leaves the array before it fired.
+    pub events: &'a [PixelEvent],
+    /// Of each event: did nothing else happen around it, in time and space? Such an event may be noise: see
+    /// [`Noise::lone`]. Empty = of none.
+    pub is_lone: &'a [bool],
     /// Frame values, in order of time, exposures apart from each other.
     pub frames: &'a [MapFrame],
     /// What is known from elsewhere, in order of time; may be empty. No part of `log_evidence`, which then is
@@ -164,7 +155,7 @@ impl<'a> MapProblem<'a> {
     /// from elsewhere, and no no-event constraint.
     pub fn new(
         sensor: MapSensor,
-        events: &'a [MapEvent],
+        events: &'a [PixelEvent],
         frames: &'a [MapFrame],
         (start_ns, end_ns): (i64, i64),
     ) -> MapProblem<'a> {
@@ -172,6 +163,7 @@ impl<'a> MapProblem<'a> {
         let (hints, lost_before, beyond) = (&[], &[], &[]);
         MapProblem {
             events,
+            is_lone: &[],
             frames,
             hints,
             start_ns,

@@ -26,14 +26,14 @@ pub(super) fn sensor(reset: Reset) -> MapSensor {
     }
 }
 
-pub(super) fn event(t_in_ns: i64, polarity: i8) -> MapEvent {
-    MapEvent { t_in_ns, t_off_ns: t_in_ns + 30_000, polarity, is_lone: false }
+pub(super) fn event(t_in_ns: i64, polarity: i8) -> PixelEvent {
+    PixelEvent { t_in_ns, t_off_ns: t_in_ns + 30_000, polarity }
 }
 
 /// A pixel that sees an edge pass, as the forward model records it.
 pub(super) struct Recorded {
     pub light: (Vec<i64>, Vec<f64>),
-    pub events: Vec<MapEvent>,
+    pub events: Vec<PixelEvent>,
     pub frames: Vec<MapFrame>,
 }
 
@@ -72,15 +72,7 @@ fn recorded_of(reset: Reset, log_light: impl Fn(i64) -> f64) -> Recorded {
         END_NS,
         &mut Noiseless,
     );
-    let events = fired
-        .iter()
-        .map(|f| MapEvent {
-            t_in_ns: f.event.t_in_ns,
-            t_off_ns: f.event.t_off_ns,
-            polarity: f.event.polarity,
-            is_lone: false,
-        })
-        .collect();
+    let events = fired.iter().map(|fired| fired.event).collect();
     let frames = (0..5).map(|l| {
         let (start_ns, end_ns) = (l * 8_000_000, l * 8_000_000 + 6_000_000);
         MapFrame {
@@ -137,7 +129,7 @@ fn a_ramp_of_five_events_converges_with_the_default_options() {
         let problem = MapProblem { frames: &frames, noise: Noise::default(), ..recorded.problem(reset) };
         let mut group = MapGroup::default();
         let solution = solve(&problem, &MapOptions::default(), &mut group);
-        let (status, iterations) = (solution.status, solution.iterations);
+        let (status, iterations) = (solution.outcome.status, solution.outcome.iterations);
         assert_eq!(
             status,
             MapStatus::Converged,
@@ -221,7 +213,7 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
     let problem = MapProblem::new(sensor(Reset::Resample), &[], &frames, (-1_000_000, 20_000_000));
     let mut group = MapGroup::default();
     let solution = solve(&problem, &MapOptions::default(), &mut group);
-    assert_eq!(solution.status, MapStatus::Converged);
+    assert_eq!(solution.outcome.status, MapStatus::Converged);
     // 425 DN = 850 x 5 ms x 100.
     assert!(solution.log_photocurrent.iter().all(|u| (u - libm::log(100.0)).abs() < 1e-6));
 }
@@ -295,15 +287,10 @@ fn shifting_time_changes_nothing() {
         .log_photocurrent
         .to_vec();
     let shift = 3_600_000_000_000;
-    let events: Vec<MapEvent> = recorded
+    let events: Vec<PixelEvent> = recorded
         .events
         .iter()
-        .map(|e| MapEvent {
-            t_in_ns: e.t_in_ns + shift,
-            t_off_ns: e.t_off_ns + shift,
-            polarity: e.polarity,
-            is_lone: false,
-        })
+        .map(|e| PixelEvent { t_in_ns: e.t_in_ns + shift, t_off_ns: e.t_off_ns + shift, ..*e })
         .collect();
     let frames: Vec<MapFrame> = recorded
         .frames
@@ -330,7 +317,10 @@ fn found_thresholds(on: f64, off: f64) -> (f64, f64) {
     let problem = MapProblem { sensor, noise, ..right };
     let mut group = MapGroup::default();
     let solution = solve(&problem, &MapOptions { max_iterations: 20, ..MapOptions::default() }, &mut group);
-    (1.0 + solution.offsets.on / sensor.threshold_on, 1.0 + solution.offsets.off / sensor.threshold_off)
+    (
+        1.0 + solution.outcome.offsets.on / sensor.threshold_on,
+        1.0 + solution.outcome.offsets.off / sensor.threshold_off,
+    )
 }
 
 #[test]
@@ -385,11 +375,14 @@ fn a_doubted_event_resets_the_pixel_and_moves_no_light() {
         saturated: false,
     };
     let frames = [frame(0), frame(20_000_000)];
-    let events = [MapEvent { is_lone: true, ..event(12_000_000, 1) }];
+    let events = [event(12_000_000, 1)];
     let largest = |reset: Reset, lone: LoneEvents| {
         let noise = Noise { event: 0.05, lone, ..Noise::default() };
-        let problem =
-            MapProblem { noise, ..MapProblem::new(sensor(reset), &events, &frames, (0, 25_000_000)) };
+        let problem = MapProblem {
+            noise,
+            is_lone: &[true],
+            ..MapProblem::new(sensor(reset), &events, &frames, (0, 25_000_000))
+        };
         let mut group = MapGroup::default();
         let solution = solve(&problem, &MapOptions::default(), &mut group);
         solution.log_photocurrent.iter().fold(0.0, |most, u| f64::max(most, (u - libm::log(100.0)).abs()))

@@ -3,6 +3,7 @@
 use super::super::response::{Response, StepResponse};
 use super::super::steps::Steps;
 use super::super::*;
+use crate::front_end::FrontEnd;
 use photocurrent_core::Exposure;
 
 const MS: i64 = 1_000_000;

@@ -2,7 +2,8 @@
 
 use super::super::*;
 use crate::effects::simulated::{MS, Samples, ideal_pixel, recorded};
-use crate::effects::{Effect, FrontEndModel};
+use crate::effects::{Effect, FrontEndModel, Site};
+use crate::front_end::FrontEnd;
 use photocurrent_core::random::Random;
 
 /// Root mean square of the differences of times, nanoseconds.

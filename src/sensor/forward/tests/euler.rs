@@ -3,8 +3,10 @@
 
 use super::super::*;
 use crate::effects::simulated::Samples;
-use crate::effects::{Drive, Effect, FrontEndModel, Leak, SecondPole, Thresholds};
+use crate::effects::{Drive, Effect, FrontEndModel, Leak, SecondPole, Site, Thresholds};
+use crate::front_end::FrontEnd;
 use photocurrent_core::random::Random;
+use photocurrent_core::sensor::Reset;
 
 const GRID_S: f64 = 50e-9;
 

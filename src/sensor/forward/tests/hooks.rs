@@ -6,11 +6,14 @@ use super::super::*;
 use super::plane::event_plane;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, recorded};
 use crate::effects::{
-    Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds,
+    Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Site, Spontaneous, Tap,
+    Thresholds,
 };
 use crate::exposure::DigitalNumber;
+use crate::front_end::FrontEnd;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
+use photocurrent_core::sensor::Reset;
 
 macro_rules! made {
     ($name:ident { $($hook:item)* }) => {

@@ -2,6 +2,8 @@
 
 use super::super::*;
 use crate::effects::Site;
+use crate::front_end::FrontEnd;
+use photocurrent_core::sensor::Reset;
 
 const LIGHT: &[u8] = include_bytes!("../../../../data/simulator/openeb_row_light.f32");
 const EVENTS: &str = include_str!("../../../../data/simulator/openeb_row_events.csv");

@@ -2,6 +2,7 @@
 
 use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, intervals_s};
+use photocurrent_core::sensor::Reset;
 
 fn events(pixel: Pixel, reset: Reset, samples: &Samples, end_ns: i64) -> Vec<PixelEvent> {
     let chain = Chain { pixel, reset, effects: &[], tolerance: crate::forward::TOLERANCE };

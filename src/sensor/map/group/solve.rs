@@ -1,6 +1,6 @@
 //! The solver: groups of pixels, their Gauss-Newton steps, and their answers.
 
-use super::super::options::{Evidence, MapSolution, MapStatus, MapTask};
+use super::super::options::{Evidence, MapOutcome, MapSolution, MapStatus, MapTask};
 use super::super::prior::Prior;
 use super::super::problem::{MapProblem, Offsets, has_run_away};
 use super::super::state::{ON, STATES};
@@ -88,39 +88,16 @@ impl MapGroup {
     /// Solves one pixel; with no other beside it.
     pub fn solve_one(&mut self, task: &MapTask<'_>) -> MapSolution<'_> {
         let mut answer = std::mem::take(&mut self.answer);
-        let mut rest = None;
+        let mut outcome = None;
         self.solve(std::slice::from_ref(task), |_, solution| {
-            let MapSolution {
-                t_ns,
-                log_photocurrent,
-                variance,
-                offsets,
-                status,
-                iterations,
-                log_evidence,
-                misfit,
-                largest_square,
-            } = solution;
-            t_ns.clone_into(&mut answer.t_ns);
-            log_photocurrent.clone_into(&mut answer.log_photocurrent);
-            variance.clone_into(&mut answer.variance);
-            rest = Some((offsets, status, iterations, log_evidence, misfit, largest_square));
+            solution.t_ns.clone_into(&mut answer.t_ns);
+            solution.log_photocurrent.clone_into(&mut answer.log_photocurrent);
+            solution.variance.clone_into(&mut answer.variance);
+            outcome = Some(solution.outcome);
         });
         self.answer = answer;
         let Answer { t_ns, log_photocurrent, variance } = &self.answer;
-        let (offsets, status, iterations, log_evidence, misfit, largest_square) =
-            rest.expect("every task has one answer");
-        MapSolution {
-            t_ns,
-            log_photocurrent,
-            variance,
-            offsets,
-            status,
-            iterations,
-            log_evidence,
-            misfit,
-            largest_square,
-        }
+        MapSolution { t_ns, log_photocurrent, variance, outcome: outcome.expect("every task has one answer") }
     }
 
     /// Solves `tasks`, with the evidence or without.
@@ -228,21 +205,9 @@ impl<const W: usize> InStep<W> {
             }
             let (log_evidence, (misfit, largest_square)) =
                 (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
+            let outcome = MapOutcome { offsets, status, iterations, log_evidence, misfit, largest_square };
             let (t_ns, log_photocurrent, variance) = (&lane.knots.t_ns, &lane.u, &self.of_pixel);
-            take(
-                n,
-                MapSolution {
-                    t_ns,
-                    log_photocurrent,
-                    variance,
-                    offsets,
-                    status,
-                    iterations,
-                    log_evidence,
-                    misfit,
-                    largest_square,
-                },
-            );
+            take(n, MapSolution { t_ns, log_photocurrent, variance, outcome });
         }
     }
 

@@ -3,15 +3,16 @@
 use super::super::knots::Knots;
 use super::super::tests::recorded;
 use super::super::{
-    Hint, Local, LoneEvents, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Prior,
-    solve,
+    Hint, Local, LoneEvents, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, PixelEvent,
+    Prior, solve,
 };
 use super::stream::Stream;
 use photocurrent_core::sensor::Reset;
 
 /// What a pixel recorded up to an instant.
 struct Cut {
-    events: Vec<MapEvent>,
+    events: Vec<PixelEvent>,
+    is_lone: Vec<bool>,
     frames: Vec<MapFrame>,
     hints: Vec<Hint>,
     end_ns: i64,
@@ -24,7 +25,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
     let cut: Vec<Cut> = (0..21_i64)
         .map(|n| {
             let end_ns = 40_000_000 - 1_700_000 * n;
-            let mut events: Vec<MapEvent> =
+            let mut events: Vec<PixelEvent> =
                 whole.events.iter().filter(|event| event.t_in_ns <= end_ns).copied().collect();
             let mut frames: Vec<MapFrame> =
                 whole.frames.iter().filter(|frame| frame.end_ns <= end_ns).copied().collect();
@@ -42,7 +43,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
                     frame.end_ns = events[2].t_in_ns;
                 }
             }
-            events.iter_mut().skip(1).step_by(5).for_each(|event| event.is_lone = n % 3 > 0);
+            let is_lone = (0..events.len()).map(|k| k % 5 == 1 && n % 3 > 0).collect();
             if n % 6 == 4 && frames.len() > 1 {
                 frames[1].saturated = true;
             }
@@ -53,15 +54,16 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
                 for_sigma: 0.04 * k as f64,
             };
             let hints = if n % 4 == 1 { (0..end_ns / 400_000).map(hint).collect() } else { Vec::new() };
-            Cut { events, frames, hints, end_ns }
+            Cut { events, is_lone, frames, hints, end_ns }
         })
         .collect();
     let mut tasks: Vec<MapTask<'_>> = cut
         .iter()
         .enumerate()
-        .map(|(n, Cut { events, frames, hints, end_ns })| {
+        .map(|(n, Cut { events, is_lone, frames, hints, end_ns })| {
             let mut problem = MapProblem {
                 events,
+                is_lone,
                 frames,
                 hints,
                 end_ns: *end_ns,
@@ -113,22 +115,26 @@ fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
             let (mut counts, mut failed) = (vec![0; tasks.len()], 0);
             group.solve(tasks, |n, found| {
                 counts[n] += 1;
-                failed += usize::from(found.status == MapStatus::Failed);
+                failed += usize::from(found.outcome.status == MapStatus::Failed);
                 let expected = solve(&tasks[n].problem, &tasks[n].options, &mut alone);
                 assert_eq!(
-                    (found.status, found.iterations),
-                    (expected.status, expected.iterations),
+                    (found.outcome.status, found.outcome.iterations),
+                    (expected.outcome.status, expected.outcome.iterations),
                     "{reset:?} {n}"
                 );
-                assert_eq!((found.t_ns, found.offsets), (expected.t_ns, expected.offsets), "{reset:?} {n}");
+                assert_eq!(
+                    (found.t_ns, found.outcome.offsets),
+                    (expected.t_ns, expected.outcome.offsets),
+                    "{reset:?} {n}"
+                );
                 assert_eq!(found.log_photocurrent, expected.log_photocurrent, "{reset:?} {n}");
                 assert_eq!(found.variance, expected.variance, "{reset:?} {n}");
                 assert_eq!(
-                    (found.misfit, found.largest_square),
-                    (expected.misfit, expected.largest_square),
+                    (found.outcome.misfit, found.outcome.largest_square),
+                    (expected.outcome.misfit, expected.outcome.largest_square),
                     "{reset:?} {n}"
                 );
-                assert_eq!(found.log_evidence, expected.log_evidence, "{reset:?} {n}");
+                assert_eq!(found.outcome.log_evidence, expected.outcome.log_evidence, "{reset:?} {n}");
             });
             assert_eq!(counts, vec![1; tasks.len()]);
             assert!(failed > 0, "no pixel falls back to its start");
