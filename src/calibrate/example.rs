@@ -4,7 +4,8 @@
 use crate::simulated::{Fault, Made, MadeSetting, made};
 use photocurrent_diagnosis::candidates::{Candidate, Scales};
 use photocurrent_diagnosis::decide::model::Facts;
-use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
+use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting};
+use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_diagnosis::verdict::is_material;
 use photocurrent_scene::Scene;
 use photocurrent_scene::mosaic::{MosaicSetting, scene};

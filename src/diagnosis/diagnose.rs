@@ -2,19 +2,22 @@
 //! and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
-use crate::fitted::{add_numbers, fitted};
+use crate::fitted::{add_numbers, amended, fitted};
 use crate::heldout::{Prediction, predict};
+pub use crate::integrity::can_compare;
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
-use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
+use crate::integrity::{Finding, Integrity, TESTED, integrity};
 use crate::judge::{Judging, judged};
 use crate::report::{
     BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance,
     Report, SCHEMA, Verdict,
 };
-use crate::residual::located::{Located, answered, of_claim, of_unnamed};
+use crate::residual::located::Located;
 use crate::sample::Sample;
 use crate::unstated;
-use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, Unexplained, verdict};
+use crate::verdict::{
+    Answer, Claim, DIRECT, Decided, Proposal, Unexplained, answered, of_claim, of_unnamed, verdict,
+};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::case::Case;
@@ -105,11 +108,6 @@ pub fn check(case: &Case) -> Result<Integrity, NodeError> {
     Ok(integrity)
 }
 
-/// Is there enough, and is it sound enough, to estimate a scene?
-pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
-    integrity.broken.is_empty() && is_enough(case)
-}
-
 /// The recording with what direct tests found in its description, and without the pixels that they exclude:
 /// what is decided on a scene is the rest.
 ///
@@ -133,8 +131,9 @@ pub fn confirm(
     let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
     let can_compare = can_compare(case, &integrity);
-    let sample =
-        (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    let sample = (can_compare && !setting.without_proof)
+        .then(|| Sample::of_proof(case))
+        .filter(|sample| !sample.is_empty());
     if proposed.decided().is_none() {
         judged(case, &nominal, &setting.judging, &setting.solve, &mut integrity)?;
     }
@@ -210,40 +209,6 @@ fn fewer(claims: &[Claim]) -> Vec<Vec<Claim>> {
     };
     let one_less = estimated.iter().rev().filter(|_| estimated.len() > 1).map(|id| without(&[*id]));
     one_less.chain([without(&estimated)]).collect()
-}
-
-/// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
-pub(crate) fn looked_at(case: &Case) -> Sample {
-    const SIDE: u32 = 8;
-    let zones = (6, 5);
-    if case.extent.width < zones.0 * SIDE || case.extent.height < zones.1 * SIDE {
-        return Sample::all(case, SIDE);
-    }
-    Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
-}
-
-/// The recording with what direct tests found in its description, and without the pixels that they exclude,
-/// what is decided on a scene is the rest.
-pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
-    let mut amended = case.without(&integrity.masked);
-    // Hot rows and pixels are out with their pixels.
-    let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
-    let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
-    amended.sensor = fitted(&case.sensor, nominal, scales, &values);
-    rest.for_each(|finding| add_numbers(&mut amended.sensor.effects, finding.id, &finding.parameters));
-    if let Some(step) =
-        values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step)
-    {
-        amended.t_resolution_ns = (step * 1e9).round() as i64;
-    }
-    amended
-}
-
-fn values_of(finding: &Finding) -> Vec<(usize, f64)> {
-    let place = |parameter: &str| {
-        CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == parameter)
-    };
-    finding.parameters.iter().filter_map(|(parameter, value)| Some((place(parameter)?, *value))).collect()
 }
 
 fn report(

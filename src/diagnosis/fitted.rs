@@ -5,10 +5,12 @@
 //! black level, row time, reset rule) changes that field; all others stand under `[effects]`.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::integrity::{Finding, Integrity, hot, stamps};
 use crate::record::Described;
 use crate::report::six_digits;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
+use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Field;
@@ -42,6 +44,30 @@ pub fn add_numbers(effects: &mut Described, id: &str, numbers: &[(&'static str, 
         let Some(parameter) = decl.parameter(name) else { continue };
         stated.insert((*name).to_owned(), parameter.unit.written(six_digits(*value)));
     }
+}
+
+/// The recording with what direct tests found in its description, and without the pixels that they exclude,
+/// what is decided on a scene is the rest.
+pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
+    let mut amended = case.without(&integrity.masked);
+    // Hot rows and pixels are out with their pixels.
+    let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
+    let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
+    amended.sensor = fitted(&case.sensor, nominal, scales, &values);
+    rest.for_each(|finding| add_numbers(&mut amended.sensor.effects, finding.id, &finding.parameters));
+    if let Some(step) =
+        values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step)
+    {
+        amended.t_resolution_ns = (step * 1e9).round() as i64;
+    }
+    amended
+}
+
+fn values_of(finding: &Finding) -> Vec<(usize, f64)> {
+    let place = |parameter: &str| {
+        CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == parameter)
+    };
+    finding.parameters.iter().filter_map(|(parameter, value)| Some((place(parameter)?, *value))).collect()
 }
 
 /// The text of a fitted description, with a word on where it comes from: what was found, each with what else

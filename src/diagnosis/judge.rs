@@ -9,10 +9,11 @@
 //! in place of the one that `solve/map` chooses, and could not be repeated: the recordings are not kept.
 
 use crate::candidates::Scales;
-use crate::diagnose::{amended, can_compare, looked_at};
+use crate::fitted::amended;
 use crate::heldout::predict;
 use crate::integrity::again::add_intervals;
-use crate::integrity::{Finding, Integrity, joined, means};
+use crate::integrity::{Finding, Integrity, can_compare, joined, means};
+use crate::sample::Sample;
 use photocurrent_core::NodeError;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -59,7 +60,7 @@ pub fn judged(
     if steps.iter().all(Vec::is_empty) {
         return Ok(());
     }
-    let (scales, sample) = (Scales::of(case, nominal), looked_at(case));
+    let (scales, sample) = (Scales::of(case, nominal), Sample::of_proof(case));
     let psnr_db = |findings: &[Finding]| -> Result<Option<f64>, NodeError> {
         let with =
             Integrity { findings: [integrity.findings.as_slice(), findings].concat(), ..integrity.clone() };

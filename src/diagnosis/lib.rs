@@ -25,7 +25,7 @@
 //! - [`advice`]: what to record next.
 //! - [`diagnose`]: the stages, in order.
 //! - [`stages`]: what passes between them, as documents.
-//! - [`report`]: what a diagnosis says, as `diagnosis.json`.
+//! - [`report`]: what a diagnosis says, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
 //!
 //! The crate knows no files and no graphs. It never sees true light.
@@ -52,6 +52,7 @@ pub mod scenes;
 pub mod stages;
 #[cfg(any(test, feature = "simulated"))]
 pub mod targets;
+pub mod units;
 pub mod unstated;
 pub mod verdict;
 

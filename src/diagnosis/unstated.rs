@@ -8,8 +8,8 @@
 
 use crate::candidates::Candidate;
 use crate::integrity::Finding;
-use crate::page::readable;
 use crate::report::NotTestable;
+use crate::units::readable;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_sensor::effects::sought::Field;

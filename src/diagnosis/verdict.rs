@@ -12,7 +12,7 @@ use crate::dependence::Dependence;
 use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
 use crate::report::{Detectable, Verdict};
-use crate::residual::located::Locations;
+use crate::residual::located::{Located, Locations};
 use crate::unstated::alike;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -285,6 +285,39 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         ks: None,
         finding: Some(finding.clone()),
     })
+}
+
+/// Where a claim is, as it was measured on the scene; none for direct tests.
+pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a Located> {
+    let candidate = claim.values.first().filter(|_| claim.finding.is_none())?.0;
+    let decided = decided?;
+    // The best of the first list is the first effect; another one was measured with it applied.
+    let best = decided
+        .proposals
+        .iter()
+        .filter(|one| one.passed)
+        .max_by(|a, b| a.probability.total_cmp(&b.probability));
+    let is_first = best.is_some_and(|best| CANDIDATES[best.candidate].id == claim.id);
+    decided.located.of(candidate, !is_first).or_else(|| decided.located.of(candidate, is_first))
+}
+
+/// Where what has no name is; none where it is not the curve that was located.
+pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Option<&'a Located> {
+    let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == found.dependence;
+    decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
+}
+
+/// Where the effects of an answer are, by id.
+pub fn answered(decided: Option<&Decided>, answer: &Answer) -> Vec<(String, Located)> {
+    let claimed = answer
+        .claims
+        .iter()
+        .filter_map(|claim| Some((claim.id.to_owned(), of_claim(decided, claim)?.clone())));
+    let nameless = answer
+        .unexplained
+        .iter()
+        .filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(decided, found)?.clone())));
+    claimed.chain(nameless).collect()
 }
 
 /// What was decided, less what is known already or looks like it, and what does not matter.

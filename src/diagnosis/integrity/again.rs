@@ -11,7 +11,8 @@
 //! the wrong number: what a test assumes is not questioned. Where a test finds nothing in more than three of
 //! the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
 
-use super::{BLOCK, Finding, TestsAgain};
+use super::array::BLOCK;
+use super::finding::Finding;
 use photocurrent_scene::case::Case;
 use rayon::prelude::*;
 
@@ -24,13 +25,16 @@ const NORMAL: f64 = 1.96;
 /// From so many events on, each group is looked at alone.
 const MANY: usize = 2_000_000;
 
-/// The group of a pixel. Blocks are those of [`super::half`]; of two that follow each other one is of each
+/// The group of a pixel. Blocks are those of [`super::array::half`]; of two that follow each other one is of each
 /// half, or the rows below bring the other.
 fn group(case: &Case, pixel: usize) -> usize {
     let (x, y) = case.place(pixel);
     let block = y / BLOCK * case.extent.width.div_ceil(BLOCK) + x / BLOCK;
     block as usize % (2 * GROUPS) / 2
 }
+
+/// Tests that are made again of a recording without the pixels of a list.
+type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Finding> + Sync);
 
 /// Has a finding a number without an interval?
 pub(crate) fn lacks_interval(finding: &Finding) -> bool {
@@ -157,7 +161,7 @@ mod tests {
             let case = Case { extent: Extent { width, height }, ..crate::testing::case() };
             let (all, mut pixels) = (f64::from(width * height), [[0.0; 2]; GROUPS]);
             (0..case.extent.pixels()).for_each(|pixel| {
-                pixels[group(&case, pixel)][super::super::half(&case, pixel)] += 20.0 / all
+                pixels[group(&case, pixel)][super::super::array::half(&case, pixel)] += 20.0 / all
             });
             assert!(
                 pixels.iter().flatten().all(|share| (0.8..1.25).contains(share)),

@@ -13,10 +13,12 @@
 //! delays, and bandwidths that depend on light, are the business of tests that estimate the scene. Another
 //! threshold than stated changes neither. Estimates have an error of up to a third.
 
+use super::array::{half, lowest};
+use super::finding::{Finding, NATS};
 use super::still::noise_dn;
-use super::{Finding, NATS, half, lowest, quantile};
 use photocurrent_scene::case::{Case, Recorded};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::quantile;
 
 /// Exposures longer than this share of the period say too little.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;

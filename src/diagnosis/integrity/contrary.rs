@@ -9,7 +9,7 @@
 //! Limits: textures finer than three pixels, and scenes in which little moves, give little such time, and the
 //! test is silent. A shot that comes with the light is not seen, and need not be: as many come against it.
 
-use super::Finding;
+use super::finding::Finding;
 use photocurrent_scene::case::Case;
 
 /// The eight around must have fired so often between the two.

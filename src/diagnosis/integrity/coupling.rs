@@ -12,9 +12,11 @@
 //! of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events
 //! as well; they are not counted.
 
-use super::{Finding, Heldout, half, quantile};
+use super::array::half;
+use super::finding::{Finding, Heldout};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::quantile;
 
 /// Parts of a frame period.
 const BINS: usize = 50;

@@ -4,7 +4,7 @@
 //! the array averages out, what is common to all pixels stays. Both paths see it: it is a property of the
 //! scene, and no fault of the sensor.
 
-use super::Stream;
+use super::array::Stream;
 use crate::report::SceneProperty;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;

@@ -5,9 +5,10 @@
 //! neighbours' (the scene moves across all of them) and with the spread of that comparison over the array:
 //! where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
 
-use super::{Finding, median};
+use super::finding::Finding;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::median;
 
 /// The effects that are found here; their pixels are excluded.
 pub const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];

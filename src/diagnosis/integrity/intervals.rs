@@ -4,9 +4,11 @@
 //! What the scene asks for is read off the intervals themselves: below 0.3 times their 2nd percentile there
 //! are none on a sound sensor, whatever moves.
 
-use super::{Finding, quantile, stamps};
+use super::finding::Finding;
+use super::stamps;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::quantile;
 
 /// Too short is below this share of the 2nd percentile.
 const SHORT: f64 = 0.3;

@@ -1,7 +1,8 @@
 //! Counts of the whole array in windows of time: one and the same count again and again (something removes
 //! what is beyond it), and bursts in step with the frames.
 
-use super::{Finding, Stream};
+use super::array::Stream;
+use super::finding::Finding;
 use photocurrent_scene::case::Case;
 
 /// Lengths of windows that are tried, ns: those that programs use, and the resolutions of buffers.

@@ -14,14 +14,16 @@
 //! have an error of up to a tenth, as events that are lost make them look larger. Light that neighbours mix
 //! in, and frames whose black level is too low, look like a dark current.
 
+use super::array::{half, lowest};
 use super::changes::{
     DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals,
 };
+use super::finding::{Finding, NATS};
 use super::still::noise_dn;
-use super::{Finding, NATS, half, lowest, quantile};
 use photocurrent_core::sensor::Reset;
 use photocurrent_scene::case::{Case, Recorded};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::{median, quantile};
 use photocurrent_sensor::front_end::time_constant;
 
 /// More pixels than make about so many pairs are not looked at.
@@ -135,7 +137,7 @@ impl Pairs {
                 pairs.events.push(steps(case, nominal, case.events.of(pixel), usual_ns, slow_ns));
             }
         }
-        pairs.median = super::median(&mut lights);
+        pairs.median = median(&mut lights);
         (pairs.all.len() >= FEWEST).then_some(pairs)
     }
 

@@ -1,8 +1,10 @@
 //! Time stamps: a coarser grid than stated, no grid where one is stated, gaps of one length that a queue
 //! leaves.
 
-use super::{Finding, Stream, quantile};
+use super::array::Stream;
+use super::finding::Finding;
 use photocurrent_scene::case::Case;
+use photocurrent_scene::statistics::quantile;
 
 /// A grid that is coarser than stated: the recording is then looked at with stamps of its width.
 pub const GRID: &str = "timestamp_quantization";

@@ -9,7 +9,7 @@
 //! that only more than that is a finding.
 
 use super::changes::LONGEST_EXPOSURE;
-use super::{Finding, NATS};
+use super::finding::{Finding, NATS};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::estimate::{

@@ -9,10 +9,12 @@
 //! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only
 //! at readouts does not show how strong the coupling is; that is counted where light rises.
 
-use super::{Finding, Heldout, half, median};
-use crate::page::readable;
+use super::array::half;
+use super::finding::{Finding, Heldout};
+use crate::units::readable;
 use photocurrent_scene::case::{Case, CaseFrames, Recorded};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::{median, quantile};
 
 /// Fewer frames say too little of what stands still.
 const FEWEST_FRAMES: usize = 5;
@@ -89,7 +91,7 @@ pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
         })
         .collect();
     all.sort_by(f64::total_cmp);
-    super::quantile(&all, 0.2)
+    quantile(&all, 0.2)
 }
 
 /// Events of still pixels, by pixel.

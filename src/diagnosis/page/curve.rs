@@ -2,9 +2,10 @@
 
 use super::plot::{Plot, Scale};
 use super::svg::COLOURS;
-use super::{escaped, number};
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
+use crate::report::short as number;
+use photocurrent_page::escaped;
 use std::fmt::Write;
 
 const GREY: &str = "var(--edge)";

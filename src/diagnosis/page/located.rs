@@ -2,10 +2,11 @@
 
 use super::plot::{Plot, Scale};
 use super::svg::{COLOURS, open};
-use super::{escaped, number};
-use crate::integrity::quantile;
+use crate::report::short as number;
 use crate::residual::located::{Curve, Located, Mean, Part};
+use photocurrent_page::escaped;
 use photocurrent_scene::case::Case;
+use photocurrent_scene::statistics::quantile;
 use std::fmt::Write;
 
 /// Cells of the frame across and down, at most.

@@ -12,21 +12,19 @@ mod overview;
 mod pixels;
 mod plot;
 mod svg;
-mod units;
 
 use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
 use crate::diagnose::{Diagnosis, Proposed};
 use crate::heldout::Prediction;
 use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
+use crate::units::{name_of, readable};
 use crate::verdict::Proposal;
 use photocurrent_page::{Page, Section, escaped};
 use photocurrent_scene::case::Case;
 use plot::{Plot, Scale};
 use std::fmt::Write;
 use svg::{Bar, COLOURS, Map, bars, maps};
-
-pub use units::readable;
 
 /// The title of a page without names, and the place where names go.
 const TITLE: &str = "Diagnosis";
@@ -212,7 +210,7 @@ fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
         .iter()
         .map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell)))
         .collect();
-    let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(units::name_of(key)));
+    let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(name_of(key)));
 }
 
 fn location(html: &mut String, effect: &EffectReport) {
@@ -435,7 +433,7 @@ fn detectable(html: &mut String, report: &Report) {
             html,
             "<tr><th scope=\"row\">{}</th><td>{}</td>{cells}</tr>",
             escaped(&one.id),
-            escaped(units::name_of(&one.parameter))
+            escaped(name_of(&one.parameter))
         );
     }
     html.push_str("</table></div>\n");

@@ -77,7 +77,7 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     let _ = writeln!(
         html,
         "<p>{width} x {height} pixels, {events} events and {frames} frames in {}.</p>",
-        escaped(&super::readable(seconds, "s"))
+        escaped(&crate::units::readable(seconds, "s"))
     );
 }
 

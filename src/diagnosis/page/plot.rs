@@ -1,8 +1,8 @@
 //! Curves and points over labelled axes, as SVG text.
 
-use super::escaped;
 use super::svg::open;
 use crate::report::short;
+use photocurrent_page::escaped;
 use std::fmt::Write;
 
 /// Space on the left, right, top and bottom of the axes, pixels.

@@ -1,7 +1,7 @@
 //! Small charts as SVG text: bars, maps of pixels.
 
-use super::escaped;
 use crate::report::short;
+use photocurrent_page::escaped;
 use std::fmt::Write;
 
 /// A bar of a chart.
@@ -86,7 +86,7 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     let mut known: Vec<f64> =
         cells.iter().flatten().filter(|cell| cell.1 > 0.0).map(|cell| cell.0 / cell.1).collect();
     known.sort_by(f64::total_cmp);
-    let most = f64::max(crate::integrity::quantile(&known, 0.98), 1e-9);
+    let most = f64::max(photocurrent_scene::statistics::quantile(&known, 0.98), 1e-9);
     let size = ((700.0 - GAP) / all.len().max(2) as f64 / across as f64).min(8.0);
     let (wide, high) = (size * across as f64, size * down as f64);
     let mut svg = open(what, f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);

@@ -135,7 +135,8 @@ pub fn control(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::residual::evidence::{EvidenceSetting, evidence};
+    use crate::residual::evidence::EvidenceSetting;
+    use crate::residual::ranking::evidence;
     use crate::scenes::MadeUp;
     use photocurrent_core::Extent;
     use photocurrent_scene::mosaic::{MosaicSetting, scene};

@@ -13,12 +13,10 @@
 
 pub use super::axis::Mean;
 use super::axis::{best, mean, shape};
-use super::open::Laid;
-use crate::candidates::CANDIDATES;
+use super::laid::{Bins, Laid};
 use crate::covariates::Covariate;
 use crate::dependence::Dependence;
 use crate::report::Location;
-use crate::verdict::{Answer, Claim, Decided, Unexplained};
 use photocurrent_scene::case::Case;
 use serde::{Deserialize, Serialize};
 
@@ -209,39 +207,6 @@ impl Locations {
     }
 }
 
-/// Where a claim is, as it was measured on the scene; none for direct tests.
-pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a Located> {
-    let candidate = claim.values.first().filter(|_| claim.finding.is_none())?.0;
-    let decided = decided?;
-    // The best of the first list is the first effect; another one was measured with it applied.
-    let best = decided
-        .proposals
-        .iter()
-        .filter(|one| one.passed)
-        .max_by(|a, b| a.probability.total_cmp(&b.probability));
-    let is_first = best.is_some_and(|best| CANDIDATES[best.candidate].id == claim.id);
-    decided.located.of(candidate, !is_first).or_else(|| decided.located.of(candidate, is_first))
-}
-
-/// Where what has no name is; none where it is not the curve that was located.
-pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Option<&'a Located> {
-    let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == found.dependence;
-    decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
-}
-
-/// Where the effects of an answer are, by id.
-pub fn answered(decided: Option<&Decided>, answer: &Answer) -> Vec<(String, Located)> {
-    let claimed = answer
-        .claims
-        .iter()
-        .filter_map(|claim| Some((claim.id.to_owned(), of_claim(decided, claim)?.clone())));
-    let nameless = answer
-        .unexplained
-        .iter()
-        .filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(decided, found)?.clone())));
-    claimed.chain(nameless).collect()
-}
-
 /// What gains are located on: events, or frame values.
 pub struct Ground<'a> {
     /// The recording.
@@ -258,42 +223,6 @@ pub struct Ground<'a> {
     pub block: &'a [u32],
     bins: Vec<(Covariate, Bins)>,
     setting: &'a LocatedSetting,
-}
-
-/// Values sorted into bins.
-struct Bins {
-    /// Mean value of each bin.
-    at: Vec<f64>,
-    /// The bin of each event; none without a value.
-    of: Vec<Option<u32>>,
-    is_class: bool,
-}
-
-impl Bins {
-    /// About as many events in each; values of a class are bins of their own.
-    fn new(values: &[f64], count: usize, is_class: bool) -> Bins {
-        let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-        sorted.sort_by(f64::total_cmp);
-        let mut edges: Vec<f64> = if is_class {
-            let mut classes = sorted.clone();
-            classes.dedup();
-            classes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect()
-        } else {
-            (1..count).filter_map(|bin| sorted.get(bin * sorted.len() / count).copied()).collect()
-        };
-        edges.dedup();
-        edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
-        let of: Vec<Option<u32>> = values
-            .iter()
-            .map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32))
-            .collect();
-        let mut sums = vec![(0.0, 0.0); edges.len() + 1];
-        for (bin, value) in of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
-            let sum = &mut sums[bin as usize];
-            *sum = (sum.0 + value, sum.1 + 1.0);
-        }
-        Bins { at: sums.iter().map(|(sum, count)| sum / f64::max(*count, 1.0)).collect(), of, is_class }
-    }
 }
 
 /// Steps of events along the axes that parts are looked for on.
@@ -321,7 +250,7 @@ impl<'a> Ground<'a> {
     ) -> Ground<'a> {
         let bins = laid
             .iter()
-            .map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, laid.covariate.is_class())))
+            .map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, 1, laid.covariate.is_class())))
             .collect();
         Ground { case, pixel, t_ns, polarity, log_light, block, bins, setting }
     }
@@ -378,7 +307,7 @@ impl<'a> Ground<'a> {
         let shape = found.map_or("flat", |n| {
             if self.bins[n].1.is_class { "differs" } else { shape(&means, setting.straight) }
         });
-        let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, false));
+        let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, 1, false));
         let map = self.map(&gains);
         let pixels = self.pixels(&map, rows.range, columns.range, setting.rest * placed.gain);
         Located {
@@ -407,7 +336,7 @@ impl<'a> Ground<'a> {
         let place = |k: usize| case.place(self.pixel[k] as usize);
         let (start_ns, end_ns) = case.span;
         let step_ns = ((end_ns - start_ns) / setting.steps.max(1) as i64).max(1);
-        let light = Bins::new(self.log_light, setting.steps, false);
+        let light = Bins::new(self.log_light, setting.steps, 1, false);
         Steps {
             row: (0..count).map(|k| place(k).1 as usize).collect(),
             column: (0..count).map(|k| place(k).0 as usize).collect(),

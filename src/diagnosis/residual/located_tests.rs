@@ -2,8 +2,9 @@
 //! everywhere.
 
 use super::*;
-use crate::candidates::{Candidate, Scales, Trial};
-use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
+use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
+use crate::residual::ranking::evidence;
 use crate::scenes::MadeUp;
 use crate::testing;
 use photocurrent_core::Extent;

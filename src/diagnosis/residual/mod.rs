@@ -13,17 +13,19 @@
 //! - [`open`]: what no effect of the catalogue has.
 //! - [`control`]: what is found where nothing is.
 //! - [`located`]: where the gain of an effect is.
-//! - [`evidence`]: all of it on one scene.
+//! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
 
 mod axis;
 pub mod components;
 pub mod control;
 pub mod evidence;
 pub mod fit;
+mod laid;
 pub mod located;
 pub mod open;
 mod places;
 mod prepared;
+pub mod ranking;
 mod table;
 
 use crate::candidates::Trial;

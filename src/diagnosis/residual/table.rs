@@ -5,8 +5,9 @@ use super::evidence::{EvidenceSetting, Ranked};
 use super::fit::{
     self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
+use super::laid::{Laid, lay};
 use super::located::Ground;
-use super::open::{self, Laid, Open, lay};
+use super::open::{self, Open};
 use super::places::Places;
 use super::prepared::Prepared;
 use super::{FrameValues, Residuals, View};
@@ -625,7 +626,7 @@ impl Seen<'_> {
             .iter()
             .map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal))
             .collect();
-        ranked.sort_by(by_gain);
+        ranked.sort_by(Ranked::by_gain);
         let best = ranked.first().map_or(0.0, Ranked::beyond);
         for one in ranked
             .iter_mut()
@@ -651,7 +652,7 @@ impl Seen<'_> {
             one.located = Some(places.locate(&found.gains, one.candidate));
             one.by = found.by;
         }
-        ranked.sort_by(by_gain);
+        ranked.sort_by(Ranked::by_gain);
         Ok(ranked)
     }
 
@@ -676,11 +677,6 @@ impl Seen<'_> {
             ..Ranked::default()
         }
     }
-}
-
-/// Best first.
-pub(super) fn by_gain(a: &Ranked, b: &Ranked) -> std::cmp::Ordering {
-    b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate))
 }
 
 fn wide(values: &[f32]) -> Vec<f64> {
