@@ -17,7 +17,7 @@
 //! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
 //! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`],
 //!   [`targets`]: made-up recordings).
-//! - [`verdict`]: one answer from direct tests and from what was decided.
+//! - [`verdict`]: one answer from direct tests and from what was decided; [`finding`]: what it consists of.
 //! - [`fitted`]: the description with what was found put in.
 //! - [`heldout`]: held-out frames, before and after; [`sample`] (the pixels that are evaluated), [`curves`]
 //!   (their light).
@@ -37,6 +37,7 @@ pub mod curves;
 pub mod decide;
 pub mod dependence;
 pub mod diagnose;
+pub mod finding;
 pub mod fitted;
 pub mod heldout;
 pub mod integrity;

@@ -12,7 +12,7 @@
 //! the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
 
 use super::array::BLOCK;
-use super::finding::Finding;
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
 use rayon::prelude::*;
 
@@ -34,16 +34,16 @@ fn group(case: &Case, pixel: usize) -> usize {
 }
 
 /// Tests that are made again of a recording without the pixels of a list.
-type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Finding> + Sync);
+type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Departure> + Sync);
 
 /// Has a finding a number without an interval?
-pub(crate) fn lacks_interval(finding: &Finding) -> bool {
+pub(crate) fn lacks_interval(finding: &Departure) -> bool {
     finding.parameters.iter().any(|(name, _)| finding.interval(name).is_none())
 }
 
 /// Adds intervals to findings. `again` makes the same tests of a recording in which the pixels of the list
 /// have no events and are left out.
-pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsAgain<'_>) {
+pub(crate) fn add_intervals(case: &Case, findings: &mut [Departure], again: TestsAgain<'_>) {
     if !findings.iter().any(lacks_interval) {
         return;
     }
@@ -55,7 +55,7 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsA
     if (0..GROUPS).any(is_empty) {
         return;
     }
-    let part = |number: usize| -> Vec<Finding> {
+    let part = |number: usize| -> Vec<Departure> {
         let out: Vec<u32> = groups
             .iter()
             .zip(0..)
@@ -72,9 +72,9 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsA
             &out,
         )
     };
-    let parts: Vec<Vec<Finding>> = (0..GROUPS).into_par_iter().map(part).collect();
+    let parts: Vec<Vec<Departure>> = (0..GROUPS).into_par_iter().map(part).collect();
     for finding in findings {
-        let same = |part: &Vec<Finding>, name: &str| -> Option<f64> {
+        let same = |part: &Vec<Departure>, name: &str| -> Option<f64> {
             let twin =
                 part.iter().find(|other| other.id == finding.id && other.threshold == finding.threshold)?;
             twin.value(name)
@@ -107,7 +107,7 @@ fn student(groups: usize) -> f64 {
 
 /// Standard error of what all parts share: the errors that these tests have on simulated recordings
 /// (`again_tests.rs`), or that their files state.
-fn common(finding: &Finding, value: f64) -> f64 {
+fn common(finding: &Departure, value: f64) -> f64 {
     match finding.id {
         "hot_rows" | "hot_pixels" => 0.01 * value.abs(),
         "clock_offset" => 0.05 * value.abs(),

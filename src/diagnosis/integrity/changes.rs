@@ -14,7 +14,7 @@
 //! threshold than stated changes neither. Estimates have an error of up to a third.
 
 use super::array::{half, lowest};
-use super::finding::{Finding, NATS};
+use super::departure::{Departure, NATS};
 use super::still::noise_dn;
 use photocurrent_scene::case::{Case, Recorded};
 use photocurrent_scene::nominal::Nominal;
@@ -267,7 +267,7 @@ pub(super) fn intervals(case: &Case) -> Vec<i64> {
 
 /// What changes between frames show: a blind time, and a delay. The blind time does not ask for the delay
 /// exactly, the delay does for the blind time.
-pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> {
+pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
     let Some(changes) = Changes::of(case, nominal, masked) else { return Vec::new() };
     let stated_ns = nominal.pixel.refractory_ns;
     let (late_ns, as_stated) = late(case, nominal, &changes, stated_ns);
@@ -278,7 +278,7 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
 
 /// By how much events come later than the frames say, ns (less is earlier), and the finding when that is an
 /// offset; pixels are blind for `blind_ns`.
-fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f64, Option<Finding>) {
+fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f64, Option<Departure>) {
     let usual_ns = quantile(&intervals(case), 0.5);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     let large: Vec<&Change> = changes.all.iter().filter(|change| change.log.abs() > threshold).collect();
@@ -336,7 +336,7 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         if late_ns > 0.0 { "earlier" } else { "later" },
         raw_ns.abs() * 1e-6
     );
-    let finding = Finding::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
+    let finding = Departure::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
     (late_ns, Some(finding))
 }
 
@@ -379,7 +379,7 @@ fn sums_of(runs: &[Run], blind_ns: f64, is_free: bool) -> [Sums; 2] {
 
 /// A blind time longer than stated: light goes further for an event where events follow each other faster.
 /// `late_ns` is by how much events come late.
-fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Option<Finding> {
+fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Option<Departure> {
     let late = late_ns.round() as i64;
     let runs: Vec<Run> = changes
         .all
@@ -448,7 +448,7 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         found_ns * 1e-3,
         shortest * 1e-3
     );
-    Some(Finding::of_halves(
+    Some(Departure::of_halves(
         "refractory",
         ("refractory", value_ns * 1e-9),
         nats,

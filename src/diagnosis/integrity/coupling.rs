@@ -13,7 +13,7 @@
 //! as well; they are not counted.
 
 use super::array::half;
-use super::finding::{Finding, Heldout};
+use super::departure::{Departure, Heldout};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::quantile;
@@ -133,7 +133,7 @@ impl Phases {
 
 /// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those
 /// that are left out. Where still pixels decide nothing, all are asked.
-pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Finding> {
+pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
         let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
         events.map(|events| events.iter().filter(|event| event.polarity == polarity).count()).sum()
@@ -165,7 +165,7 @@ fn in_step(
     other: usize,
     masked: &[u32],
     where_from: &str,
-) -> Option<Finding> {
+) -> Option<Departure> {
     let starts: Vec<i64> =
         case.frames.as_ref()?.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let frames = starts.len();
@@ -211,7 +211,7 @@ fn in_step(
         parameters.insert(0, ("step", step));
     }
     let sign = if polarity > 0 { "ON" } else { "OFF" };
-    Some(Finding {
+    Some(Departure {
         id: "frame_coupling",
         parameters,
         statistic: ratio,

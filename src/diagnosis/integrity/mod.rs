@@ -8,7 +8,7 @@
 //!
 //! In reading order:
 //!
-//! - [`Finding`]: what a test finds; `array`: events in order of time, and the halves of the array.
+//! - [`Departure`]: what a test finds; `array`: events in order of time, and the halves of the array.
 //! - [`data`]: broken and insufficient recordings.
 //! - [`stamps`]: grids and regular gaps of time stamps.
 //! - [`hot`]: rows, then pixels, that fire far more than those around them.
@@ -34,7 +34,7 @@ pub mod changes;
 pub mod contrary;
 pub mod coupling;
 pub mod data;
-mod finding;
+mod departure;
 pub mod flicker;
 pub mod hot;
 pub mod intervals;
@@ -50,7 +50,7 @@ use crate::dependence::Dependence;
 use crate::report::SceneProperty;
 use again::{add_intervals, lacks_interval};
 pub use array::{Stamped, Stream};
-pub use finding::{Finding, Heldout};
+pub use departure::{Departure, Heldout};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use serde::{Deserialize, Serialize};
@@ -63,7 +63,7 @@ pub struct Integrity {
     /// What there is too little of, a sentence each.
     pub lacking: Vec<String>,
     /// Departures, strongest (statistic over threshold) first.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Departure>,
     /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes,
     /// strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -155,7 +155,7 @@ pub(crate) fn joined(a: &[u32], b: &[u32]) -> Vec<u32> {
 }
 
 /// Hot rows, then hot pixels, and the pixels of both; those of `out` (rising) are not looked at.
-fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Finding>, Vec<u32>) {
+fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Departure>, Vec<u32>) {
     let (rows, in_rows) = hot::rows(case, nominal, out);
     let mut masked = joined(&in_rows, out);
     let pixels = hot::pixels(case, nominal, &mut masked);
@@ -169,12 +169,12 @@ fn others(
     stream: Option<&Stream>,
     masked: &[u32],
     wanted: &dyn Fn(&[&str]) -> bool,
-) -> Vec<Finding> {
-    let mut found: Vec<Finding> = stream.map_or_else(Vec::new, |stream| stamps::findings(case, stream));
+) -> Vec<Departure> {
+    let mut found: Vec<Departure> = stream.map_or_else(Vec::new, |stream| stamps::findings(case, stream));
     let on_grid = found.iter().any(|finding| finding.id == stamps::GRID);
     if wanted(&["background_activity", "timestamp_jitter", "refractory"]) {
         // Stamps on a coarse grid have no interval below its step.
-        let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");
+        let says_more = |finding: &Departure| !(on_grid && finding.id == "refractory");
         found.extend(intervals::findings(case, nominal, masked).into_iter().filter(says_more));
     }
     if wanted(&["background_activity"])

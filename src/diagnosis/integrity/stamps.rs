@@ -2,7 +2,7 @@
 //! leaves.
 
 use super::array::Stream;
-use super::finding::Finding;
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::quantile;
 
@@ -20,7 +20,7 @@ const GAP_SHARE: f64 = 0.3;
 const CONCENTRATION: f64 = 0.3;
 
 /// What stamps show.
-pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
+pub fn findings(case: &Case, stream: &Stream) -> Vec<Departure> {
     let stated = if case.t_resolution_ns > 0 { case.t_resolution_ns as f64 } else { USUAL_NS };
     let mut unique: Vec<i64> = stream.0.iter().map(|event| event.t_ns).collect();
     unique.dedup();
@@ -28,7 +28,7 @@ pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
     let Some((gap, share)) = usual_gap(&unique) else { return found };
     let grid = (1..=5).find_map(|part| on_grid(&unique, gap / f64::from(part)));
     if let Some((step, on_it)) = grid.filter(|(step, _)| *step > COARSER * stated) {
-        found.push(Finding {
+        found.push(Departure {
             id: GRID,
             parameters: vec![("step", step * 1e-9)],
             statistic: step / stated,
@@ -111,11 +111,11 @@ fn on_grid(unique: &[i64], step: f64) -> Option<(f64, f64)> {
 }
 
 /// Events leave one row (or one pixel) after the other at equal distances: they waited for each other.
-fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Finding> {
+fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Departure> {
     let events = stream.0.len() as f64;
     let span = stream.span()?;
     let busy = share * gap * events / f64::max((span.1 - span.0) as f64, 1.0);
-    Some(Finding {
+    Some(Departure {
         id: "readout_queue",
         parameters: vec![("service", gap * 1e-9)],
         statistic: share,
@@ -136,7 +136,7 @@ fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Finding> {
 
 /// Stamps that do not sit on the grid of their stated resolution, not even for moments: something shakes them
 /// after they were taken.
-fn off_grid(case: &Case) -> Option<Finding> {
+fn off_grid(case: &Case) -> Option<Departure> {
     if case.t_resolution_ns < 100 {
         return None;
     }
@@ -166,7 +166,7 @@ fn off_grid(case: &Case) -> Option<Finding> {
         return None;
     }
     let sigma_s = jitter_s(case);
-    Some(Finding {
+    Some(Departure {
         id: "timestamp_jitter",
         parameters: vec![("sigma", sigma_s)],
         statistic: CONCENTRATION / f64::max(concentration, 0.03),

@@ -10,7 +10,7 @@
 //! at readouts does not show how strong the coupling is; that is counted where light rises.
 
 use super::array::half;
-use super::finding::{Finding, Heldout};
+use super::departure::{Departure, Heldout};
 use crate::units::readable;
 use photocurrent_scene::case::{Case, CaseFrames, Recorded};
 use photocurrent_scene::nominal::Nominal;
@@ -103,7 +103,7 @@ fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, 
 
 /// ON events where nothing moves, all the time and in no pixel above all: the reference leaks, by itself or
 /// by the light that falls on it.
-pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
+pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Departure> {
     if still.len() < FEWEST_PIXELS {
         return None;
     }
@@ -149,7 +149,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         ("leak_events", ("rate", rate))
     };
     let the_brighter = if light.grows > BY_LIGHT { ", the more the brighter" } else { "" };
-    Some(Finding {
+    Some(Departure {
         id,
         parameters: vec![parameter],
         statistic: sigmas,

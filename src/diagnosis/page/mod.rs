@@ -15,11 +15,11 @@ mod svg;
 
 use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
-use crate::diagnose::{Diagnosis, Proposed};
+use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
-use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
+use crate::report::{BeforeAfter, Finding, Parameter, Report, Verdict, short as number};
+use crate::stages::{Proposal, Proposed};
 use crate::units::{name_of, readable};
-use crate::verdict::Proposal;
 use photocurrent_page::{Page, Section, escaped};
 use photocurrent_scene::case::Case;
 use plot::{Plot, Scale};
@@ -213,7 +213,7 @@ fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
     let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(name_of(key)));
 }
 
-fn location(html: &mut String, effect: &EffectReport) {
+fn location(html: &mut String, effect: &Finding) {
     let (place, evidence) = (&effect.location, &effect.evidence);
     let mut text = format!(
         "{}, {} polarity, rows {}-{}, columns {}-{}, {} pixels; depends on {}. ",

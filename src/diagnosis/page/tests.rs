@@ -5,8 +5,8 @@ use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
 use crate::diagnose::{Setting, broken, check, confirm};
 use crate::residual::located::{Ground, LocatedSetting, Locations};
+use crate::stages::{Decided, Proposal, Unexplained};
 use crate::testing;
-use crate::verdict::{Decided, Proposal, Unexplained};
 
 /// Is the page whole, with nothing loaded from elsewhere and no number that failed?
 fn is_sound(html: &str) {

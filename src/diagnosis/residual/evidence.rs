@@ -138,7 +138,7 @@ pub struct Ranked {
     /// evaluated exactly.
     #[serde(default)]
     pub ks: f64,
-    /// Is its size worth a word ([`crate::verdict::is_material`])?
+    /// Is its size worth a word ([`crate::candidates::Candidate::is_material`])?
     #[serde(default)]
     pub is_material: bool,
     /// How far the free parameters of a known target then stand from where frames alone had them, shares of

@@ -19,7 +19,6 @@ use super::open::{self, Open};
 use super::table::{OF_PIXELS, Seen, Table, median_share};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::rhythm::strongest_period_ns;
-use crate::verdict::is_material;
 use photocurrent_scene::Scene;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::gate::Gate;
@@ -229,7 +228,7 @@ fn left_of(seen: &Seen<'_>, table: &Table) -> f64 {
 /// With those marked whose size is worth a word.
 fn marked(case: &Case, nominal: &Nominal, mut list: Vec<Ranked>) -> Vec<Ranked> {
     list.iter_mut()
-        .for_each(|one| one.is_material = is_material(case, nominal, &CANDIDATES[one.candidate], one.value));
+        .for_each(|one| one.is_material = CANDIDATES[one.candidate].is_material(case, nominal, one.value));
     list
 }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// A departure from the description that a direct test saw.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Finding {
+pub struct Departure {
     /// Catalogue id.
     pub id: &'static str,
     /// Estimates by parameter, in the unit of its declaration; empty when the test gives none.
@@ -31,7 +31,7 @@ pub struct Finding {
 /// Nats that half of the array must gain from what the other half says.
 pub(super) const NATS: f64 = 30.0;
 
-impl Finding {
+impl Departure {
     /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
     pub(crate) fn of_halves(
         id: &'static str,
@@ -39,9 +39,9 @@ impl Finding {
         nats: f64,
         events: usize,
         seen: String,
-    ) -> Finding {
+    ) -> Departure {
         let heldout = Some(Heldout { nats, events });
-        Finding {
+        Departure {
             id,
             parameters: vec![parameter],
             statistic: nats,
