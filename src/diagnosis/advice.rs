@@ -9,7 +9,7 @@ use photocurrent_scene::case::Case;
 use photocurrent_sensor::effects::catalogue;
 
 /// Advice for a diagnosis; nothing when there is nothing to separate.
-pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> Vec<String> {
+pub(crate) fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> Vec<String> {
     let mut advice = Vec::new();
     for finding in &answer.findings {
         let set: Vec<&String> = std::iter::once(&finding.id).chain(&finding.also_possible).collect();

@@ -110,7 +110,7 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    pub fn add(&mut self, by: [f64; 3], value: f64) {
+    pub(super) fn add(&mut self, by: [f64; 3], value: f64) {
         for a in 0..3 {
             for b in 0..3 {
                 self.products[a][b] += by[a] * by[b];
@@ -121,7 +121,7 @@ impl Sums {
         self.count += 1.0;
     }
 
-    pub fn and(&self, other: &Sums) -> Sums {
+    pub(super) fn and(&self, other: &Sums) -> Sums {
         let mut sum = *self;
         for a in 0..3 {
             for b in 0..3 {
@@ -135,7 +135,7 @@ impl Sums {
     }
 
     /// The best factors of the first `n`; none where they cannot be separated.
-    pub fn solve(&self, n: usize) -> Option<[f64; 3]> {
+    pub(super) fn solve(&self, n: usize) -> Option<[f64; 3]> {
         let mut rows = self.products;
         let mut right = self.with;
         for k in 0..n {
@@ -159,7 +159,7 @@ impl Sums {
     }
 
     /// Sum of squares that factors leave.
-    pub fn left(&self, factors: [f64; 3]) -> f64 {
+    pub(super) fn left(&self, factors: [f64; 3]) -> f64 {
         let mut left = self.square;
         for a in 0..3 {
             left -= 2.0 * factors[a] * self.with[a];
@@ -178,12 +178,12 @@ pub(super) struct Predicted {
 
 impl Predicted {
     /// With the factors that are best on `from`; none where they cannot be separated.
-    pub fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
+    pub(super) fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
         Some(Predicted { these, from, factors: from.solve(n)? })
     }
 
     /// Normal errors, of the size that they have in `from`; nats.
-    pub fn log_likelihood(&self) -> f64 {
+    pub(super) fn log_likelihood(&self) -> f64 {
         let variance = f64::max(self.from.left(self.factors) / f64::max(self.from.count, 1.0), 1e-12);
         -0.5 * (self.these.count * libm::log(variance) + self.these.left(self.factors) / variance)
     }
@@ -198,7 +198,7 @@ pub(super) struct Shifts {
 impl Shifts {
     /// Adds up to each shift's sums what `add` says of it, item by item: what is known of an item is at hand
     /// for all shifts. Events are moved earlier by the shift, ns.
-    pub fn tried<T>(
+    pub(super) fn tried<T>(
         period_ns: f64,
         items: impl IntoIterator<Item = T>,
         add: impl Fn(&T, i64, &mut [Sums; 2]),
@@ -217,13 +217,13 @@ impl Shifts {
     }
 
     /// By how much events come late, ns; none at the rim.
-    pub fn best_ns(&self) -> Option<f64> {
+    pub(super) fn best_ns(&self) -> Option<f64> {
         let curve: Vec<f64> = self.tried.iter().map(|[a, b]| Shifts::left(&a.and(b))).collect();
         Some((lowest(&curve)? - SHIFTS as f64) * self.step_ns)
     }
 
     /// Gain over no shift, each half predicted at the shift that is best on the other, nats.
-    pub fn nats(&self) -> f64 {
+    pub(super) fn nats(&self) -> f64 {
         let unmoved = &self.tried[SHIFTS as usize];
         let gain = |side: usize| -> Option<f64> {
             let other = 1 - side;
@@ -267,7 +267,7 @@ pub(super) fn intervals(case: &Case) -> Vec<i64> {
 
 /// What changes between frames show: a blind time, and a delay. The blind time does not ask for the delay
 /// exactly, the delay does for the blind time.
-pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
+pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
     let Some(changes) = Changes::of(case, nominal, masked) else { return Vec::new() };
     let stated_ns = nominal.pixel.refractory_ns;
     let (late_ns, as_stated) = late(case, nominal, &changes, stated_ns);

@@ -72,7 +72,7 @@ impl Against {
 }
 
 /// Events that come at random, seen where the light goes one way; pixels of `masked` are left out.
-pub fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
+pub(super) fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let is_masked = |pixel: usize| masked.binary_search(&(pixel as u32)).is_ok();
     let signs = [OfSign::new(case, -1), OfSign::new(case, 1)];

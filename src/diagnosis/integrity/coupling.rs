@@ -133,7 +133,7 @@ impl Phases {
 
 /// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those
 /// that are left out. Where still pixels decide nothing, all are asked.
-pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
+pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
         let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
         events.map(|events| events.iter().filter(|event| event.polarity == polarity).count()).sum()

@@ -11,7 +11,7 @@ use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::statistics::median;
 
 /// The effects that are found here; their pixels are excluded.
-pub const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
+pub(crate) const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
 /// A row must have this many standard deviations of counting more events in its median pixel than the rows
 /// around it.
 const ROW_SIGMAS: f64 = 1.6;
@@ -31,7 +31,7 @@ const PARTS: usize = 12;
 const DISAGREES: f64 = 2.0;
 
 /// Hot rows, and the pixels in them; pixels of `out` (rising) are not looked at.
-pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Departure>, Vec<u32>) {
+pub(crate) fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Departure>, Vec<u32>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     if height < 8 || width < 8 {
         return (None, Vec::new());
@@ -110,7 +110,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Depa
 }
 
 /// Hot pixels outside the masked ones; adds them to the mask.
-pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> Option<Departure> {
+pub(crate) fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> Option<Departure> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let in_hot_row = masked.clone();
     let is_masked = |pixel: usize| in_hot_row.binary_search(&(pixel as u32)).is_ok();

@@ -25,7 +25,7 @@ const BLIND: f64 = 0.02;
 const PILE: f64 = 0.03;
 
 /// What intervals show; pixels of `masked` are left out.
-pub fn findings(case: &Case, nominal: Option<&Nominal>, masked: &[u32]) -> Vec<Departure> {
+pub(super) fn findings(case: &Case, nominal: Option<&Nominal>, masked: &[u32]) -> Vec<Departure> {
     let (mut all, mut reversals, mut blind) = (Vec::new(), Vec::new(), Vec::new());
     let mut events = 0;
     for pixel in (0..case.events.pixels()).filter(|&pixel| masked.binary_search(&(pixel as u32)).is_err()) {

@@ -15,7 +15,7 @@ const FULL_OVER_NEXT: f64 = 5.0;
 const OVERFULL: f64 = 0.2;
 
 /// Windows that are full: above a count events are lost.
-pub fn loss(case: &Case, stream: &Stream) -> Option<Departure> {
+pub(super) fn loss(case: &Case, stream: &Stream) -> Option<Departure> {
     let (first, last) = stream.span()?;
     let mut found: Vec<(f64, Departure)> = Vec::new();
     for window in WINDOWS_NS.into_iter().filter(|window| (last - first) / window >= 30) {
@@ -91,7 +91,7 @@ fn windows(stream: &Stream, origin: i64, window: i64) -> Vec<(usize, i64)> {
 const BINS: usize = 50;
 
 /// Bursts at one phase of the frames, of one sign, in nearly every frame.
-pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Departure> {
+pub(super) fn frame_coupling(case: &Case, stream: &Stream) -> Option<Departure> {
     let frames = case.frames.as_ref()?;
     let starts: Vec<i64> = frames.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let (first, last) = stream.span()?;

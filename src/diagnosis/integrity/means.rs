@@ -246,7 +246,7 @@ impl Mean {
 /// What pairs of frames say against the description. It is proposed, not found: whoever asks judges by frames
 /// that were held out ([`crate::judge`]).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Proposed {
+pub(crate) struct Proposed {
     /// An offset of the clock.
     pub late: Option<Departure>,
     /// Thresholds, and the same with a dark current; the simpler first, none that gains nothing.
@@ -254,7 +254,7 @@ pub struct Proposed {
 }
 
 /// Of a recording, without the pixels of `masked`.
-pub fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
+pub(crate) fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
     let Some(pairs) = Pairs::of(case, nominal, masked) else { return Proposed::default() };
     let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);
     let (late_ns, late) = late(case, nominal, &pairs, stated);

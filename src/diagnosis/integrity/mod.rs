@@ -9,41 +9,41 @@
 //! In reading order:
 //!
 //! - [`Departure`]: what a test finds; `array`: events in order of time, and the halves of the array.
-//! - [`data`]: broken and insufficient recordings.
-//! - [`stamps`]: grids and regular gaps of time stamps.
-//! - [`hot`]: rows, then pixels, that fire far more than those around them.
-//! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest
+//! - `data`: broken and insufficient recordings.
+//! - `stamps`: grids and regular gaps of time stamps.
+//! - `hot`: rows, then pixels, that fire far more than those around them.
+//! - `intervals`: intervals that are too short for any light (noise, jitter), or pile up at their shortest
 //!   (blind time).
-//! - [`contrary`]: events against the light, where all around goes one way (noise).
-//! - [`load`]: windows of time with one and the same count (loss), bursts in step with the frames.
-//! - [`still`]: pixels in which nothing moves, and the leak that shows there.
-//! - [`coupling`]: events there, or anywhere, that come when their row of the frame is read.
-//! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost
+//! - `contrary`: events against the light, where all around goes one way (noise).
+//! - `load`: windows of time with one and the same count (loss), bursts in step with the frames.
+//! - `still`: pixels in which nothing moves, and the leak that shows there.
+//! - `coupling`: events there, or anywhere, that come when their row of the frame is read.
+//! - `changes`: what the light did between two frames by the frames and by the events: late events, lost
 //!   light.
-//! - [`steps`]: how many events come for a change between two frames: thresholds.
-//! - [`means`]: both for frames of long exposure, by the double integral; and a dark current. It proposes,
+//! - `steps`: how many events come for a change between two frames: thresholds.
+//! - `means`: both for frames of long exposure, by the double integral; and a dark current. It proposes,
 //!   [`crate::judge`] decides.
-//! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene
+//! - `regular`: rates of events that repeat with the frames row by row, or from row to row: what no scene
 //!   does and no effect of the catalogue.
-//! - [`flicker`]: one rhythm common to the whole array.
-//! - [`again`]: 95 % intervals of what is found, by tests made again without parts of the array.
+//! - `flicker`: one rhythm common to the whole array.
+//! - `again`: 95 % intervals of what is found, by tests made again without parts of the array.
 
 pub(crate) mod again;
 mod array;
-pub mod changes;
-pub mod contrary;
-pub mod coupling;
-pub mod data;
+mod changes;
+mod contrary;
+mod coupling;
+pub(crate) mod data;
 mod departure;
-pub mod flicker;
-pub mod hot;
-pub mod intervals;
-pub mod load;
-pub mod means;
-pub mod regular;
-pub mod stamps;
-pub mod steps;
-pub mod still;
+mod flicker;
+pub(crate) mod hot;
+mod intervals;
+mod load;
+pub(crate) mod means;
+pub(crate) mod regular;
+pub(crate) mod stamps;
+mod steps;
+mod still;
 
 use crate::covariates::Covariate;
 use crate::dependence::Dependence;

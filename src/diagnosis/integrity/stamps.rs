@@ -7,7 +7,7 @@ use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::quantile;
 
 /// A grid that is coarser than stated: the recording is then looked at with stamps of its width.
-pub const GRID: &str = "timestamp_quantization";
+pub(crate) const GRID: &str = "timestamp_quantization";
 /// This share of the stamps must sit on a grid.
 const GRID_SHARE: f64 = 0.98;
 /// A grid or gap counts from this multiple of the stated resolution on.
@@ -20,7 +20,7 @@ const GAP_SHARE: f64 = 0.3;
 const CONCENTRATION: f64 = 0.3;
 
 /// What stamps show.
-pub fn findings(case: &Case, stream: &Stream) -> Vec<Departure> {
+pub(crate) fn findings(case: &Case, stream: &Stream) -> Vec<Departure> {
     let stated = if case.t_resolution_ns > 0 { case.t_resolution_ns as f64 } else { USUAL_NS };
     let mut unique: Vec<i64> = stream.0.iter().map(|event| event.t_ns).collect();
     unique.dedup();
@@ -185,7 +185,7 @@ fn off_grid(case: &Case) -> Option<Departure> {
 
 /// Jitter of stamps from the third differences of the fastest runs of four events of one sign, seconds: their
 /// variance is 20 sigma^2 and light changes little in them.
-pub fn jitter_s(case: &Case) -> f64 {
+pub(crate) fn jitter_s(case: &Case) -> f64 {
     let mut runs: Vec<(i64, i64)> = Vec::new();
     for pixel in 0..case.events.pixels() {
         for run in case.events.of(pixel).windows(4) {

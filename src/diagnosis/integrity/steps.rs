@@ -34,7 +34,7 @@ const FULL: f64 = 0.98;
 const DARK: f64 = 0.002;
 
 /// Thresholds that frames contradict.
-pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
+pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
     let Some(panel) = panel(case, nominal, masked) else { return Vec::new() };
     let late_ns = offset(&panel).map_or(0.0, |shift| shift.ns.value);
     let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);

@@ -44,7 +44,7 @@ const BY_LIGHT: f64 = 10.0;
 const ALL_BY_LIGHT: f64 = 3.0;
 
 /// The pixels that are still, rising; none where frames do not show it. `masked` are left out.
-pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
+pub(super) fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
     let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= FEWEST_FRAMES) else {
         return Vec::new();
     };
@@ -103,7 +103,7 @@ fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, 
 
 /// ON events where nothing moves, all the time and in no pixel above all: the reference leaks, by itself or
 /// by the light that falls on it.
-pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Departure> {
+pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Departure> {
     if still.len() < FEWEST_PIXELS {
         return None;
     }

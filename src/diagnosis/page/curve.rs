@@ -11,7 +11,7 @@ use std::fmt::Write;
 const GREY: &str = "var(--edge)";
 
 /// The curve of what has no name.
-pub fn unnamed(html: &mut String, dependence: &Dependence) {
+pub(super) fn unnamed(html: &mut String, dependence: &Dependence) {
     let (what, unit, factor) = match dependence.moved {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),

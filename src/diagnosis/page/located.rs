@@ -17,7 +17,7 @@ const SHADES: f64 = 15.0;
 const OPAQUE: f64 = 0.8;
 
 /// One effect.
-pub fn located(html: &mut String, case: &Case, name: &str, found: &Located) {
+pub(super) fn located(html: &mut String, case: &Case, name: &str, found: &Located) {
     let _ = writeln!(html, "<h3>{}</h3>\n<p>{}</p>", escaped(name), escaped(&words(case, found)));
     html.push_str(&map(case, found));
     let curves = [
@@ -169,7 +169,7 @@ fn map(case: &Case, found: &Located) -> String {
 }
 
 /// The frame in the middle of the recording, as grey runs of equal shade; nothing without frames.
-pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
+pub(super) fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     let Some(frames) = &case.frames else { return };
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let side = width.max(height).div_ceil(MOST_CELLS).max(1);

@@ -14,7 +14,7 @@ use std::fmt::Write;
 const FEWEST: usize = 5;
 
 /// Three pixels: from those whose held-out frames the nominal description predicts worst, as usual, and best.
-pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
+pub(super) fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
     let (Ok(nominal), Some(before), Some(sample)) = (case.nominal(), &found.predictions.0, &found.sample)
     else {
         return;

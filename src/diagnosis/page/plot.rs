@@ -14,7 +14,7 @@ const LETTER: f64 = 6.6;
 
 /// Which marks an axis has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scale {
+pub(super) enum Scale {
     /// Equal steps.
     Linear,
     /// Equal steps, marks at whole numbers alone.
@@ -24,7 +24,7 @@ pub enum Scale {
 }
 
 /// Axes over which curves are drawn.
-pub struct Plot {
+pub(super) struct Plot {
     svg: String,
     x: (f64, f64),
     y: (f64, f64),
@@ -37,7 +37,7 @@ pub struct Plot {
 impl Plot {
     /// Axes that hold some points (coordinates that are not finite are left out), with a scale across and
     /// named rows of ticks under the axes.
-    pub fn with_rows(
+    pub(super) fn with_rows(
         points: impl Iterator<Item = (f64, f64)>,
         width: f64,
         height: f64,
@@ -106,7 +106,7 @@ impl Plot {
     }
 
     /// Where a point stands on the page.
-    pub fn place(&self, point: (f64, f64)) -> (f64, f64) {
+    pub(super) fn place(&self, point: (f64, f64)) -> (f64, f64) {
         let (width, height) = (self.size.0 - MARGIN.0 - MARGIN.1, self.bottom() - MARGIN.2);
         let share = |value: f64, range: (f64, f64)| (value - range.0) / (range.1 - range.0);
         let across = match self.scale {
@@ -119,12 +119,12 @@ impl Plot {
     }
 
     /// A name for a colour.
-    pub fn name(&mut self, colour: &str, name: &str) {
+    pub(super) fn name(&mut self, colour: &str, name: &str) {
         self.legend.push((colour.to_owned(), name.to_owned()));
     }
 
     /// A curve; `dashes` as in SVG, none for a whole line.
-    pub fn line(&mut self, points: &[(f64, f64)], colour: &str, dashes: Option<&str>) {
+    pub(super) fn line(&mut self, points: &[(f64, f64)], colour: &str, dashes: Option<&str>) {
         let mut path = String::new();
         for point in points.iter().filter(|point| point.0.is_finite() && point.1.is_finite()) {
             let (x, y) = self.place(*point);
@@ -140,7 +140,7 @@ impl Plot {
 
     /// Points with bars of `error` up and down, moved across by `shift` pixels so that two sets stand next to
     /// each other.
-    pub fn points(&mut self, points: &[(f64, f64, f64)], colour: &str, shift: f64) {
+    pub(super) fn points(&mut self, points: &[(f64, f64, f64)], colour: &str, shift: f64) {
         for &(at, value, error) in points {
             let ((x, y), (_, high), (_, low)) =
                 (self.place((at, value)), self.place((at, value + error)), self.place((at, value - error)));
@@ -154,7 +154,7 @@ impl Plot {
     }
 
     /// A level bar from one instant to another.
-    pub fn level(&mut self, from: f64, to: f64, value: f64, colour: &str) {
+    pub(super) fn level(&mut self, from: f64, to: f64, value: f64, colour: &str) {
         let ((x1, y), (x2, _)) = (self.place((from, value)), self.place((to, value)));
         let _ = write!(
             self.svg,
@@ -164,7 +164,7 @@ impl Plot {
     }
 
     /// A tick of a row, upwards from its middle or down.
-    pub fn tick(&mut self, row: usize, x: f64, up: bool, colour: &str) {
+    pub(super) fn tick(&mut self, row: usize, x: f64, up: bool, colour: &str) {
         let (x, middle) = (self.place((x, self.y.0)).0, self.row(row));
         let to = if up { middle - 9.0 } else { middle + 9.0 };
         let _ = write!(
@@ -174,7 +174,7 @@ impl Plot {
     }
 
     /// The finished picture, with marks and names of both axes, and of colours.
-    pub fn close(mut self, x_label: &str, y_label: &str) -> String {
+    pub(super) fn close(mut self, x_label: &str, y_label: &str) -> String {
         let (width, height) = self.size;
         let bottom = self.bottom();
         for at in marks(self.y) {

@@ -5,7 +5,7 @@ use photocurrent_page::escaped;
 use std::fmt::Write;
 
 /// A bar of a chart.
-pub struct Bar {
+pub(super) struct Bar {
     /// Next to it.
     pub label: String,
     /// Its length, in multiples of the detection threshold.
@@ -15,11 +15,11 @@ pub struct Bar {
 }
 
 /// Colours that colour-blind readers can distinguish, as the style of the page has them for light and dark.
-pub const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
+pub(super) const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
 
 /// Horizontal bars on a logarithmic axis from a tenth of the detection threshold up, with a line at that
 /// threshold.
-pub fn bars(bars: &[Bar]) -> String {
+pub(super) fn bars(bars: &[Bar]) -> String {
     const LEFT: f64 = 220.0;
     const WIDTH: f64 = 420.0;
     const ROW: f64 = 22.0;
@@ -61,12 +61,12 @@ pub fn bars(bars: &[Bar]) -> String {
 }
 
 /// A map with its title: a value for each pixel of an array, NaN = not known.
-pub type Map = (&'static str, Vec<f64>);
+pub(super) type Map = (&'static str, Vec<f64>);
 
 /// Maps of one array side by side, on one scale from white (0) to dark red (the 98th percentile of all and
 /// more); what is not known stays grey. Pixels of a large array are put together. `what` names value and
 /// unit.
-pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
+pub(super) fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     const MOST: usize = 128;
     const GAP: f64 = 20.0;
     const TOP: f64 = 20.0;
@@ -130,7 +130,7 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
 }
 
 /// The head of a picture; `what` is its name for those who do not see it.
-pub fn open(what: &str, width: f64, height: f64) -> String {
+pub(super) fn open(what: &str, width: f64, height: f64) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"figure\" role=\"img\" aria-label=\"{}\" \
          viewBox=\"0 0 {width:.1} {height:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \

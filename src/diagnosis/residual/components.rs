@@ -19,7 +19,7 @@ use photocurrent_scene::statistics::median;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Part {
+pub(super) struct Part {
     /// Number in [`CANDIDATES`].
     pub candidate: usize,
     /// Held-out gain over the plain distribution, nats an event.
@@ -31,7 +31,7 @@ pub struct Part {
 }
 
 /// What parts are measured on.
-pub struct Ground<'a> {
+pub(super) struct Ground<'a> {
     /// The events.
     pub events: &'a Residuals,
     /// Their residuals, natural-log units, with whatever was found applied.
@@ -60,7 +60,7 @@ const LEAST_PAIRS: usize = 200;
 
 /// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0
 /// where too few do. `cells`: what the events' pixels looked at.
-pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
+pub(super) fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     let most = 4.0 * median(&mut sizes);
     let mut order: Vec<((Cell, i8), u32, usize)> =
@@ -77,14 +77,14 @@ pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 
 }
 
 /// The effects that are differences between pixels, in the order of [`Ground::columns`].
-pub const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
+pub(super) const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
 const MISMATCH: &str = "threshold_mismatch";
 const SPREAD: &str = "refractory_spread";
 
 /// All parts of a recording.
 ///
 /// `noise`: of the plain distribution, usually the control's.
-pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
+pub(super) fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let find = |id: &str| CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.is_random);
     let own = EventNoise::estimate(ground.residual, &ground.events.slope_per_s, ground.least);
     let mut found = Vec::new();
@@ -289,7 +289,7 @@ impl Ground<'_> {
 /// The parameter of a part's size beyond the control's, in the unit of its declaration. `effect_sizes`: what
 /// one effect size of the threshold's scale and of the refractory period are, as shares of the threshold and
 /// in seconds.
-pub fn value(
+pub(super) fn value(
     part: &Part,
     control: f64,
     threshold: f64,

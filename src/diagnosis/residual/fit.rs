@@ -4,12 +4,12 @@
 use std::ops::Range;
 
 /// Degrees of freedom of the residuals' Student-t distribution.
-pub const NU: f64 = 3.0;
+pub(super) const NU: f64 = 3.0;
 
 /// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope
 /// (stamps).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EventNoise {
+pub(super) struct EventNoise {
     /// Threshold part, natural-log units.
     pub a: f64,
     /// Stamp part, seconds.
@@ -19,13 +19,13 @@ pub struct EventNoise {
 impl EventNoise {
     /// Scale of an event's residual.
     #[inline]
-    pub fn sigma(&self, slope_per_s: f64) -> f64 {
+    pub(super) fn sigma(&self, slope_per_s: f64) -> f64 {
         libm::sqrt(self.a * self.a + self.b * self.b * slope_per_s * slope_per_s)
     }
 
     /// Largest distance of the residuals' probabilities under this noise from evenly spread ones (Kolmogorov
     /// and Smirnov).
-    pub fn distance(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
+    pub(super) fn distance(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
         let mut probability: Vec<f64> = residual
             .iter()
             .zip(slope_per_s)
@@ -38,7 +38,7 @@ impl EventNoise {
     }
 
     /// From residuals: robust scales in eight bins of slope, fitted by `a^2 + b^2 slope^2`; at least `least`.
-    pub fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
+    pub(super) fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
         EventNoise::in_order(residual, slope_per_s, &by_slope(slope_per_s), least)
     }
 
@@ -76,7 +76,7 @@ impl EventNoise {
     }
 
     /// Log density of residuals.
-    pub fn log_density(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
+    pub(super) fn log_density(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
         residual
             .iter()
             .zip(slope_per_s)
@@ -108,7 +108,7 @@ fn probability_t(z: f64) -> f64 {
 /// What stands with residuals: events first, then frame values (of a scene that does not hang on them), each
 /// kind with a noise of its own.
 #[derive(Clone, Copy, Debug)]
-pub struct Rows<'a> {
+pub(super) struct Rows<'a> {
     /// How fast the voltage moves at events, ln/s; how bright frame values are, DN.
     pub slope: &'a [f64],
     /// Block of pixels; the last bit is the half that it belongs to.
@@ -126,7 +126,7 @@ pub struct Rows<'a> {
 
 /// What a picture that is too soft leaves of each row, per size of its own; sizes lie between `most` and 0.
 #[derive(Clone, Copy, Debug)]
-pub struct Soft<'a> {
+pub(super) struct Soft<'a> {
     /// The column.
     pub column: &'a [f32],
     /// What it changes of the logarithm of each slope.
@@ -137,7 +137,7 @@ pub struct Soft<'a> {
 
 /// An effect's column, and what it changes of the logarithm of each slope: both per size.
 #[derive(Clone, Debug, Default)]
-pub struct Column {
+pub(super) struct Column {
     /// Of residuals.
     pub of: Vec<f32>,
     /// Of log slopes; nothing where it changes none.
@@ -149,14 +149,14 @@ const LEAST_DN: f64 = 0.3;
 
 /// Noise of both kinds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub(super) struct Noise {
     events: EventNoise,
     frames: EventNoise,
 }
 
 impl Noise {
     /// Of events.
-    pub fn of_events(&self) -> EventNoise {
+    pub(super) fn of_events(&self) -> EventNoise {
         self.events
     }
 }
@@ -207,7 +207,7 @@ impl Rows<'_> {
 
 /// Columns, fitted together.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Fitted {
+pub(super) struct Fitted {
     /// Sizes, each in units of its column's own.
     pub size: Vec<f64>,
     /// Standard errors: half of what two halves of the blocks differ by.
@@ -235,7 +235,7 @@ struct Solved {
 }
 
 /// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
-pub fn fit(
+pub(super) fn fit(
     residual: &[f64],
     rows: &Rows<'_>,
     columns: &[&[f32]],
@@ -279,7 +279,7 @@ impl Soft<'_> {
 
 /// Residuals without what a picture that is too soft leaves, and without what free parameters of the scene
 /// explain.
-pub fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
+pub(super) fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
     if rows.soft.is_none() && rows.free.is_empty() {
         return residual.to_vec();
     }
@@ -355,7 +355,7 @@ fn least_squares(
 /// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its
 /// residual times the slope. Frame values have none.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen<'a> {
+pub(super) struct Seen<'a> {
     /// Residuals.
     pub residual: &'a [f64],
     /// Log slopes of the events.
@@ -381,7 +381,7 @@ impl Seen<'_> {
 /// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is
 /// fitted to the other half of the blocks. Each with its rows, which differ by what is free of the scene
 /// alone.
-pub fn gain_of(
+pub(super) fn gain_of(
     (before, plain_rows): (Seen<'_>, &Rows<'_>),
     (left, rows): (Seen<'_>, &Rows<'_>),
 ) -> (f64, f64) {
@@ -402,7 +402,10 @@ pub fn gain_of(
 /// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture
 /// that is too soft leaves) that is found with what is `left`: a row that is not changed gains nothing. Each
 /// with what is free of the scene where it fits best.
-pub fn gains((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<'_>, &Rows<'_>)) -> Vec<f64> {
+pub(super) fn gains(
+    (before, plain_rows): (Seen<'_>, &Rows<'_>),
+    (left, rows): (Seen<'_>, &Rows<'_>),
+) -> Vec<f64> {
     let with = solve(left.residual, rows, &[], |_| true);
     let free = if rows.free.is_empty() {
         Vec::new()
@@ -422,7 +425,7 @@ fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
 }
 
 /// Residuals with no column, fitted on either half of the blocks.
-pub struct Plain<'a> {
+pub(super) struct Plain<'a> {
     residual: &'a [f64],
     rows: Rows<'a>,
     halves: [Solved; 2],
@@ -430,7 +433,7 @@ pub struct Plain<'a> {
 
 impl<'a> Plain<'a> {
     /// Of residuals.
-    pub fn new(residual: &'a [f64], rows: Rows<'a>) -> Plain<'a> {
+    pub(super) fn new(residual: &'a [f64], rows: Rows<'a>) -> Plain<'a> {
         let halves = [0_u32, 1].map(|half| solve(residual, &rows, &[], |k| rows.block[k] % 2 == half));
         Plain { residual, rows, halves }
     }
@@ -438,7 +441,7 @@ impl<'a> Plain<'a> {
 
 impl Plain<'_> {
     /// Held-out log-likelihood of an event's time, nats, of a density per second. `log_slope`: of the events.
-    pub fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
+    pub(super) fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
         let seen = Seen { residual: self.residual, log_slope };
         let events = self.rows.events.min(self.residual.len());
         let sum: f64 = (0..events)
@@ -449,7 +452,7 @@ impl Plain<'_> {
 
     /// Fisher information of an event about the size of a column, under Student's t: that which free
     /// parameters of the scene cannot have.
-    pub fn information(&self, column: &Column) -> f64 {
+    pub(super) fn information(&self, column: &Column) -> f64 {
         let events = self.rows.events.min(self.residual.len());
         let n = self.rows.free.len();
         let noise = &self.halves[0].noise;
@@ -473,7 +476,7 @@ impl Plain<'_> {
 
 /// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an
 /// event; size from all rows.
-pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
+pub(super) fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
     let whole = plain;
     let Plain { residual, rows, halves: plain } = plain;
     let blocks = rows.blocks();

@@ -5,7 +5,7 @@ use crate::covariates::{Covariate, Surroundings};
 
 /// Values of a covariate at every event and at the event before it; NaN where it has none.
 #[derive(Clone, Debug)]
-pub struct Laid {
+pub(crate) struct Laid {
     /// What.
     pub covariate: Covariate,
     /// Of a rhythm, its period, ns.
@@ -17,7 +17,7 @@ pub struct Laid {
 }
 
 /// Lays every covariate over the events.
-pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
+pub(super) fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
     Covariate::ALL
         .into_iter()
         .filter(|covariate| *covariate != Covariate::AcPhase || period_ns.is_some())
@@ -47,7 +47,7 @@ pub(super) struct Bins {
 impl Bins {
     /// At most so many bins with about as many values each, and no fewer than `least` of them; values of a
     /// class are bins of their own.
-    pub fn new(values: &[f64], most: usize, least: usize, is_class: bool) -> Bins {
+    pub(super) fn new(values: &[f64], most: usize, least: usize, is_class: bool) -> Bins {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);
         let count = most.min(sorted.len() / least.max(1));
@@ -73,7 +73,7 @@ impl Bins {
     }
 
     /// The bin of a value; none of what is not finite.
-    pub fn bin(&self, value: f64) -> Option<u32> {
+    pub(super) fn bin(&self, value: f64) -> Option<u32> {
         value.is_finite().then(|| self.edges.partition_point(|edge| *edge <= value) as u32)
     }
 }

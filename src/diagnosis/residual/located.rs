@@ -11,7 +11,7 @@
 //! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate
 //! leaves out carry no information; random effects are not located.
 
-pub use super::axis::Mean;
+pub(crate) use super::axis::Mean;
 use super::axis::{best, mean, shape};
 use super::laid::{Bins, Laid};
 use crate::covariates::Covariate;
@@ -208,7 +208,7 @@ impl Locations {
 }
 
 /// What gains are located on: events, or frame values.
-pub struct Ground<'a> {
+pub(crate) struct Ground<'a> {
     /// The recording.
     pub case: &'a Case,
     /// The pixel of each.
@@ -240,7 +240,7 @@ struct Steps {
 
 impl<'a> Ground<'a> {
     /// Of events or frame values; `laid`: their covariates.
-    pub fn new(
+    pub(crate) fn new(
         case: &'a Case,
         (pixel, t_ns, polarity): (&'a [u32], &'a [i64], &'a [i8]),
         log_light: &'a [f64],
@@ -257,7 +257,7 @@ impl<'a> Ground<'a> {
 
     /// Where gains are, nats, one for each event; `own`: the covariate that the catalogue states for the
     /// effect.
-    pub fn locate(&self, gains: &[f64], own: &str) -> Located {
+    pub(crate) fn locate(&self, gains: &[f64], own: &str) -> Located {
         let gains: Vec<f64> = gains.iter().map(|gain| if gain.is_finite() { *gain } else { 0.0 }).collect();
         let (case, setting) = (self.case, self.setting);
         let Steps { row, column, time: step, step_ns, lit, lights } = &self.steps(gains.len());

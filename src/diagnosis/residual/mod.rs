@@ -8,21 +8,21 @@
 //! [`through_frames`] takes it off.
 //!
 //! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
-//! - [`fit`]: size and gain of each effect.
-//! - [`components`]: random effects.
-//! - [`open`]: what no effect of the catalogue has.
-//! - [`control`]: what is found where nothing is.
-//! - [`located`]: where the gain of an effect is.
+//! - `fit`: size and gain of each effect.
+//! - `components`: random effects.
+//! - `open`: what no effect of the catalogue has.
+//! - `control`: what is found where nothing is.
+//! - `located`: where the gain of an effect is.
 //! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
 
 mod axis;
-pub mod components;
-pub mod control;
+mod components;
+mod control;
 pub mod evidence;
-pub mod fit;
+mod fit;
 mod laid;
-pub mod located;
-pub mod open;
+pub(crate) mod located;
+pub(crate) mod open;
 mod places;
 mod prepared;
 pub mod ranking;

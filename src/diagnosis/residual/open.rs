@@ -54,7 +54,7 @@ impl Open {
 }
 
 /// Takes what the control finds off, and sorts again, best first.
-pub fn beyond(found: &mut [Open], control: &[Open]) {
+pub(crate) fn beyond(found: &mut [Open], control: &[Open]) {
     for one in found.iter_mut() {
         let same = |other: &&Open| {
             (other.dependence.covariate, other.dependence.moved)
@@ -73,7 +73,7 @@ const LEFT_OUT: [Covariate; 2] = [Covariate::Polarity, Covariate::Lag];
 ///
 /// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units;
 /// `least`: least noise.
-pub fn dependences(
+pub(crate) fn dependences(
     events: &Residuals,
     residual: &[f64],
     block: &[u32],
@@ -145,7 +145,7 @@ impl Free {
 }
 
 /// What each event gains by a curve over one size for all of its bins, nats ([`fit::gains`]).
-pub fn gains(
+pub(crate) fn gains(
     events: &Residuals,
     residual: &[f64],
     block: &[u32],

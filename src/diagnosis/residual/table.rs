@@ -125,7 +125,7 @@ impl Table {
     }
 
     /// Fits every column with what a picture that is too soft leaves, `softest` of it at most.
-    pub fn fit(&mut self, softest: f64) {
+    pub(super) fn fit(&mut self, softest: f64) {
         self.softest = softest;
         let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
         let (soft, sharp) = (plain(false), plain(true));
@@ -141,23 +141,23 @@ impl Table {
 
     /// How much too soft the picture is: the size of the blur's column that events have too little of, 0 or
     /// below.
-    pub fn softness(&self) -> f64 {
+    pub(super) fn softness(&self) -> f64 {
         let size = |(_, fitted): &(usize, Fitted)| fitted.size[0];
         self.fitted.iter().find(|(n, _)| CANDIDATES[*n].id == SOFTNESS).map_or(0.0, size).min(0.0)
     }
 
     /// Residuals of the events.
-    pub fn residual(&self) -> &[f64] {
+    pub(super) fn residual(&self) -> &[f64] {
         &self.base[..self.events.pixel.len()]
     }
 
     /// The same without what a picture that is too soft leaves, or what free parameters of the scene explain.
-    pub fn sharp(&self) -> &[f64] {
+    pub(super) fn sharp(&self) -> &[f64] {
         &self.sharp
     }
 
     /// Columns of the events that each pixel may have a size of its own of.
-    pub fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
+    pub(super) fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
         let events = self.events.pixel.len();
         OF_PIXELS.map(|(id, parameter)| {
             self.of(id, parameter)
@@ -211,7 +211,7 @@ const FARTHEST: f64 = 0.2;
 
 impl Seen<'_> {
     /// The light of the pixels with each free parameter of the scene moved by a step from shares `by`.
-    pub fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
+    pub(super) fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
         let Some(target) = self.source.target() else { return Vec::new() };
         let one = |(k, (_, step)): (usize, (f64, f64))| {
             let mut moved = by.to_vec();
@@ -323,7 +323,7 @@ impl Seen<'_> {
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than
     /// are fitted.
-    pub fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
+    pub(super) fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
         if self.is_known {
             return Ok(1.0);
         }
@@ -338,7 +338,7 @@ impl Seen<'_> {
 
     /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is
     /// known.
-    pub fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
+    pub(super) fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
         let front_end = nominal.pixel.front_end;
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
         let surroundings = Surroundings::of(
@@ -364,7 +364,7 @@ impl Seen<'_> {
     }
 
     /// What gains over the residuals of a table are located on.
-    pub fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
+    pub(super) fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
         let (events, frames, setting) = (&table.events, &table.frames, &self.setting.located);
         let (of_events, of_frames) = table.block.split_at(events.pixel.len());
         let on = (&events.pixel[..], &events.t_ns[..], &events.polarity[..]);
@@ -385,7 +385,7 @@ impl Seen<'_> {
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
-    pub fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
+    pub(super) fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
         open::dependences(
             &table.events,
             table.sharp(),
@@ -398,7 +398,13 @@ impl Seen<'_> {
     }
 
     /// Where the best of them is.
-    pub fn locate_dependence(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
+    pub(super) fn locate_dependence(
+        &self,
+        table: &Table,
+        laid: &[Laid],
+        places: &Places<'_>,
+        best: &mut Open,
+    ) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
         let gains = open::gains(
             events,
@@ -426,7 +432,7 @@ impl Seen<'_> {
 
     /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too
     /// soft by `softest` at most.
-    pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
+    pub(super) fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
         let can_be = |n: &usize| {
             Prepared::new(self.case, &trial.and(&CANDIDATES[*n], self.probe(*n), self.scales)).is_ok()
@@ -485,7 +491,7 @@ impl Seen<'_> {
 
     /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain
     /// is that over the residuals of `table`.
-    pub fn refine(
+    pub(super) fn refine(
         &self,
         trial: &Trial,
         table: &Table,
@@ -611,7 +617,7 @@ impl Seen<'_> {
 
     /// All effects on top of a table's sensor, best first; the best few are exact. With `first`, an effect
     /// that the table's sensor has and its effect size, both sizes are fitted together on top of `bare`.
-    pub fn rank(
+    pub(super) fn rank(
         &self,
         bare: &Trial,
         table: &Table,
