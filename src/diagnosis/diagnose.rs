@@ -48,6 +48,15 @@ impl Default for Setting {
     }
 }
 
+/// Held-out frames, predicted.
+#[derive(Clone, Debug, Default)]
+pub struct Predictions {
+    /// With the nominal description; none where they were not.
+    pub nominal: Option<Prediction>,
+    /// With the fitted one.
+    pub fitted: Option<Prediction>,
+}
+
 /// What came of a diagnosis.
 #[derive(Clone, Debug)]
 pub struct Diagnosis {
@@ -61,8 +70,8 @@ pub struct Diagnosis {
     pub proposed: Proposed,
     /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
-    /// Held-out frames predicted with the nominal and with the fitted description.
-    pub predictions: (Option<Prediction>, Option<Prediction>),
+    /// Held-out frames.
+    pub predictions: Predictions,
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
     /// Where effects of the report are, by id; those that were measured.
@@ -151,7 +160,7 @@ pub fn confirm(
             }
         }
     }
-    let predictions = (before, after);
+    let predictions = Predictions { nominal: before, fitted: after };
     let report = report(case, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
@@ -186,14 +195,14 @@ fn report(
     proposed: &Proposed,
     answer: &Answer,
     changed: Option<&Sensor>,
-    predictions: &(Option<Prediction>, Option<Prediction>),
+    predictions: &Predictions,
 ) -> Report {
     let unnamed = answer.unexplained.iter().map(|found| Finding::unnamed(case, found, proposed.decided()));
     let effects: Vec<Finding> = answer.findings.iter().cloned().chain(unnamed).collect();
     let psnr = predictions
-        .0
+        .nominal
         .as_ref()
-        .zip(predictions.1.as_ref())
+        .zip(predictions.fitted.as_ref())
         .map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let decided = proposed.decided();
     let gained: f64 = answer

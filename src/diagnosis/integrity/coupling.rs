@@ -140,7 +140,7 @@ pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[
     };
     let (on, off) = (count(still, 1), count(still, -1));
     let prevails = if on >= off { 1 } else { -1 };
-    let found = in_step(case, nominal, (still, prevails), on.min(off), masked, "where nothing moves");
+    let found = in_step(case, nominal, still, prevails, on.min(off), masked, "where nothing moves");
     found.or_else(|| {
         let all: Vec<u32> =
             (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
@@ -150,7 +150,7 @@ pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[
             |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
         let some: Vec<u32> = all.into_iter().filter(|&pixel| is_drawn(pixel)).collect();
         let strongest = [1, -1].into_iter().filter_map(|polarity| {
-            in_step(case, nominal, (&some, polarity), count(&some, -polarity), masked, "of all pixels")
+            in_step(case, nominal, &some, polarity, count(&some, -polarity), masked, "of all pixels")
         });
         strongest.max_by(|a, b| a.statistic.total_cmp(&b.statistic))
     })
@@ -161,7 +161,8 @@ pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[
 fn in_step(
     case: &Case,
     nominal: &Nominal,
-    (pixels, polarity): (&[u32], i8),
+    pixels: &[u32],
+    polarity: i8,
     other: usize,
     masked: &[u32],
     where_from: &str,

@@ -307,7 +307,7 @@ fn scores(html: &mut String, found: &Diagnosis) {
 
 /// Held-out frames: before and after, where, when.
 fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
-    let Some(before) = &found.predictions.0 else { return };
+    let Some(before) = &found.predictions.nominal else { return };
     html.push_str(
         "<p>Every third frame is held out and predicted from the events and the other frames, as \
                    <code>solve/map</code> would.</p>\n",
@@ -317,7 +317,7 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
                    class=\"number\">nominal</th><th scope=\"col\" \
                    class=\"number\">fitted</th></tr></thead>\n",
     );
-    let after = found.predictions.1.as_ref();
+    let after = found.predictions.fitted.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
     let _ = writeln!(
         html,

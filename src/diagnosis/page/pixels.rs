@@ -15,11 +15,12 @@ const FEWEST: usize = 5;
 
 /// Three pixels: from those whose held-out frames the nominal description predicts worst, as usual, and best.
 pub(super) fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
-    let (Ok(nominal), Some(before), Some(sample)) = (case.nominal(), &found.predictions.0, &found.sample)
+    let (Ok(nominal), Some(before), Some(sample)) =
+        (case.nominal(), &found.predictions.nominal, &found.sample)
     else {
         return;
     };
-    let after = found.predictions.1.as_ref();
+    let after = found.predictions.fitted.as_ref();
     let is_example = |n: &usize| {
         before.by_pixel[*n].is_finite() && case.events.of(sample.pixels[*n] as usize).len() >= FEWEST
     };

@@ -4,7 +4,7 @@ use super::*;
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
 use crate::diagnose::{Setting, broken, check, confirm};
-use crate::residual::located::{Ground, LocatedSetting, Locations};
+use crate::residual::located::{Ground, LocatedSetting, Locations, Values};
 use crate::stages::{Decided, Proposal, Unexplained};
 use crate::testing;
 
@@ -146,8 +146,8 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
         .map(|k| if place(k).0 < 6 { 1.0 + 0.1 * (k % 7) as f64 } else { 0.01 * (k % 7) as f64 - 0.02 })
         .collect();
     let setting = LocatedSetting { least_events: 20, rim_events: 4, ..LocatedSetting::default() };
-    let located = Ground::new(&case, (&pixel, &t_ns, &polarity), &light, &block, &[], &setting)
-        .locate(&gains, "time_since_last_event");
+    let on = Values { pixel: &pixel, t_ns: &t_ns, polarity: &polarity, log_light: &light, block: &block };
+    let located = Ground::new(&case, on, &[], &setting).locate(&gains, "time_since_last_event");
     assert_eq!(located.columns.range, [0, 5]);
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
     let proposal = Proposal {

@@ -355,15 +355,18 @@ fn least_squares(
 /// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its
 /// residual times the slope. Frame values have none.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen<'a> {
+pub(super) struct Rest<'a> {
     /// Residuals.
     pub residual: &'a [f64],
     /// Log slopes of the events.
     pub log_slope: &'a [f32],
+    /// What else is known of them.
+    pub rows: &'a Rows<'a>,
 }
 
-impl Seen<'_> {
-    fn log(&self, rows: &Rows<'_>, found: &Solved, k: usize) -> f64 {
+impl Rest<'_> {
+    fn log(&self, found: &Solved, k: usize) -> f64 {
+        let rows = self.rows;
         let soft = rows.soft.map_or((0.0, 0.0), |soft| {
             (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log)))
         });
@@ -379,20 +382,16 @@ impl Seen<'_> {
 }
 
 /// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is
-/// fitted to the other half of the blocks. Each with its rows, which differ by what is free of the scene
-/// alone.
-pub(super) fn gain_of(
-    (before, plain_rows): (Seen<'_>, &Rows<'_>),
-    (left, rows): (Seen<'_>, &Rows<'_>),
-) -> (f64, f64) {
+/// fitted to the other half of the blocks. Their rows differ by what is free of the scene alone.
+pub(super) fn gain_of(before: Rest<'_>, left: Rest<'_>) -> (f64, f64) {
+    let rows = left.rows;
     let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
-        let (with, plain) =
-            (solve(left.residual, rows, &[], train), solve(before.residual, plain_rows, &[], train));
+        let [with, plain] = [left, before].map(|rest| solve(rest.residual, rest.rows, &[], train));
         for k in (0..before.residual.len()).filter(|&k| !train(k)) {
-            gains[rows.block[k] as usize] += left.log(rows, &with, k) - before.log(plain_rows, &plain, k);
+            gains[rows.block[k] as usize] += left.log(&with, k) - before.log(&plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
     }
@@ -402,18 +401,15 @@ pub(super) fn gain_of(
 /// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture
 /// that is too soft leaves) that is found with what is `left`: a row that is not changed gains nothing. Each
 /// with what is free of the scene where it fits best.
-pub(super) fn gains(
-    (before, plain_rows): (Seen<'_>, &Rows<'_>),
-    (left, rows): (Seen<'_>, &Rows<'_>),
-) -> Vec<f64> {
-    let with = solve(left.residual, rows, &[], |_| true);
-    let free = if rows.free.is_empty() {
+pub(super) fn gains(before: Rest<'_>, left: Rest<'_>) -> Vec<f64> {
+    let with = solve(left.residual, left.rows, &[], |_| true);
+    let free = if left.rows.free.is_empty() {
         Vec::new()
     } else {
-        solve(before.residual, plain_rows, &[], |_| true).free
+        solve(before.residual, before.rows, &[], |_| true).free
     };
     let plain = Solved { sizes: Vec::new(), free, ..with.clone() };
-    (0..before.residual.len()).map(|k| left.log(rows, &with, k) - before.log(plain_rows, &plain, k)).collect()
+    (0..before.residual.len()).map(|k| left.log(&with, k) - before.log(&plain, k)).collect()
 }
 
 /// Mean per event and its standard error.
@@ -442,11 +438,10 @@ impl<'a> Plain<'a> {
 impl Plain<'_> {
     /// Held-out log-likelihood of an event's time, nats, of a density per second. `log_slope`: of the events.
     pub(super) fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
-        let seen = Seen { residual: self.residual, log_slope };
+        let rest = Rest { residual: self.residual, log_slope, rows: &self.rows };
         let events = self.rows.events.min(self.residual.len());
-        let sum: f64 = (0..events)
-            .map(|k| seen.log(&self.rows, &self.halves[1 - (self.rows.block[k] % 2) as usize], k))
-            .sum();
+        let sum: f64 =
+            (0..events).map(|k| rest.log(&self.halves[1 - (self.rows.block[k] % 2) as usize], k)).sum();
         sum / events.max(1) as f64
     }
 
@@ -484,7 +479,7 @@ pub(super) fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
     let mut counts = vec![0.0; blocks];
     let mut halves = [Vec::new(), Vec::new()];
     let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
-    let plain_seen = Seen { residual, log_slope: &[] };
+    let before = Rest { residual, log_slope: &[], rows };
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
         let with = solve(residual, rows, &of, train);
@@ -497,9 +492,9 @@ pub(super) fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
         let steeper: Vec<f32> = (0..rows.events)
             .map(|k| sum(&|column| column.log_slope.get(k).map_or(0.0, |log| f64::from(*log))) as f32)
             .collect();
-        let seen = Seen { residual: &left, log_slope: &steeper };
+        let rest = Rest { residual: &left, log_slope: &steeper, rows };
         for k in (0..residual.len()).filter(|&k| !train(k)) {
-            gains[rows.block[k] as usize] += seen.log(rows, &with, k) - plain_seen.log(rows, plain, k);
+            gains[rows.block[k] as usize] += rest.log(&with, k) - before.log(plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
         halves[half as usize] = with.sizes;
@@ -603,10 +598,11 @@ mod tests {
         let log = |by: f64| -> Vec<f32> { slope.iter().map(|slope| libm::log(by * slope) as f32).collect() };
         let half: Vec<f64> = noise.iter().map(|noise| 0.5 * noise).collect();
         let (full_log, half_log) = (log(1.0), log(0.5));
-        let before = Seen { residual: &noise, log_slope: &full_log };
-        let (gain, _) = gain_of((before, &rows), (Seen { residual: &half, log_slope: &half_log }, &rows));
+        let rest = |residual, log_slope| Rest { residual, log_slope, rows: &rows };
+        let before = rest(&noise[..], &full_log[..]);
+        let (gain, _) = gain_of(before, rest(&half, &half_log));
         assert!(gain.abs() < 1e-4, "{gain}");
-        let (gain, _) = gain_of((before, &rows), (Seen { residual: &noise, log_slope: &half_log }, &rows));
+        let (gain, _) = gain_of(before, rest(&noise, &half_log));
         assert!((gain + libm::log(2.0)).abs() < 1e-4, "{gain}");
         // To first order the same: a column that takes half of the residuals, and half of the slopes with it.
         let column = Column {

@@ -6,7 +6,7 @@
 //! that is an effect of the catalogue.
 
 use super::Residuals;
-use super::fit::{self, Column, Fitted, Plain, Rows, Seen, heldout};
+use super::fit::{self, Column, Fitted, Plain, Rest, Rows, heldout};
 use super::laid::{Bins, Laid};
 use super::located::Located;
 use crate::covariates::Covariate;
@@ -170,8 +170,8 @@ pub(crate) fn gains(
             .collect()
     };
     let (one, all) = (left(&[&free.whole]), left(&free.columns.iter().collect::<Vec<_>>()));
-    let seen = |residual| Seen { residual, log_slope: &[] };
-    Some(fit::gains((seen(&one), &rows), (seen(&all), &rows)))
+    let rest = |residual| Rest { residual, log_slope: &[], rows: &rows };
+    Some(fit::gains(rest(&one), rest(&all)))
 }
 
 fn dependence(

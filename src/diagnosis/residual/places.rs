@@ -16,7 +16,7 @@ impl Places<'_> {
     /// they were evaluated.
     pub(super) fn locate(&self, gains: &[f64], candidate: usize) -> Located {
         let decl = CANDIDATES[candidate].decl();
-        let (of_events, of_frames) = gains.split_at(self.events.pixel.len());
+        let (of_events, of_frames) = gains.split_at(self.events.on.pixel.len());
         match &self.frames {
             Some(frames) if decl.stage == Stage::Exposure => frames.locate(of_frames, decl.covariate),
             _ => self.events.locate(of_events, decl.covariate),

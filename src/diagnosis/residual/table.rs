@@ -3,10 +3,10 @@
 use super::components::{SPREADS, white_share};
 use super::evidence::{EvidenceSetting, Ranked};
 use super::fit::{
-    self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness,
+    Column, EventNoise, Fitted, Plain, Rest, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
 use super::laid::{Laid, lay};
-use super::located::Ground;
+use super::located::{Ground, Values};
 use super::open::{self, Open};
 use super::places::Places;
 use super::prepared::Prepared;
@@ -367,20 +367,24 @@ impl Seen<'_> {
     pub(super) fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
         let (events, frames, setting) = (&table.events, &table.frames, &self.setting.located);
         let (of_events, of_frames) = table.block.split_at(events.pixel.len());
-        let on = (&events.pixel[..], &events.t_ns[..], &events.polarity[..]);
-        let on_frames = || {
-            Ground::new(
-                self.case,
-                (&frames.pixel, &frames.t_ns, &[]),
-                &frames.log_signal,
-                of_frames,
-                &laid[1],
-                setting,
-            )
+        let on_events = Values {
+            pixel: &events.pixel,
+            t_ns: &events.t_ns,
+            polarity: &events.polarity,
+            log_light: &events.log_light,
+            block: of_events,
         };
+        let on_frames = Values {
+            pixel: &frames.pixel,
+            t_ns: &frames.t_ns,
+            polarity: &[],
+            log_light: &frames.log_signal,
+            block: of_frames,
+        };
+        let ground = |on, laid| Ground::new(self.case, on, laid, setting);
         Places {
-            events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting),
-            frames: (!frames.pixel.is_empty()).then(on_frames),
+            events: ground(on_events, &laid[0]),
+            frames: (!frames.pixel.is_empty()).then(|| ground(on_frames, &laid[1])),
         }
     }
 
@@ -559,8 +563,8 @@ impl Seen<'_> {
         };
         let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[0]);
-        let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);
-        let with = (fit::Seen { residual: &left, log_slope: &found.log_slope[0] }, &with_rows);
+        let before = Rest { residual: &table.base, log_slope: &table.log_slope, rows: &rows };
+        let with = Rest { residual: &left, log_slope: &found.log_slope[0], rows: &with_rows };
         let (gain, gain_error) = gain_of(before, with);
         let gains = gains(before, with);
         if is_open {
