@@ -15,7 +15,7 @@ pub(super) struct Bar {
 }
 
 /// Colours that colour-blind readers can distinguish, as the style of the page has them for light and dark.
-pub(super) const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
+pub(super) const COLOURS: [&str; 2] = ["var(--c0)", "var(--c1)"];
 
 /// Horizontal bars on a logarithmic axis from a tenth of the detection threshold up, with a line at that
 /// threshold.
