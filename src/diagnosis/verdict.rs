@@ -4,8 +4,8 @@
 //! looked at with what it found in the description, and reports the rest. Where no scene is evidence, direct
 //! tests answer alone.
 //!
-//! An effect is named only when it matters ([`Candidate::is_material`]), not only when it is certain: in a million
-//! events a microsecond is a hundred standard deviations.
+//! An effect is named only when it matters ([`Candidate::is_material`]), not only when it is certain: in a
+//! million events a microsecond is a hundred standard deviations.
 
 use crate::candidates::{CANDIDATES, Candidate};
 use crate::integrity::{Departure, Integrity, data, regular};

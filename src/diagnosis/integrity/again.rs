@@ -25,8 +25,8 @@ const NORMAL: f64 = 1.96;
 /// From so many events on, each group is looked at alone.
 const MANY: usize = 2_000_000;
 
-/// The group of a pixel. Blocks are those of [`super::array::half`]; of two that follow each other one is of each
-/// half, or the rows below bring the other.
+/// The group of a pixel. Blocks are those of [`super::array::half`]; of two that follow each other one is of
+/// each half, or the rows below bring the other.
 fn group(case: &Case, pixel: usize) -> usize {
     let (x, y) = case.place(pixel);
     let block = y / BLOCK * case.extent.width.div_ceil(BLOCK) + x / BLOCK;

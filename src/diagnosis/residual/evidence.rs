@@ -134,7 +134,7 @@ pub struct Ranked {
     pub of_first: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
-    /// Distance of what it leaves from the control's noise ([`super::fit::EventNoise::distance`]); 0 where it was not
+    /// Distance of what it leaves from the control's noise (`EventNoise::distance`); 0 where it was not
     /// evaluated exactly.
     #[serde(default)]
     pub ks: f64,
@@ -202,7 +202,7 @@ pub struct Evidence {
     pub median: f64,
     /// The same of the control.
     pub control_median: f64,
-    /// Distance of the residuals from the control's noise ([`super::fit::EventNoise::distance`]).
+    /// Distance of the residuals from the control's noise (`EventNoise::distance`).
     #[serde(default)]
     pub ks: f64,
     /// Median slope of the voltage at the events, ln/s.

@@ -3,12 +3,12 @@
 //! 1. Events count where the scene predicts the frames around them ([`photocurrent_scene::gate`]).
 //! 2. Every effect of the catalogue that has a size gets a column: what a small effect size of it changes of
 //!    every residual. It is fitted with its own noise and judged on the half of the blocks that it was not
-//!    fitted to ([`super::table`]).
+//!    fitted to (`table`).
 //! 3. The best are evaluated exactly, at their size, until it moves no more.
-//! 4. A control goes the same way ([`super::control`]): what it gains is what a regularised picture costs,
+//! 4. A control goes the same way (`control`): what it gains is what a regularised picture costs,
 //!    and every gain and size is counted from there.
-//! 5. Random effects are parts of the residuals' distribution ([`super::components`]); what no effect has is
-//!    free per bin of every covariate ([`super::open`]).
+//! 5. Random effects are parts of the residuals' distribution (`components`); what no effect has is
+//!    free per bin of every covariate (`open`).
 //! 6. With the best one applied, all others are fitted again, its own size with them.
 
 use super::components::{Ground, Part, parts, value as part_value};

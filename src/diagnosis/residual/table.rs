@@ -6,7 +6,6 @@ use super::fit::{
     Column, EventNoise, Fitted, Plain, Rest, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
 use super::laid::{Laid, lay};
-use super::located::{Ground, Values};
 use super::open::{self, Open};
 use super::places::Places;
 use super::prepared::Prepared;
@@ -365,27 +364,7 @@ impl Seen<'_> {
 
     /// What gains over the residuals of a table are located on.
     pub(super) fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
-        let (events, frames, setting) = (&table.events, &table.frames, &self.setting.located);
-        let (of_events, of_frames) = table.block.split_at(events.pixel.len());
-        let on_events = Values {
-            pixel: &events.pixel,
-            t_ns: &events.t_ns,
-            polarity: &events.polarity,
-            log_light: &events.log_light,
-            block: of_events,
-        };
-        let on_frames = Values {
-            pixel: &frames.pixel,
-            t_ns: &frames.t_ns,
-            polarity: &[],
-            log_light: &frames.log_signal,
-            block: of_frames,
-        };
-        let ground = |on, laid| Ground::new(self.case, on, laid, setting);
-        Places {
-            events: ground(on_events, &laid[0]),
-            frames: (!frames.pixel.is_empty()).then(|| ground(on_frames, &laid[1])),
-        }
+        Places::new(self.case, &table.events, &table.frames, &table.block, laid, &self.setting.located)
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
