@@ -1,4 +1,4 @@
-//! What pairs of frames propose ([`crate::integrity::means`]), judged by frames that were held out.
+//! What pairs of frames propose (`integrity::means`), judged by frames that were held out.
 //!
 //! A delay, thresholds and a dark current that make events and frames agree on average may still be the wrong
 //! physics: events that a fast edge loses make thresholds look larger. With a right one the solver predicts

@@ -15,7 +15,7 @@
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of
 //!   that.
 //! - [`covariates`], `dependence`, `rhythm`: what may depend on what, where no effect has a name for it.
-//! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`],
+//! - [`decide`]: probabilities from that, and where their numbers come from ([`scenes`],
 //!   [`targets`]: made-up recordings).
 //! - [`verdict`]: one answer from direct tests and from what was decided; `finding`: what it consists of.
 //! - [`fitted`]: the description with what was found put in.

@@ -2,7 +2,7 @@
 //! are written and read again.
 //!
 //! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names
-//! for ids and parameters, and that an index into [`CANDIDATES`] still means what it meant: [`Proposals`]
+//! for ids and parameters, and that an index into [`CANDIDATES`] still means what it meant: `Proposals`
 //! carries the list's labels, and refuses to be read with another list.
 
 use crate::candidates::CANDIDATES;

@@ -23,7 +23,7 @@ pub struct Departure {
     pub seen: String,
     /// What it gains on measurements that its estimate did not see; none where that was not worked out.
     pub heldout: Option<Heldout>,
-    /// 95 % intervals by parameter ([`again`]); those that were worked out.
+    /// 95 % intervals by parameter (`again`); those that were worked out.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub ci95: Vec<(&'static str, [f64; 2])>,
 }

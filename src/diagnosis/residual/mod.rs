@@ -5,7 +5,7 @@
 //! and V_ref what the reset rule gives from the event before. Events stand where they were recorded, so
 //! nothing needs to be matched; every effect is evaluated by its own hooks
 //! ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that frames imply:
-//! [`through_frames`] takes it off.
+//! `through_frames` takes it off.
 //!
 //! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
 //! - `fit`: size and gain of each effect.
