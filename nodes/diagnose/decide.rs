@@ -13,8 +13,7 @@ use photocurrent_core::{
 };
 use photocurrent_diagnosis::decide::model::{Model, Models, SECOND, SOMETHING};
 use photocurrent_diagnosis::decide::{Decision, decide};
-use photocurrent_diagnosis::diagnose::Proposed;
-use photocurrent_diagnosis::stages::{Seen, read_evidence, write_proposals};
+use photocurrent_diagnosis::stages::{Proposed, Seen, read_evidence, write_proposals};
 use photocurrent_scene::nominal::Nominal;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

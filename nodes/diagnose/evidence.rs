@@ -22,7 +22,8 @@ use photocurrent_core::{
     FrameSequence, Grain, Light, Meta, Node, NodeError, PortMetas, Sensor, TrackSet,
 };
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
-use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
+use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting};
+use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_diagnosis::stages::{Seen, write_evidence};
 use photocurrent_diagnosis::unstated::without_scene;
 use photocurrent_scene::case::Case;

@@ -4,8 +4,8 @@
 use crate::simulated::{Fault, Made, MadeSetting, made};
 use photocurrent_diagnosis::candidates::{Candidate, Scales};
 use photocurrent_diagnosis::decide::model::Facts;
-use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use photocurrent_diagnosis::verdict::is_material;
+use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting};
+use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_scene::Scene;
 use photocurrent_scene::mosaic::{MosaicSetting, scene};
 use photocurrent_scene::picture::PictureSetting;
@@ -63,7 +63,7 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let scales = Scales::of(&case, &nominal);
     truth.effects.retain(|(id, parameter, effect_size)| {
         Candidate::find(id, parameter)
-            .is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
+            .is_some_and(|one| one.is_material(&case, &nominal, one.value(*effect_size, &scales, &nominal)))
     });
     let picture = PictureSetting::default();
     let evidence_on = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());

@@ -9,11 +9,10 @@ use photocurrent_scene::case::Case;
 use photocurrent_sensor::effects::catalogue;
 
 /// Advice for a diagnosis; nothing when there is nothing to separate.
-pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> Vec<String> {
+pub(crate) fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> Vec<String> {
     let mut advice = Vec::new();
-    for claim in &answer.claims {
-        let mut set = vec![claim.id];
-        set.extend(&claim.also_possible);
+    for finding in &answer.findings {
+        let set: Vec<&String> = std::iter::once(&finding.id).chain(&finding.also_possible).collect();
         for (k, one) in set.iter().enumerate() {
             for other in &set[k + 1..] {
                 advice.push(apart(one, other).or_else(|| apart(other, one)).unwrap_or_else(|| {

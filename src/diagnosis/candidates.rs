@@ -6,6 +6,7 @@
 //! parameter value that is depends on the recording's light and speed ([`Scales`]).
 
 use crate::record::Described;
+use photocurrent_core::Sensor;
 use photocurrent_core::sensor::Reset;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -109,7 +110,7 @@ impl Scales {
     }
 
     /// How much there is of a measure.
-    pub(crate) fn measure(&self, measure: Measure, nominal: &Nominal) -> f64 {
+    fn measure(&self, measure: Measure, nominal: &Nominal) -> f64 {
         match measure {
             Measure::Light => self.light,
             Measure::Threshold => self.threshold,
@@ -217,9 +218,42 @@ impl Candidate {
         self.sought.field == Some(Field::Reset)
     }
 
+    /// Does the description state its value, or does a 0 stand for it?
+    pub fn is_stated(&self, sensor: &Sensor) -> bool {
+        match self.sought.field {
+            Some(Field::Tau0) => sensor.front_end.tau_0.is_some(),
+            Some(Field::Alpha) => sensor.front_end.alpha.is_some(),
+            Some(Field::Refractory) => sensor.readout.refractory.is_some(),
+            _ => true,
+        }
+    }
+
+    /// Does a value differ from nothing by more than anybody would care about? From which size on, the
+    /// effect's file says; a switch and a limit always do.
+    pub fn is_material(&self, case: &Case, nominal: &Nominal, value: f64) -> bool {
+        if self.signs == Signs::Switch || self.is_limit() {
+            return true;
+        }
+        let measure = |measure: Measure| match measure {
+            Measure::Light => typical_light(case, nominal),
+            Measure::Signal => typical_dn(case, nominal),
+            Measure::Threshold => nominal.pixel.threshold_on,
+            Measure::Duration => (case.span.1 - case.span.0) as f64 * 1e-9,
+            Measure::StampWidth => case.t_resolution_ns as f64 * 1e-9,
+            Measure::Rows => f64::from(case.extent.height),
+            other => Scales::of(case, nominal).measure(other, nominal),
+        };
+        (value - self.nominal_value(nominal)).abs() > self.sought.material.at(&measure)
+    }
+
+    /// The number in [`CANDIDATES`] of an effect's parameter.
+    pub fn number(id: &str, parameter: &str) -> Option<usize> {
+        CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.parameter == parameter)
+    }
+
     /// The candidate of an effect by one of its parameters.
     pub fn find(id: &str, parameter: &str) -> Option<&'static Candidate> {
-        CANDIDATES.iter().find(|candidate| candidate.id == id && candidate.parameter == parameter)
+        Candidate::number(id, parameter).map(|number| &CANDIDATES[number])
     }
 
     /// The parameter at an effect size, in the unit of its declaration.
@@ -271,6 +305,22 @@ impl Candidate {
             trial.effects.entry(companion.id.to_owned()).or_insert(stated);
         }
     }
+}
+
+fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {
+    let Some(frames) = &case.frames else { return 0.0 };
+    let mut signals: Vec<f64> = frames
+        .every(101)
+        .filter(|dn| dn.is_finite())
+        .map(|dn| f64::from(dn) - nominal.number.black_level)
+        .collect();
+    photocurrent_scene::statistics::median(&mut signals).max(0.0)
+}
+
+fn typical_light(case: &Case, nominal: &Nominal) -> f64 {
+    let exposure_s =
+        case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(0) as f64 * 1e-9;
+    if exposure_s > 0.0 { typical_dn(case, nominal) / (nominal.number.gain * exposure_s) } else { 0.0 }
 }
 
 impl Trial {

@@ -3,7 +3,7 @@
 use photocurrent_sensor::conditional::at;
 
 /// Knots, log light, and whether it is known.
-pub type Curve = (Vec<i64>, Vec<f64>, bool);
+pub(crate) type Curve = (Vec<i64>, Vec<f64>, bool);
 
 /// Log light of the pixels of a sample.
 #[derive(Clone, Debug, Default, PartialEq)]

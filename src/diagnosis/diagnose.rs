@@ -2,26 +2,24 @@
 //! and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
-use crate::fitted::{add_numbers, fitted};
+use crate::fitted::{amended, fitted};
 use crate::heldout::{Prediction, predict};
+pub use crate::integrity::can_compare;
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
-use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
+use crate::integrity::{Integrity, TESTED, integrity};
 use crate::judge::{Judging, judged};
-use crate::report::{
-    BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance,
-    Report, SCHEMA, Verdict,
-};
-use crate::residual::located::{Located, answered, of_claim, of_unnamed};
+use crate::report::{BeforeAfter, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict};
+use crate::residual::located::Located;
 use crate::sample::Sample;
+use crate::stages::{Decided, Proposal, Proposed};
 use crate::unstated;
-use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, Unexplained, verdict};
+use crate::verdict::{Answer, answered, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
+use photocurrent_sensor::effects::catalogue;
 use photocurrent_solve::SolveOptions;
-use serde::{Deserialize, Serialize};
 
 /// How a diagnosis is confirmed.
 #[derive(Clone, Copy, Debug)]
@@ -50,6 +48,15 @@ impl Default for Setting {
     }
 }
 
+/// Held-out frames, predicted.
+#[derive(Clone, Debug, Default)]
+pub struct Predictions {
+    /// With the nominal description; none where they were not.
+    pub nominal: Option<Prediction>,
+    /// With the fitted one.
+    pub fitted: Option<Prediction>,
+}
+
 /// What came of a diagnosis.
 #[derive(Clone, Debug)]
 pub struct Diagnosis {
@@ -63,34 +70,12 @@ pub struct Diagnosis {
     pub proposed: Proposed,
     /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
-    /// Held-out frames predicted with the nominal and with the fitted description.
-    pub predictions: (Option<Prediction>, Option<Prediction>),
+    /// Held-out frames.
+    pub predictions: Predictions,
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
     /// Where effects of the report are, by id; those that were measured.
     pub located: Vec<(String, Located)>,
-}
-
-/// What is decided on a scene.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub enum Proposed {
-    /// Nobody asked.
-    #[default]
-    NotAsked,
-    /// The scene is no evidence, and why.
-    Nothing(String),
-    /// This.
-    Decided(Box<Decided>),
-}
-
-impl Proposed {
-    /// What is decided; none where nothing is.
-    pub fn decided(&self) -> Option<&Decided> {
-        match self {
-            Proposed::Decided(decided) => Some(decided),
-            _ => None,
-        }
-    }
 }
 
 /// What the direct tests see, less what the description states.
@@ -103,11 +88,6 @@ pub fn check(case: &Case) -> Result<Integrity, NodeError> {
     // What the description states is no departure from it.
     integrity.findings.retain(|finding| !case.sensor.effects.contains_key(finding.id));
     Ok(integrity)
-}
-
-/// Is there enough, and is it sound enough, to estimate a scene?
-pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
-    integrity.broken.is_empty() && is_enough(case)
 }
 
 /// The recording with what direct tests found in its description, and without the pixels that they exclude:
@@ -133,8 +113,9 @@ pub fn confirm(
     let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
     let can_compare = can_compare(case, &integrity);
-    let sample =
-        (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    let sample = (can_compare && !setting.without_proof)
+        .then(|| Sample::of_proof(case))
+        .filter(|sample| !sample.is_empty());
     if proposed.decided().is_none() {
         judged(case, &nominal, &setting.judging, &setting.solve, &mut integrity)?;
     }
@@ -153,8 +134,8 @@ pub fn confirm(
             answer.verdict = Verdict::Insufficient;
         }
     }
-    let of_claims = |claims: &[Claim]| description(case, &nominal, &scales, claims);
-    let mut changed = of_claims(&answer.claims);
+    let with = |findings: &[Finding]| description(case, &nominal, &scales, findings);
+    let mut changed = with(&answer.findings);
     let predicted = |sensor: &Sensor| {
         sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
     };
@@ -168,136 +149,90 @@ pub fn confirm(
     };
     let mut withdrawn = Vec::new();
     if is_worse(&after) {
-        for claims in fewer(&answer.claims) {
-            changed = of_claims(&claims);
+        for findings in fewer(&answer.findings) {
+            changed = with(&findings);
             after = changed.as_ref().map(&predicted).transpose()?.flatten();
-            if claims.iter().all(|claim| claim.finding.is_some()) || !is_worse(&after) {
-                let is_left = |claim: &&Claim| claims.iter().all(|left| left.id != claim.id);
-                withdrawn.extend(answer.claims.iter().filter(is_left).map(|claim| claim.id.to_owned()));
-                answer.set(claims);
+            if findings.iter().all(Finding::is_direct) || !is_worse(&after) {
+                let is_left = |one: &&Finding| findings.iter().all(|left| left.id != one.id);
+                withdrawn.extend(answer.findings.iter().filter(is_left).map(|one| one.id.clone()));
+                answer.set(findings);
                 break;
             }
         }
     }
-    let predictions = (before, after);
-    let report =
-        report(case, &nominal, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
+    let predictions = Predictions { nominal: before, fitted: after };
+    let report = report(case, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
 }
 
-/// The description with claims put in; none without claims.
-fn description(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]) -> Option<Sensor> {
-    let values: Vec<(usize, f64)> = claims
-        .iter()
-        .flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value)))
-        .collect();
-    let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, nominal, scales, &values))?;
-    claims
-        .iter()
-        .filter_map(|claim| claim.finding.as_ref())
-        .for_each(|finding| add_numbers(&mut changed.effects, finding.id, &finding.parameters));
-    Some(changed)
+/// The description with findings put in; none where they have no number that is sought.
+fn description(case: &Case, nominal: &Nominal, scales: &Scales, findings: &[Finding]) -> Option<Sensor> {
+    let found: Vec<(&str, &[Number])> =
+        findings.iter().map(|finding| (&finding.id[..], &finding.values[..])).collect();
+    let is_sought = |(id, numbers): &(&str, &[Number])| {
+        numbers.iter().any(|(name, _)| Candidate::find(id, name).is_some())
+    };
+    found.iter().any(is_sought).then(|| fitted(&case.sensor, nominal, scales, &found))
 }
 
-/// Claims without one of those that an estimate of the scene made, the weakest left out first; at last
+/// Findings without one of those that an estimate of the scene made, the weakest left out first; at last
 /// without all of them. What direct tests found stays.
-fn fewer(claims: &[Claim]) -> Vec<Vec<Claim>> {
+fn fewer(findings: &[Finding]) -> Vec<Vec<Finding>> {
     let estimated: Vec<&str> =
-        claims.iter().filter(|claim| claim.finding.is_none()).map(|claim| claim.id).collect();
+        findings.iter().filter(|one| !one.is_direct()).map(|finding| &finding.id[..]).collect();
     let without = |ids: &[&str]| {
-        claims.iter().filter(|claim| !ids.contains(&claim.id)).cloned().collect::<Vec<Claim>>()
+        findings.iter().filter(|one| !ids.contains(&&one.id[..])).cloned().collect::<Vec<Finding>>()
     };
     let one_less = estimated.iter().rev().filter(|_| estimated.len() > 1).map(|id| without(&[*id]));
     one_less.chain([without(&estimated)]).collect()
 }
 
-/// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
-pub(crate) fn looked_at(case: &Case) -> Sample {
-    const SIDE: u32 = 8;
-    let zones = (6, 5);
-    if case.extent.width < zones.0 * SIDE || case.extent.height < zones.1 * SIDE {
-        return Sample::all(case, SIDE);
-    }
-    Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
-}
-
-/// The recording with what direct tests found in its description, and without the pixels that they exclude,
-/// what is decided on a scene is the rest.
-pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
-    let mut amended = case.without(&integrity.masked);
-    // Hot rows and pixels are out with their pixels.
-    let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
-    let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
-    amended.sensor = fitted(&case.sensor, nominal, scales, &values);
-    rest.for_each(|finding| add_numbers(&mut amended.sensor.effects, finding.id, &finding.parameters));
-    if let Some(step) =
-        values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step)
-    {
-        amended.t_resolution_ns = (step * 1e9).round() as i64;
-    }
-    amended
-}
-
-fn values_of(finding: &Finding) -> Vec<(usize, f64)> {
-    let place = |parameter: &str| {
-        CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == parameter)
-    };
-    finding.parameters.iter().filter_map(|(parameter, value)| Some((place(parameter)?, *value))).collect()
-}
-
 fn report(
     case: &Case,
-    nominal: &Nominal,
     setting: &Setting,
     integrity: &Integrity,
     proposed: &Proposed,
     answer: &Answer,
     changed: Option<&Sensor>,
-    predictions: &(Option<Prediction>, Option<Prediction>),
+    predictions: &Predictions,
 ) -> Report {
-    let mut effects: Vec<EffectReport> =
-        answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
-    for (effect, claim) in effects.iter_mut().zip(&answer.claims) {
-        of_claim(proposed.decided(), claim).into_iter().for_each(|located| located.put(&mut effect.location));
-    }
-    if let Some(found) = &answer.unexplained {
-        effects.push(unnamed(case, proposed, found));
-    }
+    let unnamed = answer.unexplained.iter().map(|found| Finding::unnamed(case, found, proposed.decided()));
+    let effects: Vec<Finding> = answer.findings.iter().cloned().chain(unnamed).collect();
     let psnr = predictions
-        .0
+        .nominal
         .as_ref()
-        .zip(predictions.1.as_ref())
+        .zip(predictions.fitted.as_ref())
         .map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let decided = proposed.decided();
     let gained: f64 = answer
-        .claims
+        .findings
         .iter()
-        .filter(|claim| claim.finding.is_none())
-        .filter_map(|claim| claim.heldout_nats_per_event)
+        .filter(|finding| !finding.is_direct())
+        .filter_map(|finding| finding.evidence.heldout_nats_per_event)
         .sum();
     let nats = decided
         .and_then(|decided| decided.nats_per_event)
         .filter(|_| gained > 0.0)
         .map(|before| BeforeAfter { before, after: before + gained });
     // A second effect is fitted on top of the first, so the last one describes both.
-    let left = answer.claims.iter().rev().find_map(|claim| claim.ks);
+    let left = answer.findings.iter().rev().find_map(|finding| finding.ks);
     let calibration_ks =
         decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
         summary: summary(case, integrity, answer, decided),
-        not_testable: not_testable(case, proposed, &answer.claims),
+        not_testable: not_testable(case, proposed, &answer.findings),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
         residual_left: decided
             .and_then(|decided| decided.residual_left)
-            .filter(|_| answer.claims.iter().any(|claim| claim.finding.is_none())),
+            .filter(|_| answer.findings.iter().any(|finding| !finding.is_direct())),
         effects,
         fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
         detectability: decided.map_or_else(Vec::new, |decided| {
-            let is_claimed = |id: &str| answer.claims.iter().any(|claim| claim.id == id);
-            decided.detectability.iter().filter(|one| !is_claimed(&one.id)).cloned().collect()
+            let is_found = |id: &str| answer.findings.iter().any(|finding| finding.id == id);
+            decided.detectability.iter().filter(|one| !is_found(&one.id)).cloned().collect()
         }),
         scene: integrity.scene.clone(),
         sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),
@@ -313,35 +248,6 @@ fn report(
                 .chain(decided.map(|decided| decided.name.clone()))
                 .collect(),
         },
-    }
-}
-
-/// What no effect of the catalogue explains, as the report has it.
-fn unnamed(case: &Case, proposed: &Proposed, found: &Unexplained) -> EffectReport {
-    let mut location = everywhere(case, None);
-    of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
-    location.covariate.clone_from(&found.covariate);
-    let is_direct = found
-        .dependence
-        .as_ref()
-        .is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
-    let by =
-        if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };
-    let evidence = Evidence {
-        statistic: found.score,
-        heldout_nats_per_event: Some(found.nats),
-        found_by: vec![by.to_owned()],
-        ..Evidence::default()
-    };
-    EffectReport {
-        id: "unnamed".into(),
-        also_possible: Vec::new(),
-        plain: "something that no effect of the catalogue explains".into(),
-        equation: found.equation.clone(),
-        insertion: found.insertion.clone(),
-        parameters: Default::default(),
-        location,
-        evidence,
     }
 }
 
@@ -371,111 +277,10 @@ pub fn broken(why: &str, seed: u64) -> Report {
     }
 }
 
-fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
-    let decl = decl(claim.id);
-    let evidence = Evidence {
-        statistic: claim.score,
-        p_value: None,
-        heldout_nats: claim.heldout_nats,
-        heldout_nats_ci95: claim.heldout_nats_ci95,
-        posterior: claim.posterior,
-        heldout_nats_per_event: claim.heldout_nats_per_event,
-        found_by: claim.found_by.clone(),
-    };
-    let mut effect = EffectReport::of(&decl, location(case, &decl, claim.finding.as_ref()), evidence);
-    effect.also_possible = claim.also_possible.iter().map(|id| (*id).to_owned()).collect();
-    for (candidate, value, ci95) in &claim.values {
-        let candidate = &CANDIDATES[*candidate];
-        effect.put(candidate, *value, *ci95, nominal);
-        if !unstated::is_stated(&case.sensor, candidate)
-            && let Some(parameter) = effect.parameters.get_mut(&candidate.json_key().0)
-        {
-            parameter.nominal = None;
-        }
-    }
-    if claim.values.iter().any(|(candidate, ..)| CANDIDATES[*candidate].is_reset()) {
-        effect.equation = "the reference moves by one threshold at each event, or is taken anew, other than \
-                           stated (comparator.reset)"
-            .into();
-    }
-    if let Some(finding) = &claim.finding {
-        effect.plain = format!("{}: {}", decl.about, finding.seen);
-        if let Some((_, because)) = unstated::alike(&case.sensor, finding) {
-            effect.plain += &format!("; the front end is not stated, and {because}");
-        }
-        // Numbers that are no candidates of their own are added.
-        for (parameter, value) in &finding.parameters {
-            if let Some(of) = decl
-                .parameters
-                .iter()
-                .find(|of| of.name == *parameter)
-                .filter(|_| Candidate::find(claim.id, parameter).is_none())
-            {
-                let key = format!("{parameter}{}", of.unit.suffix());
-                effect.parameters.insert(
-                    key,
-                    Parameter {
-                        estimate: *value,
-                        ci95: finding.interval(parameter),
-                        nominal: of.null,
-                        unit: of.unit.text().to_owned(),
-                    },
-                );
-            }
-        }
-    }
-    effect
-}
-
-fn decl(id: &str) -> EffectDecl {
-    catalogue()
-        .into_iter()
-        .map(|kind| kind.decl)
-        .find(|decl| decl.id == id)
-        .unwrap_or_else(|| unreachable!("claims are of the catalogue"))
-}
-
-fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
-    Location {
-        stream: match decl.map(|decl| decl.stage) {
-            Some(Stage::Exposure) => "frames",
-            None => "both",
-            Some(_) => "events",
-        }
-        .to_owned(),
-        polarity: "both".to_owned(),
-        rows: [0, case.extent.height.saturating_sub(1)],
-        columns: [0, case.extent.width.saturating_sub(1)],
-        time_ns: [case.span.0, case.span.1],
-        covariate: decl.map_or_else(String::new, |decl| decl.covariate.to_owned()),
-        shape: None,
-        pixels: case.extent.pixels() as u64,
-        pixel_list: Vec::new(),
-    }
-}
-
-fn location(case: &Case, decl: &EffectDecl, finding: Option<&Finding>) -> Location {
-    let mut location = everywhere(case, Some(decl));
-    let Some(finding) = finding else { return location };
-    location.polarity = finding.polarity.to_owned();
-    if !finding.pixels.is_empty() {
-        let places: Vec<(u32, u32)> =
-            finding.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
-        let ends = |values: Vec<u32>| {
-            [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)]
-        };
-        location.columns = ends(places.iter().map(|place| place.0).collect());
-        location.rows = ends(places.iter().map(|place| place.1).collect());
-        location.pixels = finding.pixels.len() as u64;
-        location.pixel_list = finding.pixels.iter().copied().take(MASK_LIMIT).collect();
-    }
-    location
-}
-
 fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) -> String {
-    let name = |claim: &Claim| {
-        let others: String = claim.also_possible.iter().map(|id| format!(" or {id}")).collect();
-        format!("{}{others}", claim.id)
+    let name = |finding: &Finding| {
+        let others: String = finding.also_possible.iter().map(|id| format!(" or {id}")).collect();
+        format!("{}{others}", finding.id)
     };
     let said = match answer.verdict {
         Verdict::BrokenData => return integrity.broken.join("; "),
@@ -488,7 +293,7 @@ fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<
             .into(),
         Verdict::Numerical => "what differs is an error of our own".into(),
         Verdict::Named | Verdict::Ambiguous => {
-            answer.claims.iter().map(name).collect::<Vec<_>>().join(", and ")
+            answer.findings.iter().map(name).collect::<Vec<_>>().join(", and ")
         }
     };
     let Some(decided) = decided else {
@@ -509,13 +314,13 @@ const NEARLY: f64 = 0.5;
 
 /// What came near its detection threshold on the scene without being reported, with its share of it.
 fn nearly(decided: &Decided, answer: &Answer) -> String {
-    let is_reported =
-        |id: &str| answer.claims.iter().any(|claim| claim.id == id || claim.also_possible.contains(&id));
+    let is_reported = |id: &str| {
+        let mut reported = answer.findings.iter().flat_map(|one| one.also_possible.iter().chain([&one.id]));
+        reported.any(|reported| reported == id)
+    };
     let share = |one: &Proposal| one.score * one.probability;
-    let near = decided
-        .proposals
-        .iter()
-        .filter(|one| (NEARLY..1.0).contains(&share(one)) && !is_reported(CANDIDATES[one.candidate].id));
+    let near =
+        decided.proposals.iter().filter(|one| (NEARLY..1.0).contains(&share(one)) && !is_reported(one.id()));
     near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * share(one)))
         .collect::<Vec<_>>()
         .join(", ")
@@ -535,7 +340,7 @@ fn looked_at_of(decided: &Decided) -> String {
 }
 
 /// What nothing was found out about.
-fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTestable> {
+fn not_testable(case: &Case, proposed: &Proposed, findings: &[Finding]) -> Vec<NotTestable> {
     let why = match proposed {
         Proposed::Decided(_) => return Vec::new(),
         _ if case.frame_count() < FEWEST_FRAMES => {
@@ -549,7 +354,7 @@ fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTe
     };
     let is_tested = |id: &str| {
         TESTED.contains(&id) && case.events.len() >= FEWEST_EVENTS
-            || claims.iter().any(|claim| claim.id == id)
+            || findings.iter().any(|finding| finding.id == id)
     };
     if is_enough(case) {
         let left_out = unstated::not_testable(&case.sensor, is_tested);

@@ -1,8 +1,8 @@
 //! A whole diagnosis of small recordings, with something decided that is given beforehand.
 
 use super::*;
+use crate::stages::Proposal;
 use crate::testing;
-use crate::verdict::Proposal;
 
 fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
     confirm(case, &Setting::default(), check(case).unwrap(), proposed).unwrap()

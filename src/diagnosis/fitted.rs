@@ -4,44 +4,62 @@
 //! An effect whose number has a field of its own in a description (time constants, thresholds, blind time,
 //! black level, row time, reset rule) changes that field; all others stand under `[effects]`.
 
-use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::candidates::{Candidate, Scales, Trial};
+use crate::integrity::{Integrity, hot, stamps};
 use crate::record::Described;
-use crate::report::six_digits;
+use crate::report::{Number, six_digits};
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
+use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Field;
 
-/// A description with effects put in; each is an index into [`CANDIDATES`] with a value in the unit of its
-/// declaration.
-pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usize, f64)]) -> Sensor {
+/// A description with effects put in: of each the catalogue's id, and numbers.
+pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(&str, &[Number])]) -> Sensor {
     let mut sensor = sensor.clone();
     let mut trial = Trial::stated(nominal);
-    for (which, value) in found {
-        let candidate = &CANDIDATES[*which];
-        let value = six_digits(*value);
-        if !put_in_field(&mut sensor, nominal, candidate, value) {
-            let effect_size = candidate.effect_size(value, scales, nominal);
-            candidate.apply(&mut trial, effect_size, scales);
+    for (id, numbers) in found {
+        for (candidate, value) in
+            numbers.iter().filter_map(|(name, value)| Some((Candidate::find(id, name)?, six_digits(*value))))
+        {
+            if !put_in_field(&mut sensor, nominal, candidate, value) {
+                let effect_size = candidate.effect_size(value, scales, nominal);
+                candidate.apply(&mut trial, effect_size, scales);
+            }
         }
     }
-    for (id, parameters) in trial.effects {
-        sensor.effects.insert(id, parameters);
-    }
+    sensor.effects.extend(trial.effects);
+    found.iter().for_each(|(id, numbers)| add_numbers(&mut sensor.effects, id, numbers));
     sensor
 }
 
 /// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot
 /// pixels) with those that are; each in the unit of its declaration. Nothing where the description does not
 /// state the effect under `[effects]`.
-pub fn add_numbers(effects: &mut Described, id: &str, numbers: &[(&'static str, f64)]) {
+fn add_numbers(effects: &mut Described, id: &str, numbers: &[Number]) {
     let Some(stated) = effects.get_mut(id) else { return };
     let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
     for (name, value) in numbers.iter().filter(|(name, _)| Candidate::find(id, name).is_none()) {
         let Some(parameter) = decl.parameter(name) else { continue };
         stated.insert((*name).to_owned(), parameter.unit.written(six_digits(*value)));
     }
+}
+
+/// The recording with what direct tests found in its description, and without the pixels that they exclude,
+/// what is decided on a scene is the rest.
+pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
+    let mut amended = case.without(&integrity.masked);
+    // Hot rows and pixels are out with their pixels.
+    let rest = integrity.findings.iter().filter(|departure| !hot::IDS.contains(&departure.id));
+    let found: Vec<(&str, &[Number])> =
+        rest.clone().map(|departure| (departure.id, &departure.parameters[..])).collect();
+    amended.sensor = fitted(&case.sensor, nominal, scales, &found);
+    if let Some(step) = rest.filter(|departure| departure.id == stamps::GRID).find_map(|of| of.value("step"))
+    {
+        amended.t_resolution_ns = (step * 1e9).round() as i64;
+    }
+    amended
 }
 
 /// The text of a fitted description, with a word on where it comes from: what was found, each with what else
@@ -85,6 +103,7 @@ fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, v
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::candidates::CANDIDATES;
     use crate::testing;
     use photocurrent_core::document::Source;
     use photocurrent_core::sensor::Reset;
@@ -92,15 +111,13 @@ mod tests {
     use serde_json::json;
     use std::path::Path;
 
-    fn fitted_with(found: &[(&str, &str, f64)]) -> Sensor {
+    fn fitted_with(found: &[(&str, &'static str, f64)]) -> Sensor {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
-        let place = |id: &str, parameter: &str| {
-            CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap()
-        };
-        let found: Vec<(usize, f64)> =
-            found.iter().map(|(id, parameter, value)| (place(id, parameter), *value)).collect();
+        let numbers: Vec<[Number; 1]> = found.iter().map(|(_, name, value)| [(*name, *value)]).collect();
+        let found: Vec<(&str, &[Number])> =
+            found.iter().zip(&numbers).map(|((id, ..), numbers)| (*id, &numbers[..])).collect();
         fitted(&testing::sensor(), &nominal, &scales, &found)
     }
 
@@ -164,12 +181,12 @@ mod tests {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
-        for (which, candidate) in CANDIDATES.iter().enumerate() {
+        for candidate in CANDIDATES.iter() {
             let sensor = fitted(
                 &testing::sensor(),
                 &nominal,
                 &scales,
-                &[(which, candidate.value(1.0, &scales, &nominal))],
+                &[(candidate.id, &[(candidate.parameter, candidate.value(1.0, &scales, &nominal))])],
             );
             let back = read_back(&sensor);
             from_description(&back.effects).unwrap_or_else(|why| panic!("{}: {why}", candidate.label()));

@@ -53,7 +53,7 @@ impl Prediction {
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn predict(
+pub(crate) fn predict(
     case: &Case,
     sensor: &Sensor,
     sample: &Sample,
@@ -154,7 +154,7 @@ fn with_defaults(sensor: &Sensor) -> Sensor {
 
 /// A recording without every third frame, and which of them are predicted: not the last one, which has no
 /// frame after it. None with fewer than five frames.
-pub fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
+pub(crate) fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
     if count < 5 {
         return None;

@@ -1,4 +1,4 @@
-//! What pairs of frames propose ([`crate::integrity::means`]), judged by frames that were held out.
+//! What pairs of frames propose (`integrity::means`), judged by frames that were held out.
 //!
 //! A delay, thresholds and a dark current that make events and frames agree on average may still be the wrong
 //! physics: events that a fast edge loses make thresholds look larger. With a right one the solver predicts
@@ -9,10 +9,11 @@
 //! in place of the one that `solve/map` chooses, and could not be repeated: the recordings are not kept.
 
 use crate::candidates::Scales;
-use crate::diagnose::{amended, can_compare, looked_at};
+use crate::fitted::amended;
 use crate::heldout::predict;
 use crate::integrity::again::add_intervals;
-use crate::integrity::{Finding, Integrity, joined, means};
+use crate::integrity::{Departure, Integrity, can_compare, joined, means};
+use crate::sample::Sample;
 use photocurrent_core::NodeError;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -47,26 +48,27 @@ pub fn judged(
         return Ok(());
     }
     let means::Proposed { late, contrast } = means::proposed(case, nominal, &integrity.masked);
-    let is_new = |finding: &Finding| {
+    let is_new = |finding: &Departure| {
         !case.sensor.effects.contains_key(finding.id)
             && integrity.findings.iter().all(|found| found.id != finding.id)
     };
-    let steps: [Vec<Vec<Finding>>; 2] = [late.into_iter().map(|finding| vec![finding]).collect(), contrast]
+    let steps: [Vec<Vec<Departure>>; 2] = [late.into_iter().map(|finding| vec![finding]).collect(), contrast]
         .map(|alternatives| {
-            let new = |findings: Vec<Finding>| findings.into_iter().filter(is_new).collect::<Vec<Finding>>();
+            let new =
+                |findings: Vec<Departure>| findings.into_iter().filter(is_new).collect::<Vec<Departure>>();
             alternatives.into_iter().map(new).filter(|findings| !findings.is_empty()).collect()
         });
     if steps.iter().all(Vec::is_empty) {
         return Ok(());
     }
-    let (scales, sample) = (Scales::of(case, nominal), looked_at(case));
-    let psnr_db = |findings: &[Finding]| -> Result<Option<f64>, NodeError> {
+    let (scales, sample) = (Scales::of(case, nominal), Sample::of_proof(case));
+    let psnr_db = |findings: &[Departure]| -> Result<Option<f64>, NodeError> {
         let with =
             Integrity { findings: [integrity.findings.as_slice(), findings].concat(), ..integrity.clone() };
         let amended = amended(case, nominal, &scales, &with);
         Ok(predict(&amended, &amended.sensor, &sample, options)?.map(|prediction| prediction.psnr_db()))
     };
-    let mut accepted: Vec<Finding> = Vec::new();
+    let mut accepted: Vec<Departure> = Vec::new();
     let Some(mut best) = psnr_db(&accepted)? else { return Ok(()) };
     for alternatives in steps {
         let (mut least, mut better) = (best + judging.least_better_db, None);
@@ -82,7 +84,7 @@ pub fn judged(
         }
     }
     let masked = &integrity.masked;
-    let is_dark = |findings: &[Finding]| findings.iter().any(|finding| finding.id == "dark_current");
+    let is_dark = |findings: &[Departure]| findings.iter().any(|finding| finding.id == "dark_current");
     let with_dark = is_dark(&accepted);
     add_intervals(case, &mut accepted, &|case, out| {
         let means::Proposed { late, contrast } = means::proposed(case, nominal, &joined(masked, out));

@@ -14,44 +14,48 @@
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is applied.
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of
 //!   that.
-//! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
-//! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`],
+//! - [`covariates`], `dependence`, `rhythm`: what may depend on what, where no effect has a name for it.
+//! - [`decide`]: probabilities from that, and where their numbers come from ([`scenes`],
 //!   [`targets`]: made-up recordings).
-//! - [`verdict`]: one answer from direct tests and from what was decided.
+//! - [`verdict`]: one answer from direct tests and from what was decided; `finding`: what it consists of.
 //! - [`fitted`]: the description with what was found put in.
-//! - [`heldout`]: held-out frames, before and after; [`sample`] (the pixels that are evaluated), [`curves`]
+//! - `heldout`: held-out frames, before and after; `sample` (the pixels that are evaluated), `curves`
 //!   (their light).
-//! - [`record`]: what a sensor with effects would have recorded of a light.
-//! - [`advice`]: what to record next.
+//! - `record`: what a sensor with effects would have recorded of a light.
+//! - `advice`: what to record next.
 //! - [`diagnose`]: the stages, in order.
 //! - [`stages`]: what passes between them, as documents.
-//! - [`report`]: what a diagnosis says, as `diagnosis.json`.
+//! - [`report`]: what a diagnosis says, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
-pub mod advice;
+#![cfg_attr(not(test), warn(unreachable_pub))]
+
+mod advice;
 pub mod candidates;
 pub mod covariates;
-pub mod curves;
+mod curves;
 pub mod decide;
-pub mod dependence;
+mod dependence;
 pub mod diagnose;
+mod finding;
 pub mod fitted;
-pub mod heldout;
+mod heldout;
 pub mod integrity;
 pub mod judge;
 pub mod page;
-pub mod record;
+mod record;
 pub mod report;
 pub mod residual;
-pub mod rhythm;
-pub mod sample;
+mod rhythm;
+mod sample;
 #[cfg(any(test, feature = "simulated"))]
 pub mod scenes;
 pub mod stages;
 #[cfg(any(test, feature = "simulated"))]
 pub mod targets;
+pub mod units;
 pub mod unstated;
 pub mod verdict;
 

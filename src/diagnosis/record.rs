@@ -37,7 +37,7 @@ const TOLERANCE: f64 = 1e-5;
 
 /// What a simulated recording adds to the stated sensor.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Conditions {
+pub(crate) struct Conditions {
     /// Seed of everything random.
     pub seed: u64,
     /// Standard deviation of frame values as a share of the signal, beyond what is stated.
@@ -49,7 +49,7 @@ pub struct Conditions {
 }
 
 /// Effects with their parameters, by catalogue id, as `[effects]` of a sensor description states them.
-pub type Described = BTreeMap<String, Map<String, Value>>;
+pub(crate) type Described = BTreeMap<String, Map<String, Value>>;
 
 /// Records the sampled pixels with the nominal sensor and `more` effects in addition to (or, of the same id,
 /// instead of) those that the description states. Pixels outside the sample stay without events and with NaN
@@ -57,7 +57,7 @@ pub type Described = BTreeMap<String, Map<String, Value>>;
 ///
 /// # Errors
 /// When an effect or its parameters are not understood, or effects cannot be combined.
-pub fn record(
+pub(crate) fn record(
     case: &Case,
     nominal: &Nominal,
     sample: &Sample,

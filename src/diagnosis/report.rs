@@ -5,10 +5,11 @@
 //! threads.
 
 use crate::candidates::Candidate;
+use photocurrent_core::Sensor;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::EffectDecl;
 use serde::{Deserialize, Serialize};
-use serde_json::{Number, Value};
+use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// The version of the form.
@@ -48,6 +49,9 @@ impl Verdict {
         }
     }
 }
+
+/// A parameter of an effect by its name, with a value in the unit of its declaration.
+pub type Number = (&'static str, f64);
 
 /// One number of an effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,6 +93,9 @@ pub struct Location {
     pub pixel_list: Vec<u32>,
 }
 
+/// Direct tests, as one that found something.
+pub const DIRECT: &str = "direct";
+
 /// The most pixels that a location lists.
 pub const MASK_LIMIT: usize = 4096;
 
@@ -118,7 +125,7 @@ pub struct Evidence {
 
 /// An effect that the description does not state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EffectReport {
+pub struct Finding {
     /// Catalogue id, or `unnamed`.
     pub id: String,
     /// Ids that would explain the recording about as well.
@@ -135,6 +142,13 @@ pub struct EffectReport {
     pub location: Location,
     /// Its evidence.
     pub evidence: Evidence,
+    /// Its numbers as they are declared, by parameter. Not in the JSON.
+    #[serde(skip)]
+    pub values: Vec<Number>,
+    /// Distance of what it leaves (of a second effect: what both leave) from the noise of the scene; none for
+    /// direct tests. Not in the JSON.
+    #[serde(skip)]
+    pub ks: Option<f64>,
 }
 
 /// A number with the nominal description, and with the fitted one.
@@ -224,7 +238,7 @@ pub struct Report {
     /// In a sentence.
     pub summary: String,
     /// Strongest first.
-    pub effects: Vec<EffectReport>,
+    pub effects: Vec<Finding>,
     /// Before and after.
     pub fit: Fit,
     /// What could have been seen.
@@ -273,10 +287,10 @@ impl Report {
     }
 }
 
-impl EffectReport {
+impl Finding {
     /// What the catalogue says of an effect; numbers, location and evidence are the caller's.
-    pub fn of(decl: &EffectDecl, location: Location, evidence: Evidence) -> EffectReport {
-        EffectReport {
+    pub fn of(decl: &EffectDecl, location: Location, evidence: Evidence) -> Finding {
+        Finding {
             id: decl.id.to_owned(),
             also_possible: Vec::new(),
             plain: decl.about.to_owned(),
@@ -285,16 +299,39 @@ impl EffectReport {
             parameters: BTreeMap::new(),
             location,
             evidence,
+            values: Vec::new(),
+            ks: None,
         }
     }
 
-    /// Adds the number that a candidate seeks; a switch has none.
-    pub fn put(&mut self, candidate: &Candidate, estimate: f64, ci95: Option<[f64; 2]>, nominal: &Nominal) {
+    /// Did a direct test find it?
+    pub fn is_direct(&self) -> bool {
+        self.evidence.found_by.iter().any(|by| by == DIRECT)
+    }
+
+    /// Adds the number that a candidate seeks; a switch has none in the JSON. `sensor` is the description,
+    /// and `nominal` the same in numbers.
+    pub fn put(
+        &mut self,
+        candidate: &Candidate,
+        estimate: f64,
+        ci95: Option<[f64; 2]>,
+        sensor: &Sensor,
+        nominal: &Nominal,
+    ) {
+        self.values.push((candidate.parameter, estimate));
+        if candidate.is_reset() {
+            self.equation =
+                "the reference moves by one threshold at each event, or is taken anew, other than \
+                             stated (comparator.reset)"
+                    .into();
+        }
         if candidate.parameter_decl().is_none() {
             return;
         }
         let (key, unit) = candidate.json_key();
-        let nominal = Some(candidate.nominal_value(nominal)).filter(|_| !candidate.is_limit());
+        let has_nominal = !candidate.is_limit() && candidate.is_stated(sensor);
+        let nominal = has_nominal.then(|| candidate.nominal_value(nominal));
         self.parameters.insert(key, Parameter { estimate, ci95, nominal, unit: unit.to_owned() });
     }
 }
@@ -317,7 +354,7 @@ pub fn short(value: f64) -> String {
 fn round(value: &mut Value) {
     match value {
         Value::Number(number) if number.is_f64() => {
-            if let Some(rounded) = number.as_f64().map(six_digits).and_then(Number::from_f64) {
+            if let Some(rounded) = number.as_f64().map(six_digits).and_then(serde_json::Number::from_f64) {
                 *number = rounded;
             }
         }
@@ -352,12 +389,12 @@ mod tests {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let leak = CANDIDATES.iter().find(|candidate| candidate.id == "leak_events").unwrap();
-        let mut effect = EffectReport::of(
+        let mut effect = Finding::of(
             &leak.decl(),
             location(),
             Evidence { statistic: 183.000_000_4, ..Evidence::default() },
         );
-        effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &nominal);
+        effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &case.sensor, &nominal);
         let report = Report {
             schema: SCHEMA.to_owned(),
             verdict: Verdict::Named,

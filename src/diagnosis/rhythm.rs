@@ -13,7 +13,7 @@ const MULTIPLES: i64 = 4;
 
 /// The period at which `values` (instant, value) swing most, ns; rhythms of period `apart_from_ns` and its
 /// fractions are left out. None where the recording is too short for any.
-pub fn strongest_period_ns(
+pub(crate) fn strongest_period_ns(
     values: impl Iterator<Item = (i64, f64)>,
     span: (i64, i64),
     apart_from_ns: Option<i64>,

@@ -175,6 +175,16 @@ impl Sample {
         }
     }
 
+    /// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
+    pub fn of_proof(case: &Case) -> Sample {
+        const SIDE: u32 = 8;
+        let zones = (6, 5);
+        if case.extent.width < zones.0 * SIDE || case.extent.height < zones.1 * SIDE {
+            return Sample::all(case, SIDE);
+        }
+        Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
+    }
+
     /// Number of pixels.
     pub fn len(&self) -> usize {
         self.pixels.len()

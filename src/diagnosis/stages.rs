@@ -1,18 +1,144 @@
-//! What passes between stages as documents: findings of the direct tests, evidence and proposals, written and
-//! read again.
+//! What passes between stages as documents: findings of the direct tests, evidence and proposals; how they
+//! are written and read again.
 //!
 //! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names
-//! for ids and parameters, and that an index into [`CANDIDATES`] still means what it meant: [`Proposals`]
+//! for ids and parameters, and that an index into [`CANDIDATES`] still means what it meant: `Proposals`
 //! carries the list's labels, and refuses to be read with another list.
 
 use crate::candidates::CANDIDATES;
-use crate::diagnose::Proposed;
-use crate::integrity::{Finding, Heldout, Integrity};
+use crate::dependence::Dependence;
+use crate::integrity::{Departure, Heldout, Integrity};
+use crate::report::Detectable;
 use crate::residual::evidence::Evidence;
+use crate::residual::located::{Located, Locations};
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
 use photocurrent_sensor::effects::catalogue;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
+
+/// What is thought of one candidate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Proposal {
+    /// Index into [`CANDIDATES`].
+    pub candidate: usize,
+    /// How far over the probability from which something is said: 1 = just.
+    pub score: f64,
+    /// Its probability given that there is something, 0 to 1.
+    pub probability: f64,
+    /// The parameter, in the unit of its declaration.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: Option<[f64; 2]>,
+    /// Is enough said for it?
+    pub passed: bool,
+    /// Gain in log-likelihood on held-out events beyond the control's, nats.
+    pub heldout_nats: Option<f64>,
+    /// Its 95 % interval, from block to block.
+    pub heldout_nats_ci95: Option<[f64; 2]>,
+    /// The same per event.
+    pub heldout_nats_per_event: Option<f64>,
+    /// Distance of what it leaves from the noise that the described sensor has on this scene (Kolmogorov and
+    /// Smirnov).
+    pub ks: Option<f64>,
+}
+
+impl Proposal {
+    /// Catalogue id of its effect.
+    pub fn id(&self) -> &'static str {
+        CANDIDATES[self.candidate].id
+    }
+}
+
+/// Something that no effect of the catalogue explains.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Unexplained {
+    /// What it depends on, by the names of docs/formats.md.
+    pub covariate: String,
+    /// How, as an equation or in words.
+    pub equation: String,
+    /// Where in the chain.
+    pub insertion: String,
+    /// How far over what counts.
+    pub score: f64,
+    /// Held-out gain in log-likelihood, nats an event.
+    pub nats: f64,
+    /// As it was measured.
+    pub dependence: Option<Dependence>,
+}
+
+impl Unexplained {
+    /// By a curve, `score` over the least that counts.
+    pub fn by(dependence: &Dependence, score: f64) -> Unexplained {
+        Unexplained {
+            covariate: dependence.covariate.name().to_owned(),
+            equation: dependence.equation(),
+            insertion: dependence.moved.insertion().to_owned(),
+            score,
+            nats: dependence.nats_per_event,
+            dependence: Some(dependence.clone()),
+        }
+    }
+
+    /// Where it is; none where it is not the curve that was located.
+    pub fn located<'a>(&self, decided: Option<&'a Decided>) -> Option<&'a Located> {
+        let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == self.dependence;
+        decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
+    }
+}
+
+/// What is decided on one scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Decided {
+    /// The scene: `picture`, `given`, ...
+    pub name: String,
+    /// Share of the events that lie where the scene predicts frames: the others were not looked at.
+    #[serde(default)]
+    pub share: f64,
+    /// First and last instant that was looked at, ns; none where it is the whole recording.
+    #[serde(default)]
+    pub span_ns: Option<(i64, i64)>,
+    /// Does the recording differ from the description at all?
+    pub detected: bool,
+    /// For one more effect, best first.
+    pub proposals: Vec<Proposal>,
+    /// For a second one in addition to the first of `proposals`, best first.
+    pub second: Vec<Proposal>,
+    /// What explains more than any candidate does, and is none.
+    pub unexplained: Option<Unexplained>,
+    /// What could have been seen.
+    pub detectability: Vec<Detectable>,
+    /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
+    pub nats_per_event: Option<f64>,
+    /// Distance of what the description leaves from the noise that it has on this scene.
+    pub ks: Option<f64>,
+    /// Share of the misfit that the first proposal leaves.
+    pub residual_left: Option<f64>,
+    /// Where its answers are; empty where that was not measured.
+    #[serde(default)]
+    pub located: Locations,
+}
+
+/// What is decided on a scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Proposed {
+    /// Nobody asked.
+    #[default]
+    NotAsked,
+    /// The scene is no evidence, and why.
+    Nothing(String),
+    /// This.
+    Decided(Box<Decided>),
+}
+
+impl Proposed {
+    /// What is decided; none where nothing is.
+    pub fn decided(&self) -> Option<&Decided> {
+        match self {
+            Proposed::Decided(decided) => Some(decided),
+            _ => None,
+        }
+    }
+}
 
 /// What is decided, and the list of candidates that it is chosen from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,7 +234,7 @@ pub fn read_proposals(document: &Diagnosis) -> Result<Proposed, DataError> {
 }
 
 #[derive(Deserialize)]
-struct FindingText {
+struct DepartureText {
     id: String,
     parameters: Vec<(String, f64)>,
     statistic: f64,
@@ -122,9 +248,9 @@ struct FindingText {
     ci95: Vec<(String, [f64; 2])>,
 }
 
-impl<'de> Deserialize<'de> for Finding {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Finding, D::Error> {
-        let text = FindingText::deserialize(deserializer)?;
+impl<'de> Deserialize<'de> for Departure {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Departure, D::Error> {
+        let text = DepartureText::deserialize(deserializer)?;
         let unknown = |what: &str| D::Error::custom(format!("`{what}` is not in the catalogue of effects"));
         let decl = catalogue()
             .into_iter()
@@ -140,7 +266,7 @@ impl<'de> Deserialize<'de> for Finding {
             Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *interval))
         });
         let polarity = ["on", "off", "both"].into_iter().find(|polarity| *polarity == text.polarity);
-        Ok(Finding {
+        Ok(Departure {
             id: decl.id,
             parameters: parameters.collect::<Result<_, D::Error>>()?,
             statistic: text.statistic,
@@ -160,11 +286,9 @@ impl<'de> Deserialize<'de> for Finding {
 mod tests {
     use super::*;
     use crate::diagnose::check;
-    use crate::report::{Detectable, SceneProperty};
+    use crate::report::SceneProperty;
     use crate::residual::evidence::Ranked;
-    use crate::residual::located::{Located, Locations};
     use crate::testing;
-    use crate::verdict::{Decided, Proposal, Unexplained};
 
     #[test]
     fn what_direct_tests_saw_comes_back() {

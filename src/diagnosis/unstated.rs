@@ -6,13 +6,11 @@
 //! voltage there less reference and threshold, so that a lag, a bandwidth or its dependence on light would be
 //! given the name of another effect. What is left out stands in the report, with the reason.
 
-use crate::candidates::Candidate;
-use crate::integrity::Finding;
-use crate::page::readable;
+use crate::integrity::Departure;
 use crate::report::NotTestable;
+use crate::units::readable;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
-use photocurrent_sensor::effects::sought::Field;
 use photocurrent_sensor::effects::{Stage, catalogue};
 
 /// Fields of the front end that a description does not state, by their TOML paths; empty where both are
@@ -114,7 +112,7 @@ fn offset(sensor: &Sensor, lacking: &str) -> Vec<NotTestable> {
 /// A low-pass of unknown bandwidth makes events late, and weakens changes that are fast, or dark: thresholds
 /// look larger, those of OFF events more, dark places have the fewer events, and fast ones lose light. It
 /// makes nothing early, and no threshold smaller.
-pub fn alike(sensor: &Sensor, finding: &Finding) -> Option<(&'static str, &'static str)> {
+pub fn alike(sensor: &Sensor, finding: &Departure) -> Option<(&'static str, &'static str)> {
     if front_end(sensor).is_empty() {
         return None;
     }
@@ -137,20 +135,10 @@ pub fn alike(sensor: &Sensor, finding: &Finding) -> Option<(&'static str, &'stat
     Some(("time_constant", because))
 }
 
-/// Is the description's own value of a candidate there, or does a 0 stand for it?
-pub fn is_stated(sensor: &Sensor, candidate: &Candidate) -> bool {
-    match candidate.sought.field {
-        Some(Field::Tau0) => sensor.front_end.tau_0.is_some(),
-        Some(Field::Alpha) => sensor.front_end.alpha.is_some(),
-        Some(Field::Refractory) => sensor.readout.refractory.is_some(),
-        _ => true,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::candidates::CANDIDATES;
+    use crate::candidates::{CANDIDATES, Candidate};
     use crate::testing;
     use serde_json::json;
 
@@ -161,8 +149,8 @@ mod tests {
         sensor
     }
 
-    fn late(seconds: f64) -> Finding {
-        Finding::of_halves("clock_offset", ("offset", seconds), 100.0, 1000, String::new())
+    fn late(seconds: f64) -> Departure {
+        Departure::of_halves("clock_offset", ("offset", seconds), 100.0, 1000, String::new())
     }
 
     #[test]
@@ -170,7 +158,7 @@ mod tests {
         let sensor = testing::sensor();
         assert_eq!((front_end(&sensor).len(), without_scene(&sensor), advice(&sensor).len()), (0, None, 0));
         assert!(not_testable(&sensor, |_| false).is_empty() && alike(&sensor, &late(3e-3)).is_none());
-        assert!(CANDIDATES.iter().all(|candidate| is_stated(&sensor, candidate)));
+        assert!(CANDIDATES.iter().all(|candidate| candidate.is_stated(&sensor)));
     }
 
     #[test]
@@ -198,7 +186,7 @@ mod tests {
         let unstated = |sensor: &Sensor| {
             CANDIDATES
                 .iter()
-                .filter(|candidate| !is_stated(sensor, candidate))
+                .filter(|candidate| !candidate.is_stated(sensor))
                 .map(Candidate::label)
                 .collect::<Vec<_>>()
         };
@@ -214,7 +202,7 @@ mod tests {
     #[test]
     fn a_low_pass_makes_thresholds_larger_and_never_smaller() {
         let of = |id, parameter, value| {
-            alike(&proposed(), &Finding::of_halves(id, (parameter, value), 100.0, 1000, String::new()))
+            alike(&proposed(), &Departure::of_halves(id, (parameter, value), 100.0, 1000, String::new()))
                 .map(|(id, _)| id)
         };
         assert_eq!(
@@ -229,9 +217,9 @@ mod tests {
             ),
             (None, None, None)
         );
-        let of_intervals = Finding {
+        let of_intervals = Departure {
             heldout: None,
-            ..Finding::of_halves("refractory", ("refractory", 1e-3), 100.0, 1000, String::new())
+            ..Departure::of_halves("refractory", ("refractory", 1e-3), 100.0, 1000, String::new())
         };
         assert_eq!(
             (of("refractory", "refractory", 1e-3), alike(&proposed(), &of_intervals)),

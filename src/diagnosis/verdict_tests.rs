@@ -1,6 +1,7 @@
 //! What is claimed when direct tests and a scene agree, differ, or stand alone.
 
 use super::*;
+use crate::dependence::Dependence;
 use crate::testing;
 
 fn proposal(id: &str, parameter: &str, score: f64, probability: f64, value: f64) -> Proposal {
@@ -31,7 +32,7 @@ fn answer_with(integrity: &Integrity, decided: Option<&Decided>) -> Answer {
 }
 
 fn ids(answer: &Answer) -> Vec<&str> {
-    answer.claims.iter().map(|claim| claim.id).collect()
+    answer.findings.iter().map(|finding| &finding.id[..]).collect()
 }
 
 fn leak(score: f64, probability: f64) -> Proposal {
@@ -46,13 +47,13 @@ fn asymmetry(score: f64, probability: f64) -> Proposal {
 fn the_most_probable_is_named_with_what_is_nearly_as_probable() {
     let sure = answer(&decided(vec![leak(1.1, 0.9), asymmetry(1.1, 0.02)]));
     assert_eq!(
-        (sure.verdict, ids(&sure), sure.claims[0].posterior),
+        (sure.verdict, ids(&sure), sure.findings[0].evidence.posterior),
         (Verdict::Named, vec!["leak_events"], Some(0.9))
     );
-    assert_eq!(sure.claims[0].found_by, ["picture"]);
+    assert_eq!(sure.findings[0].evidence.found_by, ["picture"]);
     let unsure = answer(&decided(vec![leak(1.1, 0.55), asymmetry(1.1, 0.45)]));
     assert_eq!((unsure.verdict, ids(&unsure)), (Verdict::Ambiguous, vec!["leak_events"]));
-    assert_eq!(unsure.claims[0].also_possible, ["threshold_asymmetry"]);
+    assert_eq!(unsure.findings[0].also_possible, ["threshold_asymmetry"]);
 }
 
 #[test]
@@ -71,12 +72,12 @@ fn a_second_effect_stands_behind_the_first_and_another_number_of_it_is_added() {
     assert_eq!(ids(&answer(&with(asymmetry(0.9, 0.9)))), ["leak_events"]);
     let pole = |parameter: &str, value: f64| proposal("time_constant", parameter, 1.1, 0.9, value);
     let both = answer(&Decided { second: vec![pole("alpha", 0.05)], ..decided(vec![pole("tau_0", 90e-6)]) });
-    assert_eq!((ids(&both), both.claims[0].values.len()), (vec!["time_constant"], 2));
+    assert_eq!((ids(&both), both.findings[0].values.len()), (vec!["time_constant"], 2));
 }
 
 #[test]
 fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
-    let finding = Finding {
+    let finding = Departure {
         id: "hot_pixels",
         parameters: vec![("fraction", 0.002), ("rate", 900.0)],
         statistic: 16.0,
@@ -90,7 +91,7 @@ fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
     };
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let alone = answer_with(&integrity, None);
-    assert_eq!((alone.verdict, alone.claims[0].id), (Verdict::Named, "hot_pixels"));
+    assert_eq!((alone.verdict, alone.findings[0].id.as_str()), (Verdict::Named, "hot_pixels"));
     let joined = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));
     assert_eq!(ids(&joined), ["leak_events", "hot_pixels"]);
 }
@@ -100,7 +101,7 @@ fn too_little_is_consistent_and_something_unexplained_has_no_name() {
     assert_eq!(answer(&decided(vec![leak(0.7, 0.9)])).verdict, Verdict::Consistent);
     let unexplained = Unexplained { covariate: "frame_phase".into(), score: 3.0, ..Unexplained::default() };
     let found = answer(&Decided { detected: true, unexplained: Some(unexplained), ..decided(Vec::new()) });
-    assert!(found.claims.is_empty());
+    assert!(found.findings.is_empty());
     assert_eq!(found.unexplained.map(|found| found.covariate), Some("frame_phase".to_owned()));
     assert_eq!(found.verdict, Verdict::Unnamed);
 }
@@ -120,14 +121,14 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
     };
     let integrity = Integrity { dependences: vec![dependence], ..Integrity::default() };
     let alone = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));
-    assert_eq!((alone.verdict, alone.claims.len()), (Verdict::Unnamed, 0));
+    assert_eq!((alone.verdict, alone.findings.len()), (Verdict::Unnamed, 0));
     let said = alone.unexplained.unwrap();
     assert_eq!(
         (said.covariate.as_str(), said.equation.as_str()),
         ("row_parity", "rate of events * (1 + c), c(row_parity) = +10.0 % at 0, -10.0 % at 1")
     );
     assert!(said.score >= 1.0);
-    let hot = Finding {
+    let hot = Departure {
         id: "hot_pixels",
         parameters: vec![],
         statistic: 9.0,
@@ -140,12 +141,12 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         ci95: Vec::new(),
     };
     let both = answer_with(&Integrity { findings: vec![hot], ..integrity }, None);
-    assert_eq!((both.verdict, both.claims[0].id), (Verdict::Named, "hot_pixels"));
+    assert_eq!((both.verdict, both.findings[0].id.as_str()), (Verdict::Named, "hot_pixels"));
 }
 
 #[test]
 fn what_looks_like_a_direct_finding_is_its_remainder() {
-    let finding = Finding {
+    let finding = Departure {
         id: "event_loss",
         parameters: vec![("fraction", 0.2)],
         statistic: 50.0,

@@ -2,7 +2,7 @@
 //
 // P.chart(place, { title, x, y, series: [{ label, points: [[x, y], ...], style, step, band: [[x, low, high], ...] }], bars, ticks }) draws into `place` and gives
 // { cursor(x) }, which moves a line. `y` of a point may be null: a gap. `style` is a number, or "truth"; `dots` marks points, `loose` ones
-// are not joined. `bars` are exposures [from, to, y, label], `ticks` events [x, isOn].
+// are not joined; with `whiskers` the band is a bar at each point. `bars` are exposures [from, to, y, label], `ticks` events [x, isOn]; `isLog`: x by its logarithm.
 {
   const DASHES = ["", "8 3", "3 2", "10 3 3 3", "15 4", "5 3", "2 2", "12 3 3 3 3 3"];
   const line = (style) =>
@@ -24,6 +24,14 @@
     return values.map((value) => [value, value.toFixed(digits)]);
   };
 
+  // Round values of a positive range: 1, 2 and 5 times each power of ten, powers alone over many; the ends of a narrow one.
+  const ratios = (low, high) => {
+    const values = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power++) for (const k of high > 1000 * low ? [1] : [1, 2, 5]) values.push(k * 10 ** power);
+    const inside = values.filter((value) => value >= low && value <= high);
+    return (inside.length > 1 ? inside : [low, high]).map((value) => [value, P.number(value)]);
+  };
+
   const range = (values) => {
     let low = Infinity, high = -Infinity;
     for (const value of values) if (value !== null && Number.isFinite(value)) (low = Math.min(low, value)), (high = Math.max(high, value));
@@ -40,16 +48,17 @@
     const ys = shown.flatMap((one) => one.points.map((point) => point[1]).concat((one.band ?? []).flatMap((band) => [band[1], band[2]])));
     const [x0, x1] = spec.xRange ?? [Math.min(...xs), Math.max(...xs)].map((value, at) => (Number.isFinite(value) ? value : at));
     const [y0, y1] = range(ys.concat((spec.bars ?? []).map((bar) => bar[2])));
-    const span = x1 > x0 ? x1 - x0 : 1;
-    const x = (value) => left + ((value - x0) / span) * (width - left - right);
+    const scaled = spec.isLog ? Math.log10 : (value) => value;
+    const span = x1 > x0 ? scaled(x1) - scaled(x0) : 1;
+    const x = (value) => left + ((scaled(value) - scaled(x0)) / span) * (width - left - right);
     const y = (value) => height - bottom - ((value - y0) / (y1 - y0)) * (height - bottom - top);
     const svg = P.svg("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${spec.title ?? ""}: ${spec.y} over ${spec.x}` });
     if (spec.title) svg.append(P.svg("text", { class: "title", x: left, y: 16 }, spec.title));
     for (const [value, text] of steps(y0, y1, height / 50)) {
-      svg.append(P.svg("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
+      svg.append(P.svg("line", { class: value === 0 ? "axis" : "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
       svg.append(P.svg("text", { x: left - 6, y: y(value) + 4, "text-anchor": "end" }, text));
     }
-    for (const [value, text] of steps(x0, x0 + span, width / 90)) {
+    for (const [value, text] of spec.isLog ? ratios(x0, x1) : steps(x0, x0 + span, width / 90)) {
       svg.append(P.svg("line", { class: "grid", x1: x(value), x2: x(value), y1: top, y2: height - bottom }));
       svg.append(P.svg("text", { x: x(value), y: height - bottom + 16, "text-anchor": "middle" }, text));
     }
@@ -58,7 +67,8 @@
     const middle = (top + height - bottom) / 2;
     svg.append(P.svg("text", { x: 12, y: middle, "text-anchor": "middle", transform: `rotate(-90 12 ${middle})` }, spec.y));
     for (const one of shown) {
-      if (one.band?.length) {
+      if (one.whiskers) for (const [at, low, high] of one.band) svg.append(P.svg("line", { x1: x(at), x2: x(at), y1: y(low), y2: y(high), stroke: line(one.style).stroke }));
+      else if (one.band?.length) {
         const edge = (side) => one.band.map((band) => `${x(band[0]).toFixed(1)},${y(band[side]).toFixed(1)}`);
         svg.append(P.svg("polygon", { class: "band", fill: line(one.style).stroke, points: edge(2).concat(edge(1).reverse()).join(" ") }));
       }

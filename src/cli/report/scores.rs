@@ -264,7 +264,6 @@ pub fn edges(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<()
                 title: format!("{} over {axis}", panel.y_label),
                 x: panel.x_label,
                 y: panel.y_label,
-                is_time: false,
                 series: panel
                     .series
                     .into_iter()
@@ -280,6 +279,7 @@ pub fn edges(runs: &[Run], styles: &mut Styles, page: &mut RunPage) -> Result<()
                         ..Curve::default()
                     })
                     .collect(),
+                ..Panel::default()
             }
         }));
     }

@@ -6,7 +6,8 @@
 
 use divan::Bencher;
 use photocurrent_core::Extent;
-use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
+use photocurrent_diagnosis::residual::evidence::EvidenceSetting;
+use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_diagnosis::scenes::MadeUp;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::moving::MovingPicture;

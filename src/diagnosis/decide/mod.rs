@@ -11,7 +11,7 @@ use crate::candidates::{CANDIDATES, Signs};
 use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
-use crate::verdict::{Decided, Proposal, Unexplained};
+use crate::stages::{Decided, Proposal, Unexplained};
 use model::{Facts, KINDS, Models, Posterior, hypotheses};
 use photocurrent_scene::nominal::Nominal;
 use serde::{Deserialize, Serialize};

@@ -11,7 +11,8 @@
 //! the wrong number: what a test assumes is not questioned. Where a test finds nothing in more than three of
 //! the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
 
-use super::{BLOCK, Finding, TestsAgain};
+use super::array::BLOCK;
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
 use rayon::prelude::*;
 
@@ -24,22 +25,25 @@ const NORMAL: f64 = 1.96;
 /// From so many events on, each group is looked at alone.
 const MANY: usize = 2_000_000;
 
-/// The group of a pixel. Blocks are those of [`super::half`]; of two that follow each other one is of each
-/// half, or the rows below bring the other.
+/// The group of a pixel. Blocks are those of [`super::array::half`]; of two that follow each other one is of
+/// each half, or the rows below bring the other.
 fn group(case: &Case, pixel: usize) -> usize {
     let (x, y) = case.place(pixel);
     let block = y / BLOCK * case.extent.width.div_ceil(BLOCK) + x / BLOCK;
     block as usize % (2 * GROUPS) / 2
 }
 
+/// Tests that are made again of a recording without the pixels of a list.
+type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Departure> + Sync);
+
 /// Has a finding a number without an interval?
-pub(crate) fn lacks_interval(finding: &Finding) -> bool {
+pub(crate) fn lacks_interval(finding: &Departure) -> bool {
     finding.parameters.iter().any(|(name, _)| finding.interval(name).is_none())
 }
 
 /// Adds intervals to findings. `again` makes the same tests of a recording in which the pixels of the list
 /// have no events and are left out.
-pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsAgain<'_>) {
+pub(crate) fn add_intervals(case: &Case, findings: &mut [Departure], again: TestsAgain<'_>) {
     if !findings.iter().any(lacks_interval) {
         return;
     }
@@ -51,7 +55,7 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsA
     if (0..GROUPS).any(is_empty) {
         return;
     }
-    let part = |number: usize| -> Vec<Finding> {
+    let part = |number: usize| -> Vec<Departure> {
         let out: Vec<u32> = groups
             .iter()
             .zip(0..)
@@ -68,9 +72,9 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsA
             &out,
         )
     };
-    let parts: Vec<Vec<Finding>> = (0..GROUPS).into_par_iter().map(part).collect();
+    let parts: Vec<Vec<Departure>> = (0..GROUPS).into_par_iter().map(part).collect();
     for finding in findings {
-        let same = |part: &Vec<Finding>, name: &str| -> Option<f64> {
+        let same = |part: &Vec<Departure>, name: &str| -> Option<f64> {
             let twin =
                 part.iter().find(|other| other.id == finding.id && other.threshold == finding.threshold)?;
             twin.value(name)
@@ -103,7 +107,7 @@ fn student(groups: usize) -> f64 {
 
 /// Standard error of what all parts share: the errors that these tests have on simulated recordings
 /// (`again_tests.rs`), or that their files state.
-fn common(finding: &Finding, value: f64) -> f64 {
+fn common(finding: &Departure, value: f64) -> f64 {
     match finding.id {
         "hot_rows" | "hot_pixels" => 0.01 * value.abs(),
         "clock_offset" => 0.05 * value.abs(),
@@ -157,7 +161,7 @@ mod tests {
             let case = Case { extent: Extent { width, height }, ..crate::testing::case() };
             let (all, mut pixels) = (f64::from(width * height), [[0.0; 2]; GROUPS]);
             (0..case.extent.pixels()).for_each(|pixel| {
-                pixels[group(&case, pixel)][super::super::half(&case, pixel)] += 20.0 / all
+                pixels[group(&case, pixel)][super::super::array::half(&case, pixel)] += 20.0 / all
             });
             assert!(
                 pixels.iter().flatten().all(|share| (0.8..1.25).contains(share)),

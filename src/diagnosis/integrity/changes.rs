@@ -13,10 +13,12 @@
 //! delays, and bandwidths that depend on light, are the business of tests that estimate the scene. Another
 //! threshold than stated changes neither. Estimates have an error of up to a third.
 
+use super::array::{half, lowest};
+use super::departure::{Departure, NATS};
 use super::still::noise_dn;
-use super::{Finding, NATS, half, lowest, quantile};
 use photocurrent_scene::case::{Case, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::quantile;
 
 /// Exposures longer than this share of the period say too little.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;
@@ -108,7 +110,7 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    pub fn add(&mut self, by: [f64; 3], value: f64) {
+    pub(super) fn add(&mut self, by: [f64; 3], value: f64) {
         for a in 0..3 {
             for b in 0..3 {
                 self.products[a][b] += by[a] * by[b];
@@ -119,7 +121,7 @@ impl Sums {
         self.count += 1.0;
     }
 
-    pub fn and(&self, other: &Sums) -> Sums {
+    pub(super) fn and(&self, other: &Sums) -> Sums {
         let mut sum = *self;
         for a in 0..3 {
             for b in 0..3 {
@@ -133,7 +135,7 @@ impl Sums {
     }
 
     /// The best factors of the first `n`; none where they cannot be separated.
-    pub fn solve(&self, n: usize) -> Option<[f64; 3]> {
+    pub(super) fn solve(&self, n: usize) -> Option<[f64; 3]> {
         let mut rows = self.products;
         let mut right = self.with;
         for k in 0..n {
@@ -157,7 +159,7 @@ impl Sums {
     }
 
     /// Sum of squares that factors leave.
-    pub fn left(&self, factors: [f64; 3]) -> f64 {
+    pub(super) fn left(&self, factors: [f64; 3]) -> f64 {
         let mut left = self.square;
         for a in 0..3 {
             left -= 2.0 * factors[a] * self.with[a];
@@ -176,12 +178,12 @@ pub(super) struct Predicted {
 
 impl Predicted {
     /// With the factors that are best on `from`; none where they cannot be separated.
-    pub fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
+    pub(super) fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
         Some(Predicted { these, from, factors: from.solve(n)? })
     }
 
     /// Normal errors, of the size that they have in `from`; nats.
-    pub fn log_likelihood(&self) -> f64 {
+    pub(super) fn log_likelihood(&self) -> f64 {
         let variance = f64::max(self.from.left(self.factors) / f64::max(self.from.count, 1.0), 1e-12);
         -0.5 * (self.these.count * libm::log(variance) + self.these.left(self.factors) / variance)
     }
@@ -196,7 +198,7 @@ pub(super) struct Shifts {
 impl Shifts {
     /// Adds up to each shift's sums what `add` says of it, item by item: what is known of an item is at hand
     /// for all shifts. Events are moved earlier by the shift, ns.
-    pub fn tried<T>(
+    pub(super) fn tried<T>(
         period_ns: f64,
         items: impl IntoIterator<Item = T>,
         add: impl Fn(&T, i64, &mut [Sums; 2]),
@@ -215,13 +217,13 @@ impl Shifts {
     }
 
     /// By how much events come late, ns; none at the rim.
-    pub fn best_ns(&self) -> Option<f64> {
+    pub(super) fn best_ns(&self) -> Option<f64> {
         let curve: Vec<f64> = self.tried.iter().map(|[a, b]| Shifts::left(&a.and(b))).collect();
         Some((lowest(&curve)? - SHIFTS as f64) * self.step_ns)
     }
 
     /// Gain over no shift, each half predicted at the shift that is best on the other, nats.
-    pub fn nats(&self) -> f64 {
+    pub(super) fn nats(&self) -> f64 {
         let unmoved = &self.tried[SHIFTS as usize];
         let gain = |side: usize| -> Option<f64> {
             let other = 1 - side;
@@ -265,7 +267,7 @@ pub(super) fn intervals(case: &Case) -> Vec<i64> {
 
 /// What changes between frames show: a blind time, and a delay. The blind time does not ask for the delay
 /// exactly, the delay does for the blind time.
-pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> {
+pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
     let Some(changes) = Changes::of(case, nominal, masked) else { return Vec::new() };
     let stated_ns = nominal.pixel.refractory_ns;
     let (late_ns, as_stated) = late(case, nominal, &changes, stated_ns);
@@ -276,7 +278,7 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
 
 /// By how much events come later than the frames say, ns (less is earlier), and the finding when that is an
 /// offset; pixels are blind for `blind_ns`.
-fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f64, Option<Finding>) {
+fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f64, Option<Departure>) {
     let usual_ns = quantile(&intervals(case), 0.5);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     let large: Vec<&Change> = changes.all.iter().filter(|change| change.log.abs() > threshold).collect();
@@ -334,7 +336,7 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         if late_ns > 0.0 { "earlier" } else { "later" },
         raw_ns.abs() * 1e-6
     );
-    let finding = Finding::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
+    let finding = Departure::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
     (late_ns, Some(finding))
 }
 
@@ -377,7 +379,7 @@ fn sums_of(runs: &[Run], blind_ns: f64, is_free: bool) -> [Sums; 2] {
 
 /// A blind time longer than stated: light goes further for an event where events follow each other faster.
 /// `late_ns` is by how much events come late.
-fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Option<Finding> {
+fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Option<Departure> {
     let late = late_ns.round() as i64;
     let runs: Vec<Run> = changes
         .all
@@ -446,7 +448,7 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         found_ns * 1e-3,
         shortest * 1e-3
     );
-    Some(Finding::of_halves(
+    Some(Departure::of_halves(
         "refractory",
         ("refractory", value_ns * 1e-9),
         nats,

@@ -1,7 +1,7 @@
 //! Light that rises and falls steadily, at a speed of each pixel's own, seen by a comparator that is written
 //! out here.
 
-use super::Finding;
+use super::Departure;
 use super::changes::findings;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
@@ -68,7 +68,7 @@ pub(super) fn seeded(seed: u64, late_ns: i64, blind_ns: i64) -> Case {
     }
 }
 
-fn found(case: &Case) -> (Option<Finding>, Option<Finding>) {
+fn found(case: &Case) -> (Option<Departure>, Option<Departure>) {
     let all = findings(case, &case.nominal().unwrap(), &[]);
     let of = |id: &str| all.iter().find(|finding| finding.id == id).cloned();
     (of("clock_offset"), of("refractory"))

@@ -9,7 +9,7 @@
 //! Limits: textures finer than three pixels, and scenes in which little moves, give little such time, and the
 //! test is silent. A shot that comes with the light is not seen, and need not be: as many come against it.
 
-use super::Finding;
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
 
 /// The eight around must have fired so often between the two.
@@ -72,7 +72,7 @@ impl Against {
 }
 
 /// Events that come at random, seen where the light goes one way; pixels of `masked` are left out.
-pub fn noise(case: &Case, masked: &[u32]) -> Option<Finding> {
+pub(super) fn noise(case: &Case, masked: &[u32]) -> Option<Departure> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let is_masked = |pixel: usize| masked.binary_search(&(pixel as u32)).is_ok();
     let signs = [OfSign::new(case, -1), OfSign::new(case, 1)];
@@ -111,7 +111,7 @@ pub fn noise(case: &Case, masked: &[u32]) -> Option<Finding> {
     finding(case, &on, &off)
 }
 
-fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
+fn finding(case: &Case, on: &Against, off: &Against) -> Option<Departure> {
     let all: Vec<(i64, usize)> = on.events.iter().chain(&off.events).copied().collect();
     let share = all.len() as f64 / case.events.len().max(1) as f64;
     let rate = on.rate_hz() + off.rate_hz();
@@ -138,7 +138,7 @@ fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
     } else {
         "both"
     };
-    Some(Finding {
+    Some(Departure {
         id: "background_activity",
         parameters: vec![("rate", rate)],
         statistic: share,

@@ -12,9 +12,11 @@
 //! of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events
 //! as well; they are not counted.
 
-use super::{Finding, Heldout, half, quantile};
+use super::array::half;
+use super::departure::{Departure, Heldout};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::quantile;
 
 /// Parts of a frame period.
 const BINS: usize = 50;
@@ -131,14 +133,14 @@ impl Phases {
 
 /// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those
 /// that are left out. Where still pixels decide nothing, all are asked.
-pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Finding> {
+pub(super) fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
         let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
         events.map(|events| events.iter().filter(|event| event.polarity == polarity).count()).sum()
     };
     let (on, off) = (count(still, 1), count(still, -1));
     let prevails = if on >= off { 1 } else { -1 };
-    let found = in_step(case, nominal, (still, prevails), on.min(off), masked, "where nothing moves");
+    let found = in_step(case, nominal, still, prevails, on.min(off), masked, "where nothing moves");
     found.or_else(|| {
         let all: Vec<u32> =
             (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
@@ -148,7 +150,7 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
             |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
         let some: Vec<u32> = all.into_iter().filter(|&pixel| is_drawn(pixel)).collect();
         let strongest = [1, -1].into_iter().filter_map(|polarity| {
-            in_step(case, nominal, (&some, polarity), count(&some, -polarity), masked, "of all pixels")
+            in_step(case, nominal, &some, polarity, count(&some, -polarity), masked, "of all pixels")
         });
         strongest.max_by(|a, b| a.statistic.total_cmp(&b.statistic))
     })
@@ -159,11 +161,12 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
 fn in_step(
     case: &Case,
     nominal: &Nominal,
-    (pixels, polarity): (&[u32], i8),
+    pixels: &[u32],
+    polarity: i8,
     other: usize,
     masked: &[u32],
     where_from: &str,
-) -> Option<Finding> {
+) -> Option<Departure> {
     let starts: Vec<i64> =
         case.frames.as_ref()?.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let frames = starts.len();
@@ -209,7 +212,7 @@ fn in_step(
         parameters.insert(0, ("step", step));
     }
     let sign = if polarity > 0 { "ON" } else { "OFF" };
-    Some(Finding {
+    Some(Departure {
         id: "frame_coupling",
         parameters,
         statistic: ratio,

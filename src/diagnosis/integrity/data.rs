@@ -3,17 +3,17 @@
 use photocurrent_scene::case::{Case, CaseFrames};
 
 /// With fewer events nothing is said of the event path.
-pub const FEWEST_EVENTS: usize = 300;
+pub(crate) const FEWEST_EVENTS: usize = 300;
 
 /// With fewer frames the two paths cannot be compared.
-pub const FEWEST_FRAMES: usize = 3;
+pub(crate) const FEWEST_FRAMES: usize = 3;
 
 /// Mean rate of a pixel from which stamps must be of another unit: the fastest read-outs give a thousand
 /// events a pixel and second with all pixels firing.
 const FASTEST_HZ: f64 = 5_000.0;
 
 /// What makes the data useless, a sentence each.
-pub fn broken(case: &Case) -> Vec<String> {
+pub(crate) fn broken(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
     if case.events.len() >= FEWEST_EVENTS {
         why.extend(broken_events(case));
@@ -138,12 +138,12 @@ fn apart(case: &Case) -> Option<String> {
 }
 
 /// Are there enough events and frames to compare the two paths?
-pub fn is_enough(case: &Case) -> bool {
+pub(crate) fn is_enough(case: &Case) -> bool {
     case.events.len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
 }
 
 /// What there is too little of, a sentence each.
-pub fn lacking(case: &Case) -> Vec<String> {
+pub(crate) fn lacking(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
     let (events, frames) = (case.events.len(), case.frame_count());
     if events < FEWEST_EVENTS {

@@ -4,7 +4,7 @@
 //! the array averages out, what is common to all pixels stays. Both paths see it: it is a property of the
 //! scene, and no fault of the sensor.
 
-use super::Stream;
+use super::array::Stream;
 use crate::report::SceneProperty;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -21,7 +21,7 @@ const STEP_NS: i64 = 500_000;
 const FREQUENCIES: std::ops::Range<u32> = 45..400;
 
 /// The rhythm of the light, when there is one.
-pub fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProperty> {
+pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProperty> {
     let Some((first, last)) = stream.span() else { return Vec::new() };
     let steps = ((last - first) / STEP_NS) as usize;
     // Three periods of the slowest, and enough steps.

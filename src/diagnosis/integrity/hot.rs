@@ -5,12 +5,13 @@
 //! neighbours' (the scene moves across all of them) and with the spread of that comparison over the array:
 //! where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
 
-use super::{Finding, median};
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::median;
 
 /// The effects that are found here; their pixels are excluded.
-pub const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
+pub(crate) const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
 /// A row must have this many standard deviations of counting more events in its median pixel than the rows
 /// around it.
 const ROW_SIGMAS: f64 = 1.6;
@@ -30,7 +31,7 @@ const PARTS: usize = 12;
 const DISAGREES: f64 = 2.0;
 
 /// Hot rows, and the pixels in them; pixels of `out` (rising) are not looked at.
-pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Finding>, Vec<u32>) {
+pub(crate) fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Departure>, Vec<u32>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     if height < 8 || width < 8 {
         return (None, Vec::new());
@@ -90,7 +91,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Find
     let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
     let rate = excess / hot.len() as f64 / seconds;
     let share = hot.len() as f64 / height as f64;
-    let finding = Finding {
+    let finding = Departure {
         id: IDS[0],
         parameters: vec![("fraction", share), ("rate", rate)],
         statistic: strongest,
@@ -109,7 +110,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Find
 }
 
 /// Hot pixels outside the masked ones; adds them to the mask.
-pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> Option<Finding> {
+pub(crate) fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> Option<Departure> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let in_hot_row = masked.clone();
     let is_masked = |pixel: usize| in_hot_row.binary_search(&(pixel as u32)).is_ok();
@@ -164,7 +165,7 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
         hot.len()
     );
     let polarity = polarity(case, &hot);
-    Some(Finding {
+    Some(Departure {
         id: IDS[1],
         parameters: vec![("fraction", share), ("rate", rate)],
         statistic: strongest,

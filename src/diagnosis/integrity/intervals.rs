@@ -4,9 +4,11 @@
 //! What the scene asks for is read off the intervals themselves: below 0.3 times their 2nd percentile there
 //! are none on a sound sensor, whatever moves.
 
-use super::{Finding, quantile, stamps};
+use super::departure::Departure;
+use super::stamps;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::quantile;
 
 /// Too short is below this share of the 2nd percentile.
 const SHORT: f64 = 0.3;
@@ -23,7 +25,7 @@ const BLIND: f64 = 0.02;
 const PILE: f64 = 0.03;
 
 /// What intervals show; pixels of `masked` are left out.
-pub fn findings(case: &Case, nominal: Option<&Nominal>, masked: &[u32]) -> Vec<Finding> {
+pub(super) fn findings(case: &Case, nominal: Option<&Nominal>, masked: &[u32]) -> Vec<Departure> {
     let (mut all, mut reversals, mut blind) = (Vec::new(), Vec::new(), Vec::new());
     let mut events = 0;
     for pixel in (0..case.events.pixels()).filter(|&pixel| masked.binary_search(&(pixel as u32)).is_err()) {
@@ -46,7 +48,7 @@ pub fn findings(case: &Case, nominal: Option<&Nominal>, masked: &[u32]) -> Vec<F
     }
     let noise = noise(&all, &reversals, events);
     let is_noisy = noise.is_some();
-    let mut found: Vec<Finding> = noise.into_iter().collect();
+    let mut found: Vec<Departure> = noise.into_iter().collect();
     if !is_noisy {
         found.extend(jitter(case, &all, &reversals));
         found.extend(nominal.and_then(|nominal| blind_time(case, nominal, &blind)));
@@ -61,7 +63,7 @@ fn too_short(sorted: &[i64]) -> (f64, f64) {
 }
 
 /// Events that come at random: some of them right after an event of the scene, of the other sign.
-fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
+fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Departure> {
     let ((share_all, _), (share, limit)) = (too_short(all), too_short(reversals));
     if share < NOISE_REVERSALS || share_all < NOISE_ALL {
         return None;
@@ -69,7 +71,7 @@ fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
     // After each event, within the limit, half of the noise events are of the other sign.
     let short = share * reversals.len() as f64;
     let rate = 2.0 * short / (events as f64 * limit * 1e-9);
-    Some(Finding {
+    Some(Departure {
         id: "background_activity",
         parameters: vec![("rate", rate)],
         statistic: share,
@@ -90,13 +92,13 @@ fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
 
 /// Intervals of one sign that are too short, while reversals are not: the events are right and their stamps
 /// are not.
-fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Finding> {
+fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Departure> {
     let ((share, limit), (other, _)) = (too_short(all), too_short(reversals));
     // Below a few steps of the stamps a share means nothing.
     if share < JITTER_ALL || other > 0.1 * share || limit < case.t_resolution_ns as f64 * 0.3 {
         return None;
     }
-    Some(Finding {
+    Some(Departure {
         id: "timestamp_jitter",
         parameters: vec![("sigma", stamps::jitter_s(case))],
         statistic: share,
@@ -116,10 +118,10 @@ fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Finding> {
 }
 
 /// Events before the stated blind time is over, or piled up at a longer one.
-fn blind_time(case: &Case, nominal: &Nominal, blind: &[i64]) -> Option<Finding> {
+fn blind_time(case: &Case, nominal: &Nominal, blind: &[i64]) -> Option<Departure> {
     let (stated, step) = (nominal.pixel.refractory_ns, case.t_resolution_ns.max(1));
     let early = blind.partition_point(|interval| *interval < stated - 2 * step) as f64 / blind.len() as f64;
-    let finding = |value_ns: i64, statistic: f64, threshold: f64, seen: String| Finding {
+    let finding = |value_ns: i64, statistic: f64, threshold: f64, seen: String| Departure {
         id: "refractory",
         parameters: vec![("refractory", value_ns as f64 * 1e-9)],
         statistic,

@@ -1,7 +1,8 @@
 //! Counts of the whole array in windows of time: one and the same count again and again (something removes
 //! what is beyond it), and bursts in step with the frames.
 
-use super::{Finding, Stream};
+use super::array::Stream;
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
 
 /// Lengths of windows that are tried, ns: those that programs use, and the resolutions of buffers.
@@ -14,9 +15,9 @@ const FULL_OVER_NEXT: f64 = 5.0;
 const OVERFULL: f64 = 0.2;
 
 /// Windows that are full: above a count events are lost.
-pub fn loss(case: &Case, stream: &Stream) -> Option<Finding> {
+pub(super) fn loss(case: &Case, stream: &Stream) -> Option<Departure> {
     let (first, last) = stream.span()?;
-    let mut found: Vec<(f64, Finding)> = Vec::new();
+    let mut found: Vec<(f64, Departure)> = Vec::new();
     for window in WINDOWS_NS.into_iter().filter(|window| (last - first) / window >= 30) {
         // Windows are counted from 0 or from the first stamp.
         for origin in [0, first] {
@@ -30,7 +31,7 @@ pub fn loss(case: &Case, stream: &Stream) -> Option<Finding> {
 }
 
 /// Windows of one length that are full: their share, and what it means; none when there is no such count.
-fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, Finding)> {
+fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, Departure)> {
     let counts = windows(stream, origin, window);
     let most = counts.iter().map(|count| count.0).max().unwrap_or(0);
     let mut with = vec![0_usize; most + 6];
@@ -50,7 +51,7 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
         |last: i64| cap as f64 * (window as f64 / ((last + step).clamp(window / 10, window)) as f64 - 1.0);
     let lost: f64 = counts.iter().filter(|count| count.0 == cap).map(|count| lost(count.1)).sum();
     let fraction = lost / (lost + stream.0.len() as f64);
-    let finding = Finding {
+    let finding = Departure {
         id: "event_loss",
         parameters: vec![("fraction", fraction)],
         statistic: ratio,
@@ -90,7 +91,7 @@ fn windows(stream: &Stream, origin: i64, window: i64) -> Vec<(usize, i64)> {
 const BINS: usize = 50;
 
 /// Bursts at one phase of the frames, of one sign, in nearly every frame.
-pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Finding> {
+pub(super) fn frame_coupling(case: &Case, stream: &Stream) -> Option<Departure> {
     let frames = case.frames.as_ref()?;
     let starts: Vec<i64> = frames.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let (first, last) = stream.span()?;
@@ -129,7 +130,7 @@ pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Finding> {
     if ratio < FRAME_RATIO || in_step * 10 < whole.len() * 8 || lean.abs() < 0.5 {
         return None;
     }
-    Some(Finding {
+    Some(Departure {
         id: "frame_coupling",
         parameters: Vec::new(),
         statistic: ratio,

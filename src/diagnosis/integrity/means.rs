@@ -14,14 +14,16 @@
 //! have an error of up to a tenth, as events that are lost make them look larger. Light that neighbours mix
 //! in, and frames whose black level is too low, look like a dark current.
 
+use super::array::{half, lowest};
 use super::changes::{
     DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals,
 };
+use super::departure::{Departure, NATS};
 use super::still::noise_dn;
-use super::{Finding, NATS, half, lowest, quantile};
 use photocurrent_core::sensor::Reset;
 use photocurrent_scene::case::{Case, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::{median, quantile};
 use photocurrent_sensor::front_end::time_constant;
 
 /// More pixels than make about so many pairs are not looked at.
@@ -135,7 +137,7 @@ impl Pairs {
                 pairs.events.push(steps(case, nominal, case.events.of(pixel), usual_ns, slow_ns));
             }
         }
-        pairs.median = super::median(&mut lights);
+        pairs.median = median(&mut lights);
         (pairs.all.len() >= FEWEST).then_some(pairs)
     }
 
@@ -244,15 +246,15 @@ impl Mean {
 /// What pairs of frames say against the description. It is proposed, not found: whoever asks judges by frames
 /// that were held out ([`crate::judge`]).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Proposed {
+pub(crate) struct Proposed {
     /// An offset of the clock.
-    pub late: Option<Finding>,
+    pub late: Option<Departure>,
     /// Thresholds, and the same with a dark current; the simpler first, none that gains nothing.
-    pub contrast: Vec<Vec<Finding>>,
+    pub contrast: Vec<Vec<Departure>>,
 }
 
 /// Of a recording, without the pixels of `masked`.
-pub fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
+pub(crate) fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
     let Some(pairs) = Pairs::of(case, nominal, masked) else { return Proposed::default() };
     let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);
     let (late_ns, late) = late(case, nominal, &pairs, stated);
@@ -262,7 +264,7 @@ pub fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
 }
 
 /// By how much events come later than the frames say, ns, and the finding when that is an offset.
-fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f64, Option<Finding>) {
+fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f64, Option<Departure>) {
     let threshold = 0.5 * (stated.0 + stated.1);
     let large: Vec<&Pair> = pairs.all.iter().filter(|pair| pair.change(0.0).abs() > threshold).collect();
     if large.len() < FEWEST {
@@ -286,11 +288,11 @@ fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f
         late_ns.abs() * 1e-6,
         if late_ns > 0.0 { "earlier" } else { "later" },
     );
-    (late_ns, Some(Finding::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)))
+    (late_ns, Some(Departure::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)))
 }
 
 /// Thresholds that frames contradict at a delay, and thresholds with a dark current.
-fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>> {
+fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Departure>> {
     let shift_ns = late_ns.round() as i64;
     let seen_with = |thresholds: (f64, f64)| -> Vec<(&Pair, Seen)> {
         pairs
@@ -344,14 +346,14 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>
             dark / pairs.median
         );
         let mut findings = thresholds(sums(&seen, dark), stated, seen.len());
-        findings.push(Finding::of_halves("dark_current", ("current", dark), nats, seen.len(), said));
+        findings.push(Departure::of_halves("dark_current", ("current", dark), nats, seen.len(), said));
         all.push(findings);
     }
     all
 }
 
 /// Thresholds that both halves contradict.
-fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Finding> {
+fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Departure> {
     let Some([on, off, _]) = fits[0].and(&fits[1]).sums.solve(2) else { return Vec::new() };
     let ratios = (on / stated.0, off / stated.1);
     let (scale, asymmetry) =
@@ -380,7 +382,7 @@ fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Findin
     );
     let mut all = Vec::new();
     if scale.abs() > LEAST_SCALE && of_scale > NATS {
-        all.push(Finding::of_halves(
+        all.push(Departure::of_halves(
             "threshold_scale",
             ("fraction", scale),
             of_scale,
@@ -389,7 +391,7 @@ fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Findin
         ));
     }
     if asymmetry.abs() > LEAST_SCALE && apart > NATS {
-        all.push(Finding::of_halves("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));
+        all.push(Departure::of_halves("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));
     }
     all
 }

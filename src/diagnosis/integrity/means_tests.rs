@@ -1,7 +1,7 @@
 //! Waves of light over an array, their frames averaged over 16 of 25 ms and their events fired by a
 //! comparator that is written out here.
 
-use super::Finding;
+use super::Departure;
 use super::means::{Proposed, proposed};
 use photocurrent_core::{Exposure, Extent, FrameTimes};
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent, PixelEvents};
@@ -89,7 +89,7 @@ fn of(actual: Actual) -> Proposed {
 }
 
 /// The number of a finding.
-fn value(findings: &[Finding], id: &str) -> f64 {
+fn value(findings: &[Departure], id: &str) -> f64 {
     findings
         .iter()
         .find(|finding| finding.id == id)
@@ -110,7 +110,7 @@ fn events_that_come_late_show_by_how_much() {
         let late = found.late.unwrap();
         assert!((late.parameters[0].1 * 1e3 - late_ms).abs() < 0.3, "{late:?}");
         assert!(late.heldout.unwrap().nats > 100.0, "{late:?}");
-        assert_eq!(found.contrast, Vec::<Vec<Finding>>::new());
+        assert_eq!(found.contrast, Vec::<Vec<Departure>>::new());
     }
 }
 

@@ -8,141 +8,52 @@
 //!
 //! In reading order:
 //!
-//! - [`data`]: broken and insufficient recordings.
-//! - [`stamps`]: grids and regular gaps of time stamps.
-//! - [`hot`]: rows, then pixels, that fire far more than those around them.
-//! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest
+//! - [`Departure`]: what a test finds; `array`: events in order of time, and the halves of the array.
+//! - `data`: broken and insufficient recordings.
+//! - `stamps`: grids and regular gaps of time stamps.
+//! - `hot`: rows, then pixels, that fire far more than those around them.
+//! - `intervals`: intervals that are too short for any light (noise, jitter), or pile up at their shortest
 //!   (blind time).
-//! - [`contrary`]: events against the light, where all around goes one way (noise).
-//! - [`load`]: windows of time with one and the same count (loss), bursts in step with the frames.
-//! - [`still`]: pixels in which nothing moves, and the leak that shows there.
-//! - [`coupling`]: events there, or anywhere, that come when their row of the frame is read.
-//! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost
+//! - `contrary`: events against the light, where all around goes one way (noise).
+//! - `load`: windows of time with one and the same count (loss), bursts in step with the frames.
+//! - `still`: pixels in which nothing moves, and the leak that shows there.
+//! - `coupling`: events there, or anywhere, that come when their row of the frame is read.
+//! - `changes`: what the light did between two frames by the frames and by the events: late events, lost
 //!   light.
-//! - [`steps`]: how many events come for a change between two frames: thresholds.
-//! - [`means`]: both for frames of long exposure, by the double integral; and a dark current. It proposes,
+//! - `steps`: how many events come for a change between two frames: thresholds.
+//! - `means`: both for frames of long exposure, by the double integral; and a dark current. It proposes,
 //!   [`crate::judge`] decides.
-//! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene
+//! - `regular`: rates of events that repeat with the frames row by row, or from row to row: what no scene
 //!   does and no effect of the catalogue.
-//! - [`flicker`]: one rhythm common to the whole array.
-//! - [`again`]: 95 % intervals of what is found, by tests made again without parts of the array.
+//! - `flicker`: one rhythm common to the whole array.
+//! - `again`: 95 % intervals of what is found, by tests made again without parts of the array.
 
 pub(crate) mod again;
-pub mod changes;
-pub mod contrary;
-pub mod coupling;
-pub mod data;
-pub mod flicker;
-pub mod hot;
-pub mod intervals;
-pub mod load;
-pub mod means;
-pub mod regular;
-pub mod stamps;
-pub mod steps;
-pub mod still;
+mod array;
+mod changes;
+mod contrary;
+mod coupling;
+pub(crate) mod data;
+mod departure;
+mod flicker;
+pub(crate) mod hot;
+mod intervals;
+mod load;
+pub(crate) mod means;
+pub(crate) mod regular;
+pub(crate) mod stamps;
+mod steps;
+mod still;
 
 use crate::covariates::Covariate;
 use crate::dependence::Dependence;
 use crate::report::SceneProperty;
 use again::{add_intervals, lacks_interval};
+pub use array::{Stamped, Stream};
+pub use departure::{Departure, Heldout};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
-pub(crate) use photocurrent_scene::statistics::{median, quantile};
 use serde::{Deserialize, Serialize};
-
-/// A departure from the description that a direct test saw.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Finding {
-    /// Catalogue id.
-    pub id: &'static str,
-    /// Estimates by parameter, in the unit of its declaration; empty when the test gives none.
-    pub parameters: Vec<(&'static str, f64)>,
-    /// What the test measured.
-    pub statistic: f64,
-    /// The value from which it counts.
-    pub threshold: f64,
-    /// Share of the events, or of the rows or pixels, that are touched.
-    pub share: f64,
-    /// `on`, `off` or `both`.
-    pub polarity: &'static str,
-    /// Pixels that are touched (`y * width + x`, rising); empty = all.
-    pub pixels: Vec<u32>,
-    /// What was seen, in a sentence.
-    pub seen: String,
-    /// What it gains on measurements that its estimate did not see; none where that was not worked out.
-    pub heldout: Option<Heldout>,
-    /// 95 % intervals by parameter ([`again`]); those that were worked out.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub ci95: Vec<(&'static str, [f64; 2])>,
-}
-
-/// Tests that are made again of a recording without the pixels of a list.
-type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Finding> + Sync);
-
-/// Nats that half of the array must gain from what the other half says.
-const NATS: f64 = 30.0;
-
-impl Finding {
-    /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
-    pub(crate) fn of_halves(
-        id: &'static str,
-        parameter: (&'static str, f64),
-        nats: f64,
-        events: usize,
-        seen: String,
-    ) -> Finding {
-        let heldout = Some(Heldout { nats, events });
-        Finding {
-            id,
-            parameters: vec![parameter],
-            statistic: nats,
-            threshold: NATS,
-            share: 1.0,
-            polarity: "both",
-            pixels: Vec::new(),
-            seen,
-            heldout,
-            ci95: Vec::new(),
-        }
-    }
-
-    /// The estimate of a parameter.
-    pub fn value(&self, parameter: &str) -> Option<f64> {
-        self.parameters.iter().find(|(name, _)| *name == parameter).map(|(_, value)| *value)
-    }
-
-    /// The 95 % interval of a parameter.
-    pub fn interval(&self, parameter: &str) -> Option<[f64; 2]> {
-        self.ci95.iter().find(|(name, _)| *name == parameter).map(|(_, interval)| *interval)
-    }
-}
-
-/// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both
-/// ways.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Heldout {
-    /// Over the nominal description, nats.
-    pub nats: f64,
-    /// The events that it was measured on.
-    pub events: usize,
-}
-
-impl Heldout {
-    /// Nats an event; 0 without events.
-    pub fn per_event(&self) -> f64 {
-        self.nats / self.events.max(1) as f64
-    }
-}
-
-/// Side of the blocks of [`half`], pixels.
-const BLOCK: u32 = 8;
-
-/// Which half of the array a pixel is of: a checkerboard of blocks.
-pub(crate) fn half(case: &Case, pixel: usize) -> usize {
-    let (x, y) = case.place(pixel);
-    ((x / BLOCK + y / BLOCK) % 2) as usize
-}
 
 /// What the direct tests say.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -152,7 +63,7 @@ pub struct Integrity {
     /// What there is too little of, a sentence each.
     pub lacking: Vec<String>,
     /// Departures, strongest (statistic over threshold) first.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Departure>,
     /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes,
     /// strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -161,6 +72,11 @@ pub struct Integrity {
     pub scene: Vec<SceneProperty>,
     /// Pixels that later stages should leave out, rising.
     pub masked: Vec<u32>,
+}
+
+/// Is there enough, and is it sound enough, to estimate a scene?
+pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
+    integrity.broken.is_empty() && data::is_enough(case)
 }
 
 /// Effects of the catalogue that a direct test looks for.
@@ -239,7 +155,7 @@ pub(crate) fn joined(a: &[u32], b: &[u32]) -> Vec<u32> {
 }
 
 /// Hot rows, then hot pixels, and the pixels of both; those of `out` (rising) are not looked at.
-fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Finding>, Vec<u32>) {
+fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Departure>, Vec<u32>) {
     let (rows, in_rows) = hot::rows(case, nominal, out);
     let mut masked = joined(&in_rows, out);
     let pixels = hot::pixels(case, nominal, &mut masked);
@@ -253,12 +169,12 @@ fn others(
     stream: Option<&Stream>,
     masked: &[u32],
     wanted: &dyn Fn(&[&str]) -> bool,
-) -> Vec<Finding> {
-    let mut found: Vec<Finding> = stream.map_or_else(Vec::new, |stream| stamps::findings(case, stream));
+) -> Vec<Departure> {
+    let mut found: Vec<Departure> = stream.map_or_else(Vec::new, |stream| stamps::findings(case, stream));
     let on_grid = found.iter().any(|finding| finding.id == stamps::GRID);
     if wanted(&["background_activity", "timestamp_jitter", "refractory"]) {
         // Stamps on a coarse grid have no interval below its step.
-        let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");
+        let says_more = |finding: &Departure| !(on_grid && finding.id == "refractory");
         found.extend(intervals::findings(case, nominal, masked).into_iter().filter(says_more));
     }
     if wanted(&["background_activity"])
@@ -285,51 +201,6 @@ fn others(
         found.extend(steps::findings(case, nominal, masked));
     }
     found
-}
-
-/// An event of the whole array in order of the recorded time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stamped {
-    /// The recorded off-pixel time, ns.
-    pub t_ns: i64,
-    /// `y * width + x`.
-    pub pixel: u32,
-    /// +1 or -1.
-    pub polarity: i8,
-}
-
-/// All events of the array in order of their recorded time.
-#[derive(Clone, Debug, Default)]
-pub struct Stream(pub Vec<Stamped>);
-
-impl Stream {
-    /// Of a recording.
-    pub fn of(case: &Case) -> Stream {
-        let mut all = Vec::with_capacity(case.events.len());
-        for pixel in 0..case.events.pixels() {
-            all.extend(case.events.of(pixel).iter().map(|event| Stamped {
-                t_ns: event.t_off_ns,
-                pixel: pixel as u32,
-                polarity: event.polarity,
-            }));
-        }
-        all.sort_unstable_by_key(|event| (event.t_ns, event.pixel));
-        Stream(all)
-    }
-
-    /// First and last stamp, ns; none without events.
-    pub fn span(&self) -> Option<(i64, i64)> {
-        Some((self.0.first()?.t_ns, self.0.last()?.t_ns))
-    }
-}
-
-/// Where a curve is lowest, by a parabola through the lowest point and its neighbours; none at a rim.
-fn lowest(curve: &[f64]) -> Option<f64> {
-    let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
-    let (before, here, after) = (*curve.get(k.checked_sub(1)?)?, curve[k], *curve.get(k + 1)?);
-    let bend = before - 2.0 * here + after;
-    let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    Some(k as f64 + between)
 }
 
 #[cfg(test)]

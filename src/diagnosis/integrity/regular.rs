@@ -46,7 +46,7 @@ const SAME_PARTS: f64 = 0.9;
 const SAME_ROWS: f64 = 0.8;
 
 /// What repeats, strongest first; pixels of `masked` are left out.
-pub fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
+pub(crate) fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
     let mut found: Vec<Dependence> =
         by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
     found.sort_by(|a, b| score(b).total_cmp(&score(a)));
@@ -54,7 +54,7 @@ pub fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
 }
 
 /// What a dependence of [`dependences`] measured, over the least that counts.
-pub fn score(dependence: &Dependence) -> f64 {
+pub(crate) fn score(dependence: &Dependence) -> f64 {
     dependence.significance
         / if dependence.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
 }

@@ -1,11 +1,13 @@
 //! Time stamps: a coarser grid than stated, no grid where one is stated, gaps of one length that a queue
 //! leaves.
 
-use super::{Finding, Stream, quantile};
+use super::array::Stream;
+use super::departure::Departure;
 use photocurrent_scene::case::Case;
+use photocurrent_scene::statistics::quantile;
 
 /// A grid that is coarser than stated: the recording is then looked at with stamps of its width.
-pub const GRID: &str = "timestamp_quantization";
+pub(crate) const GRID: &str = "timestamp_quantization";
 /// This share of the stamps must sit on a grid.
 const GRID_SHARE: f64 = 0.98;
 /// A grid or gap counts from this multiple of the stated resolution on.
@@ -18,7 +20,7 @@ const GAP_SHARE: f64 = 0.3;
 const CONCENTRATION: f64 = 0.3;
 
 /// What stamps show.
-pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
+pub(crate) fn findings(case: &Case, stream: &Stream) -> Vec<Departure> {
     let stated = if case.t_resolution_ns > 0 { case.t_resolution_ns as f64 } else { USUAL_NS };
     let mut unique: Vec<i64> = stream.0.iter().map(|event| event.t_ns).collect();
     unique.dedup();
@@ -26,7 +28,7 @@ pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
     let Some((gap, share)) = usual_gap(&unique) else { return found };
     let grid = (1..=5).find_map(|part| on_grid(&unique, gap / f64::from(part)));
     if let Some((step, on_it)) = grid.filter(|(step, _)| *step > COARSER * stated) {
-        found.push(Finding {
+        found.push(Departure {
             id: GRID,
             parameters: vec![("step", step * 1e-9)],
             statistic: step / stated,
@@ -109,11 +111,11 @@ fn on_grid(unique: &[i64], step: f64) -> Option<(f64, f64)> {
 }
 
 /// Events leave one row (or one pixel) after the other at equal distances: they waited for each other.
-fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Finding> {
+fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Departure> {
     let events = stream.0.len() as f64;
     let span = stream.span()?;
     let busy = share * gap * events / f64::max((span.1 - span.0) as f64, 1.0);
-    Some(Finding {
+    Some(Departure {
         id: "readout_queue",
         parameters: vec![("service", gap * 1e-9)],
         statistic: share,
@@ -134,7 +136,7 @@ fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Finding> {
 
 /// Stamps that do not sit on the grid of their stated resolution, not even for moments: something shakes them
 /// after they were taken.
-fn off_grid(case: &Case) -> Option<Finding> {
+fn off_grid(case: &Case) -> Option<Departure> {
     if case.t_resolution_ns < 100 {
         return None;
     }
@@ -164,7 +166,7 @@ fn off_grid(case: &Case) -> Option<Finding> {
         return None;
     }
     let sigma_s = jitter_s(case);
-    Some(Finding {
+    Some(Departure {
         id: "timestamp_jitter",
         parameters: vec![("sigma", sigma_s)],
         statistic: CONCENTRATION / f64::max(concentration, 0.03),
@@ -183,7 +185,7 @@ fn off_grid(case: &Case) -> Option<Finding> {
 
 /// Jitter of stamps from the third differences of the fastest runs of four events of one sign, seconds: their
 /// variance is 20 sigma^2 and light changes little in them.
-pub fn jitter_s(case: &Case) -> f64 {
+pub(crate) fn jitter_s(case: &Case) -> f64 {
     let mut runs: Vec<(i64, i64)> = Vec::new();
     for pixel in 0..case.events.pixels() {
         for run in case.events.of(pixel).windows(4) {

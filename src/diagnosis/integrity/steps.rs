@@ -9,7 +9,7 @@
 //! that only more than that is a finding.
 
 use super::changes::LONGEST_EXPOSURE;
-use super::{Finding, NATS};
+use super::departure::{Departure, NATS};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::estimate::{
@@ -34,7 +34,7 @@ const FULL: f64 = 0.98;
 const DARK: f64 = 0.002;
 
 /// Thresholds that frames contradict.
-pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> {
+pub(super) fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Departure> {
     let Some(panel) = panel(case, nominal, masked) else { return Vec::new() };
     let late_ns = offset(&panel).map_or(0.0, |shift| shift.ns.value);
     let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);
@@ -58,9 +58,9 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
              {:.3}) of the log light and an OFF event for {:.3} ({:.3} to {:.3})",
             on.value, on.ci95.0, on.ci95.1, off.value, off.ci95.0, off.ci95.1
         );
-        Finding {
+        Departure {
             ci95: vec![("fraction", ci95)],
-            ..Finding::of_halves(id, ("fraction", fraction), nats, gains.measured, seen)
+            ..Departure::of_halves(id, ("fraction", fraction), nats, gains.measured, seen)
         }
     };
     let mut all = Vec::new();

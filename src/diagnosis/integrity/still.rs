@@ -9,10 +9,12 @@
 //! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only
 //! at readouts does not show how strong the coupling is; that is counted where light rises.
 
-use super::{Finding, Heldout, half, median};
-use crate::page::readable;
+use super::array::half;
+use super::departure::{Departure, Heldout};
+use crate::units::readable;
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::{median, quantile};
 
 /// Fewer frames say too little of what stands still.
 const FEWEST_FRAMES: usize = 5;
@@ -42,7 +44,7 @@ const BY_LIGHT: f64 = 10.0;
 const ALL_BY_LIGHT: f64 = 3.0;
 
 /// The pixels that are still, rising; none where frames do not show it. `masked` are left out.
-pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
+pub(super) fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
     let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= FEWEST_FRAMES) else {
         return Vec::new();
     };
@@ -89,7 +91,7 @@ pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
         })
         .collect();
     all.sort_by(f64::total_cmp);
-    super::quantile(&all, 0.2)
+    quantile(&all, 0.2)
 }
 
 /// Events of still pixels, by pixel.
@@ -101,7 +103,7 @@ fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, 
 
 /// ON events where nothing moves, all the time and in no pixel above all: the reference leaks, by itself or
 /// by the light that falls on it.
-pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
+pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Departure> {
     if still.len() < FEWEST_PIXELS {
         return None;
     }
@@ -147,7 +149,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         ("leak_events", ("rate", rate))
     };
     let the_brighter = if light.grows > BY_LIGHT { ", the more the brighter" } else { "" };
-    Some(Finding {
+    Some(Departure {
         id,
         parameters: vec![parameter],
         statistic: sigmas,

@@ -67,13 +67,13 @@ fn any_time(random: &mut Random) -> i64 {
     (random.uniform() * FRAMES as f64 * PERIOD_NS as f64) as i64
 }
 
-fn found(case: &Case) -> (usize, Option<super::Finding>, Option<super::Finding>) {
+fn found(case: &Case) -> (usize, Option<super::Departure>, Option<super::Departure>) {
     let nominal = case.nominal().unwrap();
     let still = still(case, &nominal, &[]);
     (still.len(), leak(case, &nominal, &still), coupling(case, &nominal, &still, &[]))
 }
 
-fn value(finding: &super::Finding, parameter: &str) -> f64 {
+fn value(finding: &super::Departure, parameter: &str) -> f64 {
     finding.parameters.iter().find(|(name, _)| *name == parameter).unwrap().1
 }
 

@@ -65,12 +65,12 @@ fn of(case: &Case) -> Integrity {
     integrity(case, case.nominal().ok().as_ref())
 }
 
-fn only<'a>(found: &'a Integrity, id: &str) -> &'a Finding {
+fn only<'a>(found: &'a Integrity, id: &str) -> &'a Departure {
     assert_eq!(found.findings.iter().map(|finding| finding.id).collect::<Vec<_>>(), [id]);
     &found.findings[0]
 }
 
-fn value(finding: &Finding, parameter: &str) -> f64 {
+fn value(finding: &Departure, parameter: &str) -> f64 {
     finding.parameters.iter().find(|(name, _)| *name == parameter).unwrap().1
 }
 

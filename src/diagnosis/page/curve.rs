@@ -1,16 +1,13 @@
 //! The curve of what is reported without a name, over what it depends on.
 
-use super::plot::{Plot, Scale};
-use super::svg::COLOURS;
-use super::{escaped, number};
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
+use crate::report::{short as number, six_digits};
+use photocurrent_page::{Curve, Panel, escaped};
 use std::fmt::Write;
 
-const GREY: &str = "var(--edge)";
-
 /// The curve of what has no name.
-pub fn unnamed(html: &mut String, dependence: &Dependence) {
+pub(super) fn unnamed(html: &mut String, charts: &mut Vec<Panel>, dependence: &Dependence) {
     let (what, unit, factor) = match dependence.moved {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
@@ -38,35 +35,42 @@ pub fn unnamed(html: &mut String, dependence: &Dependence) {
     let points: Vec<(f64, f64, f64)> = (0..dependence.at.len())
         .map(|k| (dependence.at[k], factor * dependence.value[k], 1.96 * factor * dependence.error[k]))
         .collect();
-    html.push_str(&over(dependence.covariate, &points, unit));
+    over(dependence.covariate, &points, unit).put(html, charts);
 }
 
-/// Points with half lengths of their bars over a covariate, joined by a line, and a flat line at 0.
-fn over(covariate: Covariate, points: &[(f64, f64, f64)], unit: &str) -> String {
+/// Points with half lengths of their bars, as a curve.
+pub(super) fn measured(points: &[(f64, f64, f64)]) -> Curve {
+    let rounded =
+        points.iter().map(|&(at, value, bar)| [at, value, value - bar, value + bar].map(six_digits));
+    let rounded: Vec<[f64; 4]> = rounded.filter(|point| point.iter().all(|of| of.is_finite())).collect();
+    Curve {
+        label: "measured".into(),
+        dots: true,
+        whiskers: true,
+        points: rounded.iter().map(|[at, value, ..]| (*at, Some(*value))).collect(),
+        band: rounded.iter().map(|[at, _, low, high]| (*at, *low, *high)).collect(),
+        ..Curve::default()
+    }
+}
+
+/// Points with half lengths of their bars over a covariate.
+fn over(covariate: Covariate, points: &[(f64, f64, f64)], unit: &str) -> Panel {
     let ends = points
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |ends, point| (ends.0.min(point.0), ends.1.max(point.0)));
     // Intervals and loads lie over decades.
     let is_of_a_clock = matches!(covariate, Covariate::Time | Covariate::FramePhase);
-    let scale = if !is_of_a_clock && ends.0 > 0.0 && ends.1 > 8.0 * ends.0 {
-        Scale::Logarithmic
-    } else {
-        Scale::Linear
-    };
+    let is_log = !is_of_a_clock && ends.0 > 0.0 && ends.1 > 8.0 * ends.0;
     // Room on both sides, so that points of a class do not stand on the axis.
-    let room = if scale == Scale::Linear { 0.06 * (ends.1 - ends.0) } else { 0.0 };
-    let rims = [(ends.0 - room, 0.0), (ends.1 + room, 0.0)];
-    let reach = points.iter().flat_map(|(at, value, bar)| [(*at, value - bar), (*at, value + bar)]);
-    let mut plot = Plot::with_rows(reach.chain(rims), 700.0, 230.0, scale, &[]);
-    plot.line(&rims, GREY, Some("4 3"));
-    plot.line(
-        &points.iter().map(|(at, value, _)| (*at, *value)).collect::<Vec<_>>(),
-        COLOURS[0],
-        Some("1 3"),
-    );
-    plot.points(points, COLOURS[0], 0.0);
-    plot.name(COLOURS[0], "measured");
-    plot.close(&axis(covariate), unit)
+    let room = if is_log { 0.0 } else { 0.06 * (ends.1 - ends.0) };
+    Panel {
+        x: axis(covariate),
+        y: unit.into(),
+        is_log,
+        x_range: (ends.1 > ends.0).then(|| [six_digits(ends.0 - room), six_digits(ends.1 + room)]),
+        series: vec![measured(points)],
+        ..Panel::default()
+    }
 }
 
 /// A covariate with its unit, as the name of an axis.

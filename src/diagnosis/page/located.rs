@@ -1,11 +1,13 @@
 //! Where each effect is: its gain over a frame of the scene, and over rows, columns, time and light.
 
-use super::plot::{Plot, Scale};
+use super::curve::measured;
 use super::svg::{COLOURS, open};
-use super::{escaped, number};
-use crate::integrity::quantile;
+use crate::covariates::Covariate;
+use crate::report::{short as number, six_digits};
 use crate::residual::located::{Curve, Located, Mean, Part};
+use photocurrent_page::{Panel, escaped};
 use photocurrent_scene::case::Case;
+use photocurrent_scene::statistics::quantile;
 use std::fmt::Write;
 
 /// Cells of the frame across and down, at most.
@@ -16,28 +18,20 @@ const SHADES: f64 = 15.0;
 const OPAQUE: f64 = 0.8;
 
 /// One effect.
-pub fn located(html: &mut String, case: &Case, name: &str, found: &Located) {
+pub(super) fn located(html: &mut String, charts: &mut Vec<Panel>, case: &Case, name: &str, found: &Located) {
     let _ = writeln!(html, "<h3>{}</h3>\n<p>{}</p>", escaped(name), escaped(&words(case, found)));
     html.push_str(&map(case, found));
+    let seconds = found.time_ns.range.map(|t| (t - case.span.0) as f64 * 1e-9);
     let curves = [
-        (&found.over_rows, "row", Scale::Linear, &found.rows.range.map(f64::from)),
-        (
-            &found.over_time,
-            "time since the start, s",
-            Scale::Linear,
-            &found.time_ns.range.map(|t| (t - case.span.0) as f64 * 1e-9),
-        ),
-        (&found.over_light, "light: log photocurrent", Scale::Linear, &found.log_light.range),
+        (&found.over_rows, "row", Some(found.rows.range.map(f64::from))),
+        (&found.over_time, "time since the start, s", Some(seconds)),
+        (&found.over_light, "light: log photocurrent", Some(found.log_light.range)),
     ];
-    html.push_str("<div>");
-    curves
-        .iter()
-        .for_each(|(curve, label, scale, range)| html.push_str(&small(curve, label, *scale, Some(**range))));
-    if let Some(covariate) =
-        found.curve_of.filter(|covariate| !["row", "time", "photocurrent"].contains(&covariate.name()))
-    {
-        html.push_str(&small(&found.over, covariate.name(), Scale::Linear, None));
-    }
+    let is_another = |of: &Covariate| !["row", "time", "photocurrent"].contains(&of.name());
+    let other = found.curve_of.filter(is_another).map(|of| (&found.over, of.name(), None));
+    html.push_str("<div class=\"panels\">\n");
+    let curves = curves.into_iter().chain(other).filter(|(curve, ..)| !curve.at.is_empty());
+    curves.for_each(|(curve, label, range)| small(curve, label, range).put(html, charts));
     html.push_str("</div>\n");
 }
 
@@ -168,7 +162,7 @@ fn map(case: &Case, found: &Located) -> String {
 }
 
 /// The frame in the middle of the recording, as grey runs of equal shade; nothing without frames.
-pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
+pub(super) fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     let Some(frames) = &case.frames else { return };
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let side = width.max(height).div_ceil(MOST_CELLS).max(1);
@@ -223,23 +217,19 @@ pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     }
 }
 
-/// Gain per event over something, with 95 % bars, a line at nothing, and the part that holds it.
-fn small(curve: &Curve, label: &str, scale: Scale, range: Option<[f64; 2]>) -> String {
+/// Gain per event over something, with 95 % bars and the part that holds it.
+fn small(curve: &Curve, label: &str, range: Option<[f64; 2]>) -> Panel {
     let points: Vec<(f64, f64, f64)> =
         curve.at.iter().zip(&curve.gain).map(|(at, mean)| (*at, mean.gain, 1.96 * mean.error)).collect();
-    let Some((first, last)) = points.first().zip(points.last()) else { return String::new() };
-    let ends = range.unwrap_or([first.0, last.0]);
-    let reach = points.iter().flat_map(|point| [(point.0, point.1 - point.2), (point.0, point.1 + point.2)]);
-    let mut plot = Plot::with_rows(reach.chain(ends.map(|end| (end, 0.0))), 345.0, 190.0, scale, &[]);
-    plot.line(
-        &[(f64::min(first.0, ends[0]), 0.0), (f64::max(last.0, ends[1]), 0.0)],
-        COLOURS[3],
-        Some("4 3"),
-    );
-    if range.is_some() {
-        plot.level(ends[0], ends[1], 0.0, COLOURS[2]);
+    let bar = |range: [f64; 2]| {
+        let [from, to] = range.map(six_digits);
+        (from, to, 0.0, "the part that holds the gain".to_owned())
+    };
+    Panel {
+        x: label.into(),
+        y: "nats an event".into(),
+        series: vec![measured(&points)],
+        bars: range.map(bar).into_iter().collect(),
+        ..Panel::default()
     }
-    plot.line(&points.iter().map(|point| (point.0, point.1)).collect::<Vec<_>>(), COLOURS[1], Some("1 3"));
-    plot.points(&points, COLOURS[1], 0.0);
-    plot.close(label, "nats an event")
 }

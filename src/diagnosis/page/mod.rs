@@ -1,5 +1,5 @@
 //! The report as one page of HTML that needs nothing else, in the style of all pages (`photocurrent-page`):
-//! text first, then pictures as inline SVG.
+//! text first, then charts, which its script draws, and pictures as inline SVG.
 //!
 //! The page says what `diagnosis.json` says, and shows what that cannot hold: what was looked at, the
 //! evidence of every test, and where and when held-out frames differ from what the nominal and the fitted
@@ -10,23 +10,19 @@ mod curve;
 mod located;
 mod overview;
 mod pixels;
-mod plot;
 mod svg;
-mod units;
 
 use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
-use crate::diagnose::{Diagnosis, Proposed};
+use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
-use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
-use crate::verdict::Proposal;
-use photocurrent_page::{Page, Section, escaped};
+use crate::report::{BeforeAfter, Finding, Parameter, Report, Verdict, short as number, six_digits};
+use crate::stages::{Proposal, Proposed};
+use crate::units::{name_of, readable};
+use photocurrent_page::{Curve, Page, Panel, Script, Section, escaped};
 use photocurrent_scene::case::Case;
-use plot::{Plot, Scale};
 use std::fmt::Write;
-use svg::{Bar, COLOURS, Map, bars, maps};
-
-pub use units::readable;
+use svg::{Bar, Map, bars, maps};
 
 /// The title of a page without names, and the place where names go.
 const TITLE: &str = "Diagnosis";
@@ -35,7 +31,8 @@ const SLOT: &str = "<!-- names -->";
 /// The page of a report; pictures need the recording and what came of its diagnosis.
 pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> String {
     let both = case.zip(found);
-    let part = |id, title: &str, write: &dyn Fn(&mut String)| {
+    let mut charts = Vec::new();
+    let part = |id, title: &str, write: &mut dyn FnMut(&mut String)| {
         let mut html = String::new();
         write(&mut html);
         Section { id, title: title.into(), html }
@@ -43,50 +40,52 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
     let mut lead = String::new();
     head(&mut lead, report);
     let sections = vec![
-        part("missing", "What the description lacks", &|html| effects(html, report)),
-        part("before-after", "Before and after", &|html| fits(html, report)),
-        part("looked-at", "What was looked at", &|html| {
+        part("missing", "What the description lacks", &mut |html| effects(html, report)),
+        part("before-after", "Before and after", &mut |html| fits(html, report)),
+        part("looked-at", "What was looked at", &mut |html| {
             if let Some(case) = case {
                 overview::overview(html, case, report, found);
             }
         }),
-        part("curve", "The curve without a name", &|html| {
+        part("curve", "The curve without a name", &mut |html| {
             if let Some(dependence) = found.and_then(|found| unnamed(report, found)) {
-                curve::unnamed(html, dependence);
+                curve::unnamed(html, &mut charts, dependence);
             }
         }),
-        part("where", "Where it is", &|html| {
+        part("where", "Where it is", &mut |html| {
             if let Some((case, found)) = both {
-                places(html, case, found);
+                places(html, &mut charts, case, found);
             }
         }),
-        part("held-out", "Held-out frames", &|html| {
+        part("held-out", "Held-out frames", &mut |html| {
             if let Some((case, found)) = both {
-                proof(html, report, case, found);
+                proof(html, &mut charts, report, case, found);
             }
         }),
-        part("pixels", "Three pixels", &|html| {
+        part("pixels", "Three pixels", &mut |html| {
             if let Some((case, found)) = both {
-                pixels::examples(html, case, found);
+                pixels::examples(html, &mut charts, case, found);
             }
         }),
-        part("evidence", "Evidence per test", &|html| {
+        part("evidence", "Evidence per test", &mut |html| {
             if let Some(found) = found {
                 scores(html, found);
             }
         }),
-        part("limits", "Detection limits", &|html| detectable(html, report)),
-        part("not-identifiable", "Not identifiable from this recording", &|html| not_testable(html, report)),
-        part("next", "What to record next", &|html| next(html, report)),
-        part("provenance", "Provenance", &|html| provenance(html, report)),
+        part("limits", "Detection limits", &mut |html| detectable(html, report)),
+        part("not-identifiable", "Not identifiable from this recording", &mut |html| {
+            not_testable(html, report)
+        }),
+        part("next", "What to record next", &mut |html| next(html, report)),
+        part("provenance", "Provenance", &mut |html| provenance(html, report)),
     ];
     Page {
         generator: "photocurrent diagnose".into(),
         title: TITLE.into(),
         lead,
         sections,
-        data: serde_json::json!({ "copies": [] }),
-        scripts: Vec::new(),
+        data: serde_json::json!({ "copies": [], "charts": charts }),
+        scripts: vec![Script::Chart],
     }
     .html()
 }
@@ -185,7 +184,7 @@ fn effects(html: &mut String, report: &Report) {
 }
 
 /// Where the effects are that were located.
-fn places(html: &mut String, case: &Case, found: &Diagnosis) {
+fn places(html: &mut String, charts: &mut Vec<Panel>, case: &Case, found: &Diagnosis) {
     if found.located.is_empty() {
         return;
     }
@@ -195,10 +194,10 @@ fn places(html: &mut String, case: &Case, found: &Diagnosis) {
     );
     html.push_str(
         "event that the effect changes nothing of gains nothing. Orange: gain, blue: loss; bars: \
-                   95 %, by blocks of pixels; green: the part that holds the gain; dashed ",
+                   95 %, by blocks of pixels; level bars: the part that holds the gain; dashed ",
     );
     html.push_str("frame: rows and columns of it.</p>\n");
-    found.located.iter().for_each(|(id, of)| located::located(html, case, id, of));
+    found.located.iter().for_each(|(id, of)| located::located(html, charts, case, id, of));
 }
 
 fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
@@ -212,10 +211,10 @@ fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
         .iter()
         .map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell)))
         .collect();
-    let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(units::name_of(key)));
+    let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(name_of(key)));
 }
 
-fn location(html: &mut String, effect: &EffectReport) {
+fn location(html: &mut String, effect: &Finding) {
     let (place, evidence) = (&effect.location, &effect.evidence);
     let mut text = format!(
         "{}, {} polarity, rows {}-{}, columns {}-{}, {} pixels; depends on {}. ",
@@ -308,8 +307,8 @@ fn scores(html: &mut String, found: &Diagnosis) {
 }
 
 /// Held-out frames: before and after, where, when.
-fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
-    let Some(before) = &found.predictions.0 else { return };
+fn proof(html: &mut String, charts: &mut Vec<Panel>, report: &Report, case: &Case, found: &Diagnosis) {
+    let Some(before) = &found.predictions.nominal else { return };
     html.push_str(
         "<p>Every third frame is held out and predicted from the events and the other frames, as \
                    <code>solve/map</code> would.</p>\n",
@@ -319,7 +318,7 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
                    class=\"number\">nominal</th><th scope=\"col\" \
                    class=\"number\">fitted</th></tr></thead>\n",
     );
-    let after = found.predictions.1.as_ref();
+    let after = found.predictions.fitted.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
     let _ = writeln!(
         html,
@@ -348,24 +347,18 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
         html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not looked at"));
     }
     html.push_str("<h3>When: error by frame</h3>\n");
-    let all: Vec<(&Prediction, &str, &str)> = std::iter::once((before, "nominal", COLOURS[0]))
-        .chain(after.map(|after| (after, "fitted", COLOURS[1])))
-        .collect();
-    let curve = |of: &Prediction| -> Vec<(f64, f64)> {
-        of.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect()
+    let curve = |of: &Prediction, label: &str, style| {
+        let points = of.by_frame.iter().map(|(frame, error)| (*frame as f64, Some(six_digits(*error))));
+        Curve { label: label.into(), style, dots: true, points: points.collect(), ..Curve::default() }
     };
-    let mut plot = Plot::with_rows(
-        all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]),
-        700.0,
-        200.0,
-        Scale::Whole,
-        &[],
-    );
-    for (of, name, colour) in all {
-        plot.line(&curve(of), colour, None);
-        plot.name(colour, name);
-    }
-    html.push_str(&plot.close("frame", "root mean square error, DN"));
+    let fitted = after.map(|after| curve(after, "fitted", 1));
+    let panel = Panel {
+        x: "frame".into(),
+        y: "root mean square error, DN".into(),
+        series: std::iter::once(curve(before, "nominal", 0)).chain(fitted).collect(),
+        ..Panel::default()
+    };
+    panel.put(html, charts);
 }
 
 /// How well the nominal and the fitted description predict what no earlier step saw.
@@ -435,7 +428,7 @@ fn detectable(html: &mut String, report: &Report) {
             html,
             "<tr><th scope=\"row\">{}</th><td>{}</td>{cells}</tr>",
             escaped(&one.id),
-            escaped(units::name_of(&one.parameter))
+            escaped(name_of(&one.parameter))
         );
     }
     html.push_str("</table></div>\n");

@@ -15,7 +15,7 @@ const MOST_MARKS: usize = 400;
 const TOP: f64 = 4.0;
 
 /// The picture, and in words what is marked.
-pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&Diagnosis>) {
+pub(super) fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&Diagnosis>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
@@ -77,7 +77,7 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     let _ = writeln!(
         html,
         "<p>{width} x {height} pixels, {events} events and {frames} frames in {}.</p>",
-        escaped(&super::readable(seconds, "s"))
+        escaped(&crate::units::readable(seconds, "s"))
     );
 }
 

@@ -1,11 +1,11 @@
 //! Example pixels: what was recorded, and the light that the sensor must have seen, with the nominal and with
 //! the fitted description.
 
-use super::plot::{Plot, Scale};
-use super::svg::COLOURS;
 use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
+use crate::report::six_digits;
 use crate::sample::Sample;
+use photocurrent_page::{Curve, Panel};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use std::fmt::Write;
@@ -14,12 +14,13 @@ use std::fmt::Write;
 const FEWEST: usize = 5;
 
 /// Three pixels: from those whose held-out frames the nominal description predicts worst, as usual, and best.
-pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
-    let (Ok(nominal), Some(before), Some(sample)) = (case.nominal(), &found.predictions.0, &found.sample)
+pub(super) fn examples(html: &mut String, charts: &mut Vec<Panel>, case: &Case, found: &Diagnosis) {
+    let (Ok(nominal), Some(before), Some(sample)) =
+        (case.nominal(), &found.predictions.nominal, &found.sample)
     else {
         return;
     };
-    let after = found.predictions.1.as_ref();
+    let after = found.predictions.fitted.as_ref();
     let is_example = |n: &usize| {
         before.by_pixel[*n].is_finite() && case.events.of(sample.pixels[*n] as usize).len() >= FEWEST
     };
@@ -29,10 +30,10 @@ pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
     }
     ranked.sort_by(|&a, &b| before.by_pixel[b].total_cmp(&before.by_pixel[a]).then(a.cmp(&b)));
     html.push_str(
-        "<p class=\"note\">Grey bars: frames, as photocurrent; every third one was held out. \
+        "<p class=\"note\">Level bars: frames, as photocurrent; every third one was held out. \
                    Curves: the photocurrent that is estimated from the others and the ",
     );
-    html.push_str("events. Ticks: events, ON up, OFF down.</p>\n");
+    html.push_str("events. Triangles: events, ON above, OFF below.</p>\n");
     for (share, word) in [(0.02, "predicted worst"), (0.5, "predicted as usual"), (0.98, "predicted best")] {
         let n = ranked[((ranked.len() as f64 * share) as usize).min(ranked.len() - 1)];
         let (x, y) = case.place(sample.pixels[n] as usize);
@@ -45,49 +46,36 @@ pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
              description{fitted}</h3>",
             100.0 * before.by_pixel[n]
         );
-        html.push_str(&one(case, &nominal, sample, (before, after), n));
+        one(case, &nominal, sample, described(before, after, n), n).put(html, charts);
     }
 }
 
-fn one(
-    case: &Case,
-    nominal: &Nominal,
-    sample: &Sample,
-    (before, after): (&Prediction, Option<&Prediction>),
-    n: usize,
-) -> String {
-    let pixel = sample.pixels[n] as usize;
-    let described: Vec<(&Prediction, &str, &str)> = std::iter::once((before, "nominal", COLOURS[0]))
-        .chain(after.map(|after| (after, "fitted", COLOURS[1])))
-        .collect();
-    let curve = |of: &Prediction| -> Vec<(f64, f64)> {
+/// The estimated light of pixel `n` of the sample, with each description.
+fn described(before: &Prediction, after: Option<&Prediction>, n: usize) -> Vec<Curve> {
+    let curve = |of: &Prediction, label: &str, style| {
         let (t, u) = of.light.pixel(n);
-        t.iter().zip(u).map(|(t, u)| (*t as f64 * 1e-6, *u)).collect()
+        let points = t.iter().zip(u).map(|(t, u)| (six_digits(*t as f64 * 1e-6), Some(six_digits(*u))));
+        Curve { label: label.into(), style, points: points.collect(), ..Curve::default() }
     };
-    let frames: Vec<(f64, f64, f64)> =
-        (0..case.frame_count()).filter_map(|l| level(case, nominal, l, pixel)).collect();
-    let ends = [case.span.0, case.span.1].map(|t| (t as f64 * 1e-6, f64::NAN));
-    let all: Vec<(f64, f64)> = described
-        .iter()
-        .flat_map(|one| curve(one.0))
-        .chain(frames.iter().map(|(from, _, level)| (*from, *level)))
-        .chain(ends)
-        .collect();
-    let mut plot = Plot::with_rows(all.into_iter(), 700.0, 240.0, Scale::Linear, &["recorded"]);
-    frames.iter().for_each(|(from, to, value)| plot.level(*from, *to, *value, "var(--edge)"));
-    for event in case.events.of(pixel) {
-        plot.tick(
-            0,
-            event.t_in_ns as f64 * 1e-6,
-            event.polarity > 0,
-            if event.polarity > 0 { "var(--c1)" } else { "var(--c0)" },
-        );
+    std::iter::once(curve(before, "nominal", 0)).chain(after.map(|of| curve(of, "fitted", 1))).collect()
+}
+
+fn one(case: &Case, nominal: &Nominal, sample: &Sample, series: Vec<Curve>, n: usize) -> Panel {
+    let pixel = sample.pixels[n] as usize;
+    let ms = |t_ns: i64| six_digits(t_ns as f64 * 1e-6);
+    let bar = |frame: usize| {
+        let (from, to, level) = level(case, nominal, frame, pixel)?;
+        Some((six_digits(from), six_digits(to), six_digits(level), format!("frame {frame}")))
+    };
+    Panel {
+        x: "time, ms".into(),
+        y: "ln i".into(),
+        x_range: Some([ms(case.span.0), ms(case.span.1)]),
+        series,
+        bars: (0..case.frame_count()).filter_map(bar).collect(),
+        ticks: case.events.of(pixel).iter().map(|event| (ms(event.t_in_ns), event.polarity > 0)).collect(),
+        ..Panel::default()
     }
-    for (of, name, colour) in described {
-        plot.line(&curve(of), colour, None);
-        plot.name(colour, name);
-    }
-    plot.close("time, ms", "ln i")
 }
 
 /// A frame as log light: from, to (ms), level.

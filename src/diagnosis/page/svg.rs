@@ -1,11 +1,11 @@
 //! Small charts as SVG text: bars, maps of pixels.
 
-use super::escaped;
 use crate::report::short;
+use photocurrent_page::escaped;
 use std::fmt::Write;
 
 /// A bar of a chart.
-pub struct Bar {
+pub(super) struct Bar {
     /// Next to it.
     pub label: String,
     /// Its length, in multiples of the detection threshold.
@@ -15,11 +15,11 @@ pub struct Bar {
 }
 
 /// Colours that colour-blind readers can distinguish, as the style of the page has them for light and dark.
-pub const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
+pub(super) const COLOURS: [&str; 2] = ["var(--c0)", "var(--c1)"];
 
 /// Horizontal bars on a logarithmic axis from a tenth of the detection threshold up, with a line at that
 /// threshold.
-pub fn bars(bars: &[Bar]) -> String {
+pub(super) fn bars(bars: &[Bar]) -> String {
     const LEFT: f64 = 220.0;
     const WIDTH: f64 = 420.0;
     const ROW: f64 = 22.0;
@@ -61,12 +61,12 @@ pub fn bars(bars: &[Bar]) -> String {
 }
 
 /// A map with its title: a value for each pixel of an array, NaN = not known.
-pub type Map = (&'static str, Vec<f64>);
+pub(super) type Map = (&'static str, Vec<f64>);
 
 /// Maps of one array side by side, on one scale from white (0) to dark red (the 98th percentile of all and
 /// more); what is not known stays grey. Pixels of a large array are put together. `what` names value and
 /// unit.
-pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
+pub(super) fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     const MOST: usize = 128;
     const GAP: f64 = 20.0;
     const TOP: f64 = 20.0;
@@ -86,7 +86,7 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     let mut known: Vec<f64> =
         cells.iter().flatten().filter(|cell| cell.1 > 0.0).map(|cell| cell.0 / cell.1).collect();
     known.sort_by(f64::total_cmp);
-    let most = f64::max(crate::integrity::quantile(&known, 0.98), 1e-9);
+    let most = f64::max(photocurrent_scene::statistics::quantile(&known, 0.98), 1e-9);
     let size = ((700.0 - GAP) / all.len().max(2) as f64 / across as f64).min(8.0);
     let (wide, high) = (size * across as f64, size * down as f64);
     let mut svg = open(what, f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
@@ -130,7 +130,7 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
 }
 
 /// The head of a picture; `what` is its name for those who do not see it.
-pub fn open(what: &str, width: f64, height: f64) -> String {
+pub(super) fn open(what: &str, width: f64, height: f64) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"figure\" role=\"img\" aria-label=\"{}\" \
          viewBox=\"0 0 {width:.1} {height:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \

@@ -4,13 +4,15 @@ use super::*;
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
 use crate::diagnose::{Setting, broken, check, confirm};
-use crate::residual::located::{Ground, LocatedSetting, Locations};
+use crate::residual::located::{Ground, LocatedSetting, Locations, Values};
+use crate::stages::{Decided, Proposal, Unexplained};
 use crate::testing;
-use crate::verdict::{Decided, Proposal, Unexplained};
 
 /// Is the page whole, with nothing loaded from elsewhere and no number that failed?
 fn is_sound(html: &str) {
     assert!(html.starts_with("<!doctype html>") && html.ends_with("</html>\n"));
+    let data = charts(html).to_string();
+    assert!(!data.contains("null"), "{data}");
     // Style and scripts are those of all pages, and tested there.
     let html = &html[html.find("<body>").unwrap()..html.find("<script").unwrap()];
     for part in ["src=", "<link", "NaN", "inf"] {
@@ -23,6 +25,14 @@ fn is_sound(html: &str) {
         );
         assert_eq!(open, close, "{tag}");
     }
+}
+
+/// The charts that the script draws.
+fn charts(html: &str) -> serde_json::Value {
+    let data = html.split("id=\"page-data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let charts = serde_json::from_str::<serde_json::Value>(data).unwrap()["charts"].take();
+    assert_eq!(charts.as_array().unwrap().len(), html.matches("data-chart=").count());
+    charts
 }
 
 fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
@@ -45,6 +55,7 @@ fn a_page_is_whole_and_needs_no_other_file() {
         assert!(html.contains(part), "{part}");
     }
     assert!(!html.contains(">fitted</text>"), "nothing is fitted");
+    assert!(!charts(&html).to_string().contains("fitted"));
     assert_eq!(html, page(&found.report, Some(&case), Some(&found)));
 }
 
@@ -83,7 +94,11 @@ fn what_is_claimed_is_shown_before_and_after() {
         assert!(html.contains(part), "{part}");
     }
     // Two maps, a curve and three pixels are of both.
-    let [nominal, fitted] = [">nominal</text>", ">fitted</text>"].map(|word| html.matches(word).count());
+    let drawn = charts(&html).to_string();
+    let [nominal, fitted] = ["nominal", "fitted"].map(|word| {
+        html.matches(&format!(">{word}</text>")).count()
+            + drawn.matches(&format!("\"label\":\"{word}\"")).count()
+    });
     assert!(fitted > 4 && nominal == fitted, "{nominal} {fitted}");
 }
 
@@ -118,9 +133,11 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     assert!(html.contains("The curve without a name") && html.contains("over row_parity"));
-    let points =
-        html.split("id=\"curve\"").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
-    assert_eq!(points, 2);
+    assert!(html.split("id=\"curve\"").nth(1).unwrap().contains("data-chart=\"0\""));
+    let curve = &charts(&html)[0]["series"][0];
+    assert_eq!(curve["points"], serde_json::json!([[0.0, 11.0], [1.0, -11.0]]));
+    assert_eq!(curve["band"], serde_json::json!([[0.0, 9.04, 12.96], [1.0, -12.96, -9.04]]));
+    assert_eq!(curve["whiskers"], true);
 }
 
 #[test]
@@ -146,8 +163,8 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
         .map(|k| if place(k).0 < 6 { 1.0 + 0.1 * (k % 7) as f64 } else { 0.01 * (k % 7) as f64 - 0.02 })
         .collect();
     let setting = LocatedSetting { least_events: 20, rim_events: 4, ..LocatedSetting::default() };
-    let located = Ground::new(&case, (&pixel, &t_ns, &polarity), &light, &block, &[], &setting)
-        .locate(&gains, "time_since_last_event");
+    let on = Values { pixel: &pixel, t_ns: &t_ns, polarity: &polarity, log_light: &light, block: &block };
+    let located = Ground::new(&case, on, &[], &setting).locate(&gains, "time_since_last_event");
     assert_eq!(located.columns.range, [0, 5]);
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
     let proposal = Proposal {
@@ -173,14 +190,14 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     let part = html.split("id=\"where\"").nth(1).unwrap().split("</section>").next().unwrap();
-    for text in [
-        "columns 0 to 5",
-        "stroke-dasharray=\"6 3\"",
-        ">row</text>",
-        "log photocurrent</text>",
-        "nats an event",
-    ] {
+    for text in ["columns 0 to 5", "stroke-dasharray=\"6 3\"", "nats an event"] {
         assert!(part.contains(text), "{text}");
+    }
+    let first = part.split("data-chart=\"").nth(1).unwrap().split('"').next().unwrap();
+    let first: usize = first.parse().unwrap();
+    for (at, x) in ["row", "time since the start, s", "light: log photocurrent"].iter().enumerate() {
+        let chart = &charts(&html)[first + at];
+        assert_eq!((&chart["x"], &chart["y"]), (&(*x).into(), &"nats an event".into()));
     }
     // Nothing is placed that nobody measured.
     let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));

@@ -19,7 +19,7 @@ use photocurrent_scene::statistics::median;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Part {
+pub(super) struct Part {
     /// Number in [`CANDIDATES`].
     pub candidate: usize,
     /// Held-out gain over the plain distribution, nats an event.
@@ -31,7 +31,7 @@ pub struct Part {
 }
 
 /// What parts are measured on.
-pub struct Ground<'a> {
+pub(super) struct Ground<'a> {
     /// The events.
     pub events: &'a Residuals,
     /// Their residuals, natural-log units, with whatever was found applied.
@@ -60,7 +60,7 @@ const LEAST_PAIRS: usize = 200;
 
 /// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0
 /// where too few do. `cells`: what the events' pixels looked at.
-pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
+pub(super) fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     let most = 4.0 * median(&mut sizes);
     let mut order: Vec<((Cell, i8), u32, usize)> =
@@ -77,28 +77,38 @@ pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 
 }
 
 /// The effects that are differences between pixels, in the order of [`Ground::columns`].
-pub const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
+pub(super) const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
 const MISMATCH: &str = "threshold_mismatch";
 const SPREAD: &str = "refractory_spread";
+
+/// What a distribution with a random effect is to residuals.
+struct Wider {
+    /// Nats an event.
+    gain: f64,
+    size: f64,
+    /// Residuals without what it makes of each pixel or of their mean; none where it moves none.
+    left: Option<Vec<f64>>,
+}
 
 /// All parts of a recording.
 ///
 /// `noise`: of the plain distribution, usually the control's.
-pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
+pub(super) fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let find = |id: &str| CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.is_random);
     let own = EventNoise::estimate(ground.residual, &ground.events.slope_per_s, ground.least);
     let mut found = Vec::new();
-    let mut push = |id: &str, (gain, size): (f64, f64), left: Option<Vec<f64>>| {
+    let mut push = |id: &str, Wider { gain, size, left }: Wider| {
         if let Some(candidate) = find(id) {
             found.push(Part { candidate, gain, size, left });
         }
     };
-    let (mismatch, without_mismatch) = ground.of_pixels(&own, ground.columns[0], true);
-    let (spread, without_spread) = ground.of_pixels(&own, ground.columns[1], false);
+    let mismatch = ground.of_pixels(&own, ground.columns[0], true);
+    let spread = ground.of_pixels(&own, ground.columns[1], false);
     // Noise of single events is what differences between pixels leave.
-    let rest = if mismatch.0 > spread.0 { without_mismatch.clone() } else { without_spread.clone() };
-    push(MISMATCH, mismatch, Some(without_mismatch));
-    push(SPREAD, spread, Some(without_spread));
+    let larger = if mismatch.gain > spread.gain { &mismatch } else { &spread };
+    let rest = larger.left.clone().unwrap_or_else(|| ground.residual.to_vec());
+    push(MISMATCH, mismatch);
+    push(SPREAD, spread);
     let slope_square =
         median(&mut ground.events.slope_per_s.iter().map(|slope| slope * slope).collect::<Vec<f64>>());
     let left = EventNoise::estimate(&rest, &ground.events.slope_per_s, ground.least);
@@ -110,21 +120,12 @@ pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     } else {
         EventNoise { a: f64::max(noise.a, shared * left.a), b: f64::max(noise.b, shared * left.b) }
     };
-    push(
-        "threshold_noise",
-        ground.wider(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a),
-        None,
-    );
+    push("threshold_noise", ground.wider(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a));
     let of_stamps = ground.wider(&rest, &before, &EventNoise { a: before.a, b: left.b }, left.b);
-    match ground.late(noise).filter(|(of_comparators, _)| of_comparators.0 > of_stamps.0) {
-        Some((of_comparators, left)) => push("timestamp_jitter", of_comparators, Some(left)),
-        None => push("timestamp_jitter", of_stamps, None),
-    }
-    push(
-        "background_activity",
-        ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }),
-        None,
-    );
+    let of_comparators = ground.late(noise).filter(|late| late.gain > of_stamps.gain);
+    push("timestamp_jitter", of_comparators.unwrap_or(of_stamps));
+    let twice = |u: f64, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 };
+    push("background_activity", ground.mixture(&own, &twice));
     let lost = |u: f64, sigma: f64| {
         [0.5, 0.25, 0.125, 0.0625]
             .iter()
@@ -132,7 +133,7 @@ pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
             .map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma)
             .sum()
     };
-    push("event_loss", ground.mixture(&own, &lost), None);
+    push("event_loss", ground.mixture(&own, &lost));
     found
 }
 
@@ -152,16 +153,16 @@ impl Ground<'_> {
     }
 
     /// Gain of a wider distribution, and its size.
-    fn wider(&self, residual: &[f64], before: &EventNoise, after: &EventNoise, size: f64) -> (f64, f64) {
+    fn wider(&self, residual: &[f64], before: &EventNoise, after: &EventNoise, size: f64) -> Wider {
         let slope = &self.events.slope_per_s;
         let gain = after.log_density(residual, slope) - before.log_density(residual, slope);
-        (gain / residual.len().max(1) as f64, size)
+        Wider { gain: gain / residual.len().max(1) as f64, size, left: None }
     }
 
     /// Comparators that answer late, each time by another delay: residuals grow with the slope, and so does
     /// their spread. Gain, the standard deviation of the delay, seconds, and residuals without their mean
     /// delay; none where delays do not differ.
-    fn late(&self, noise: &EventNoise) -> Option<((f64, f64), Vec<f64>)> {
+    fn late(&self, noise: &EventNoise) -> Option<Wider> {
         let slope = &self.events.slope_per_s;
         let column: Vec<f32> = slope.iter().map(|slope| -*slope as f32).collect();
         let rows = Rows { slope, block: &[], events: slope.len(), least: self.least, soft: None, free: &[] };
@@ -184,13 +185,13 @@ impl Ground<'_> {
         }
         let gain = (with.log_density(&rest, slope) - plain.log_density(self.residual, slope))
             / rest.len().max(1) as f64;
-        Some(((gain, jitter), rest))
+        Some(Wider { gain, size: jitter, left: Some(rest) })
     }
 
     /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event
     /// from the others of its pixel, the standard deviation over pixels in effect sizes, and the residuals
     /// with each pixel's size applied.
-    fn of_pixels(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> ((f64, f64), Vec<f64>) {
+    fn of_pixels(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> Wider {
         let n = self.residual.len();
         let mut order: Vec<usize> = (0..n).collect();
         let key = |k: usize| (self.events.pixel[k], if by_polarity { self.events.polarity[k] } else { 0 });
@@ -201,7 +202,7 @@ impl Ground<'_> {
         };
         let pixels: Vec<(Vec<usize>, f64, f64)> =
             order.chunk_by(|&a, &b| key(a) == key(b)).filter_map(sized).collect();
-        let nothing = ((0.0, 0.0), self.residual.to_vec());
+        let nothing = Wider { gain: 0.0, size: 0.0, left: Some(self.residual.to_vec()) };
         if pixels.len() < LEAST_PIXELS {
             return nothing;
         }
@@ -243,7 +244,8 @@ impl Ground<'_> {
             let slope = &self.events.slope_per_s;
             EventNoise::estimate(residual, slope, self.least).log_density(residual, slope)
         };
-        (((density(&left) - density(&alike)) / n as f64, libm::sqrt(variance)), left)
+        let gain = (density(&left) - density(&alike)) / n as f64;
+        Wider { gain, size: libm::sqrt(variance), left: Some(left) }
     }
 
     /// The size of a column that some events of a pixel want, and its weight.
@@ -264,7 +266,7 @@ impl Ground<'_> {
     }
 
     /// A share of events of another distribution, by expectation and maximisation: gain, and the share.
-    fn mixture(&self, noise: &EventNoise, other: &dyn Fn(f64, f64) -> f64) -> (f64, f64) {
+    fn mixture(&self, noise: &EventNoise, other: &dyn Fn(f64, f64) -> f64) -> Wider {
         let densities: Vec<(f64, f64)> = (0..self.residual.len())
             .map(|k| {
                 let (u, sigma) = (self.u(k), self.sigma(noise, k));
@@ -282,14 +284,14 @@ impl Ground<'_> {
         }
         let gain: f64 =
             densities.iter().map(|(plain, other)| libm::log1p(share * (other / plain - 1.0))).sum();
-        (gain / n, share)
+        Wider { gain: gain / n, size: share, left: None }
     }
 }
 
 /// The parameter of a part's size beyond the control's, in the unit of its declaration. `effect_sizes`: what
 /// one effect size of the threshold's scale and of the refractory period are, as shares of the threshold and
 /// in seconds.
-pub fn value(
+pub(super) fn value(
     part: &Part,
     control: f64,
     threshold: f64,

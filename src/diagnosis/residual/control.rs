@@ -13,7 +13,7 @@ use photocurrent_sensor::elementary;
 use rayon::prelude::*;
 
 /// The scene that a control is recorded of: its light, and the frames that it gives without noise.
-pub struct Behind {
+pub(super) struct Behind {
     /// Log photocurrent.
     pub light: Light,
     /// Frames, DN as [frame][y][x]; NaN where the scene does not reach.
@@ -25,7 +25,7 @@ const LEAST_LEFT: f64 = 0.3;
 
 impl Behind {
     /// Of light.
-    pub fn of(case: &Case, nominal: &Nominal, light: Light) -> Behind {
+    pub(super) fn of(case: &Case, nominal: &Nominal, light: Light) -> Behind {
         Behind { frames: light.frames(case, nominal), light }
     }
 
@@ -38,7 +38,7 @@ impl Behind {
     ///
     /// # Errors
     /// When frames cannot be fitted.
-    pub fn looking_like(
+    pub(super) fn looking_like(
         case: &Case,
         nominal: &Nominal,
         source: &dyn Scene,
@@ -108,7 +108,7 @@ fn with_noise(
 ///
 /// # Errors
 /// When the description's effects cannot be combined.
-pub fn control(
+pub(super) fn control(
     case: &Case,
     nominal: &Nominal,
     source: &dyn Scene,
@@ -135,7 +135,8 @@ pub fn control(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::residual::evidence::{EvidenceSetting, evidence};
+    use crate::residual::evidence::EvidenceSetting;
+    use crate::residual::ranking::evidence;
     use crate::scenes::MadeUp;
     use photocurrent_core::Extent;
     use photocurrent_scene::mosaic::{MosaicSetting, scene};

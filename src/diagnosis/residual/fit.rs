@@ -4,12 +4,12 @@
 use std::ops::Range;
 
 /// Degrees of freedom of the residuals' Student-t distribution.
-pub const NU: f64 = 3.0;
+pub(super) const NU: f64 = 3.0;
 
 /// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope
 /// (stamps).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EventNoise {
+pub(super) struct EventNoise {
     /// Threshold part, natural-log units.
     pub a: f64,
     /// Stamp part, seconds.
@@ -19,13 +19,13 @@ pub struct EventNoise {
 impl EventNoise {
     /// Scale of an event's residual.
     #[inline]
-    pub fn sigma(&self, slope_per_s: f64) -> f64 {
+    pub(super) fn sigma(&self, slope_per_s: f64) -> f64 {
         libm::sqrt(self.a * self.a + self.b * self.b * slope_per_s * slope_per_s)
     }
 
     /// Largest distance of the residuals' probabilities under this noise from evenly spread ones (Kolmogorov
     /// and Smirnov).
-    pub fn distance(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
+    pub(super) fn distance(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
         let mut probability: Vec<f64> = residual
             .iter()
             .zip(slope_per_s)
@@ -38,7 +38,7 @@ impl EventNoise {
     }
 
     /// From residuals: robust scales in eight bins of slope, fitted by `a^2 + b^2 slope^2`; at least `least`.
-    pub fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
+    pub(super) fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
         EventNoise::in_order(residual, slope_per_s, &by_slope(slope_per_s), least)
     }
 
@@ -76,7 +76,7 @@ impl EventNoise {
     }
 
     /// Log density of residuals.
-    pub fn log_density(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
+    pub(super) fn log_density(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
         residual
             .iter()
             .zip(slope_per_s)
@@ -108,7 +108,7 @@ fn probability_t(z: f64) -> f64 {
 /// What stands with residuals: events first, then frame values (of a scene that does not hang on them), each
 /// kind with a noise of its own.
 #[derive(Clone, Copy, Debug)]
-pub struct Rows<'a> {
+pub(super) struct Rows<'a> {
     /// How fast the voltage moves at events, ln/s; how bright frame values are, DN.
     pub slope: &'a [f64],
     /// Block of pixels; the last bit is the half that it belongs to.
@@ -126,7 +126,7 @@ pub struct Rows<'a> {
 
 /// What a picture that is too soft leaves of each row, per size of its own; sizes lie between `most` and 0.
 #[derive(Clone, Copy, Debug)]
-pub struct Soft<'a> {
+pub(super) struct Soft<'a> {
     /// The column.
     pub column: &'a [f32],
     /// What it changes of the logarithm of each slope.
@@ -137,7 +137,7 @@ pub struct Soft<'a> {
 
 /// An effect's column, and what it changes of the logarithm of each slope: both per size.
 #[derive(Clone, Debug, Default)]
-pub struct Column {
+pub(super) struct Column {
     /// Of residuals.
     pub of: Vec<f32>,
     /// Of log slopes; nothing where it changes none.
@@ -149,14 +149,14 @@ const LEAST_DN: f64 = 0.3;
 
 /// Noise of both kinds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub(super) struct Noise {
     events: EventNoise,
     frames: EventNoise,
 }
 
 impl Noise {
     /// Of events.
-    pub fn of_events(&self) -> EventNoise {
+    pub(super) fn of_events(&self) -> EventNoise {
         self.events
     }
 }
@@ -207,7 +207,7 @@ impl Rows<'_> {
 
 /// Columns, fitted together.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Fitted {
+pub(super) struct Fitted {
     /// Sizes, each in units of its column's own.
     pub size: Vec<f64>,
     /// Standard errors: half of what two halves of the blocks differ by.
@@ -235,7 +235,7 @@ struct Solved {
 }
 
 /// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
-pub fn fit(
+pub(super) fn fit(
     residual: &[f64],
     rows: &Rows<'_>,
     columns: &[&[f32]],
@@ -279,7 +279,7 @@ impl Soft<'_> {
 
 /// Residuals without what a picture that is too soft leaves, and without what free parameters of the scene
 /// explain.
-pub fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
+pub(super) fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
     if rows.soft.is_none() && rows.free.is_empty() {
         return residual.to_vec();
     }
@@ -355,15 +355,18 @@ fn least_squares(
 /// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its
 /// residual times the slope. Frame values have none.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen<'a> {
+pub(super) struct Rest<'a> {
     /// Residuals.
     pub residual: &'a [f64],
     /// Log slopes of the events.
     pub log_slope: &'a [f32],
+    /// What else is known of them.
+    pub rows: &'a Rows<'a>,
 }
 
-impl Seen<'_> {
-    fn log(&self, rows: &Rows<'_>, found: &Solved, k: usize) -> f64 {
+impl Rest<'_> {
+    fn log(&self, found: &Solved, k: usize) -> f64 {
+        let rows = self.rows;
         let soft = rows.soft.map_or((0.0, 0.0), |soft| {
             (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log)))
         });
@@ -379,20 +382,16 @@ impl Seen<'_> {
 }
 
 /// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is
-/// fitted to the other half of the blocks. Each with its rows, which differ by what is free of the scene
-/// alone.
-pub fn gain_of(
-    (before, plain_rows): (Seen<'_>, &Rows<'_>),
-    (left, rows): (Seen<'_>, &Rows<'_>),
-) -> (f64, f64) {
+/// fitted to the other half of the blocks. Their rows differ by what is free of the scene alone.
+pub(super) fn gain_of(before: Rest<'_>, left: Rest<'_>) -> (f64, f64) {
+    let rows = left.rows;
     let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
-        let (with, plain) =
-            (solve(left.residual, rows, &[], train), solve(before.residual, plain_rows, &[], train));
+        let [with, plain] = [left, before].map(|rest| solve(rest.residual, rest.rows, &[], train));
         for k in (0..before.residual.len()).filter(|&k| !train(k)) {
-            gains[rows.block[k] as usize] += left.log(rows, &with, k) - before.log(plain_rows, &plain, k);
+            gains[rows.block[k] as usize] += left.log(&with, k) - before.log(&plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
     }
@@ -402,15 +401,15 @@ pub fn gain_of(
 /// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture
 /// that is too soft leaves) that is found with what is `left`: a row that is not changed gains nothing. Each
 /// with what is free of the scene where it fits best.
-pub fn gains((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<'_>, &Rows<'_>)) -> Vec<f64> {
-    let with = solve(left.residual, rows, &[], |_| true);
-    let free = if rows.free.is_empty() {
+pub(super) fn gains(before: Rest<'_>, left: Rest<'_>) -> Vec<f64> {
+    let with = solve(left.residual, left.rows, &[], |_| true);
+    let free = if left.rows.free.is_empty() {
         Vec::new()
     } else {
-        solve(before.residual, plain_rows, &[], |_| true).free
+        solve(before.residual, before.rows, &[], |_| true).free
     };
     let plain = Solved { sizes: Vec::new(), free, ..with.clone() };
-    (0..before.residual.len()).map(|k| left.log(rows, &with, k) - before.log(plain_rows, &plain, k)).collect()
+    (0..before.residual.len()).map(|k| left.log(&with, k) - before.log(&plain, k)).collect()
 }
 
 /// Mean per event and its standard error.
@@ -422,7 +421,7 @@ fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
 }
 
 /// Residuals with no column, fitted on either half of the blocks.
-pub struct Plain<'a> {
+pub(super) struct Plain<'a> {
     residual: &'a [f64],
     rows: Rows<'a>,
     halves: [Solved; 2],
@@ -430,7 +429,7 @@ pub struct Plain<'a> {
 
 impl<'a> Plain<'a> {
     /// Of residuals.
-    pub fn new(residual: &'a [f64], rows: Rows<'a>) -> Plain<'a> {
+    pub(super) fn new(residual: &'a [f64], rows: Rows<'a>) -> Plain<'a> {
         let halves = [0_u32, 1].map(|half| solve(residual, &rows, &[], |k| rows.block[k] % 2 == half));
         Plain { residual, rows, halves }
     }
@@ -438,18 +437,17 @@ impl<'a> Plain<'a> {
 
 impl Plain<'_> {
     /// Held-out log-likelihood of an event's time, nats, of a density per second. `log_slope`: of the events.
-    pub fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
-        let seen = Seen { residual: self.residual, log_slope };
+    pub(super) fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
+        let rest = Rest { residual: self.residual, log_slope, rows: &self.rows };
         let events = self.rows.events.min(self.residual.len());
-        let sum: f64 = (0..events)
-            .map(|k| seen.log(&self.rows, &self.halves[1 - (self.rows.block[k] % 2) as usize], k))
-            .sum();
+        let sum: f64 =
+            (0..events).map(|k| rest.log(&self.halves[1 - (self.rows.block[k] % 2) as usize], k)).sum();
         sum / events.max(1) as f64
     }
 
     /// Fisher information of an event about the size of a column, under Student's t: that which free
     /// parameters of the scene cannot have.
-    pub fn information(&self, column: &Column) -> f64 {
+    pub(super) fn information(&self, column: &Column) -> f64 {
         let events = self.rows.events.min(self.residual.len());
         let n = self.rows.free.len();
         let noise = &self.halves[0].noise;
@@ -473,7 +471,7 @@ impl Plain<'_> {
 
 /// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an
 /// event; size from all rows.
-pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
+pub(super) fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
     let whole = plain;
     let Plain { residual, rows, halves: plain } = plain;
     let blocks = rows.blocks();
@@ -481,7 +479,7 @@ pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
     let mut counts = vec![0.0; blocks];
     let mut halves = [Vec::new(), Vec::new()];
     let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
-    let plain_seen = Seen { residual, log_slope: &[] };
+    let before = Rest { residual, log_slope: &[], rows };
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
         let with = solve(residual, rows, &of, train);
@@ -494,9 +492,9 @@ pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
         let steeper: Vec<f32> = (0..rows.events)
             .map(|k| sum(&|column| column.log_slope.get(k).map_or(0.0, |log| f64::from(*log))) as f32)
             .collect();
-        let seen = Seen { residual: &left, log_slope: &steeper };
+        let rest = Rest { residual: &left, log_slope: &steeper, rows };
         for k in (0..residual.len()).filter(|&k| !train(k)) {
-            gains[rows.block[k] as usize] += seen.log(rows, &with, k) - plain_seen.log(rows, plain, k);
+            gains[rows.block[k] as usize] += rest.log(&with, k) - before.log(plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
         halves[half as usize] = with.sizes;
@@ -600,10 +598,11 @@ mod tests {
         let log = |by: f64| -> Vec<f32> { slope.iter().map(|slope| libm::log(by * slope) as f32).collect() };
         let half: Vec<f64> = noise.iter().map(|noise| 0.5 * noise).collect();
         let (full_log, half_log) = (log(1.0), log(0.5));
-        let before = Seen { residual: &noise, log_slope: &full_log };
-        let (gain, _) = gain_of((before, &rows), (Seen { residual: &half, log_slope: &half_log }, &rows));
+        let rest = |residual, log_slope| Rest { residual, log_slope, rows: &rows };
+        let before = rest(&noise[..], &full_log[..]);
+        let (gain, _) = gain_of(before, rest(&half, &half_log));
         assert!(gain.abs() < 1e-4, "{gain}");
-        let (gain, _) = gain_of((before, &rows), (Seen { residual: &noise, log_slope: &half_log }, &rows));
+        let (gain, _) = gain_of(before, rest(&noise, &half_log));
         assert!((gain + libm::log(2.0)).abs() < 1e-4, "{gain}");
         // To first order the same: a column that takes half of the residuals, and half of the slopes with it.
         let column = Column {

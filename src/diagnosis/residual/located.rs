@@ -11,14 +11,12 @@
 //! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate
 //! leaves out carry no information; random effects are not located.
 
-pub use super::axis::Mean;
+pub(crate) use super::axis::Mean;
 use super::axis::{best, mean, shape};
-use super::open::Laid;
-use crate::candidates::CANDIDATES;
+use super::laid::{Bins, Laid};
 use crate::covariates::Covariate;
 use crate::dependence::Dependence;
 use crate::report::Location;
-use crate::verdict::{Answer, Claim, Decided, Unexplained};
 use photocurrent_scene::case::Case;
 use serde::{Deserialize, Serialize};
 
@@ -209,43 +207,9 @@ impl Locations {
     }
 }
 
-/// Where a claim is, as it was measured on the scene; none for direct tests.
-pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a Located> {
-    let candidate = claim.values.first().filter(|_| claim.finding.is_none())?.0;
-    let decided = decided?;
-    // The best of the first list is the first effect; another one was measured with it applied.
-    let best = decided
-        .proposals
-        .iter()
-        .filter(|one| one.passed)
-        .max_by(|a, b| a.probability.total_cmp(&b.probability));
-    let is_first = best.is_some_and(|best| CANDIDATES[best.candidate].id == claim.id);
-    decided.located.of(candidate, !is_first).or_else(|| decided.located.of(candidate, is_first))
-}
-
-/// Where what has no name is; none where it is not the curve that was located.
-pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Option<&'a Located> {
-    let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == found.dependence;
-    decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
-}
-
-/// Where the effects of an answer are, by id.
-pub fn answered(decided: Option<&Decided>, answer: &Answer) -> Vec<(String, Located)> {
-    let claimed = answer
-        .claims
-        .iter()
-        .filter_map(|claim| Some((claim.id.to_owned(), of_claim(decided, claim)?.clone())));
-    let nameless = answer
-        .unexplained
-        .iter()
-        .filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(decided, found)?.clone())));
-    claimed.chain(nameless).collect()
-}
-
-/// What gains are located on: events, or frame values.
-pub struct Ground<'a> {
-    /// The recording.
-    pub case: &'a Case,
+/// Events, or frame values, that gain.
+#[derive(Clone, Copy)]
+pub(crate) struct Values<'a> {
     /// The pixel of each.
     pub pixel: &'a [u32],
     /// When, ns.
@@ -256,44 +220,15 @@ pub struct Ground<'a> {
     pub log_light: &'a [f64],
     /// Block of pixels of each; the last bit is its half.
     pub block: &'a [u32],
+}
+
+/// What gains are located on.
+pub(crate) struct Ground<'a> {
+    case: &'a Case,
+    /// Of a gain each.
+    pub on: Values<'a>,
     bins: Vec<(Covariate, Bins)>,
     setting: &'a LocatedSetting,
-}
-
-/// Values sorted into bins.
-struct Bins {
-    /// Mean value of each bin.
-    at: Vec<f64>,
-    /// The bin of each event; none without a value.
-    of: Vec<Option<u32>>,
-    is_class: bool,
-}
-
-impl Bins {
-    /// About as many events in each; values of a class are bins of their own.
-    fn new(values: &[f64], count: usize, is_class: bool) -> Bins {
-        let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-        sorted.sort_by(f64::total_cmp);
-        let mut edges: Vec<f64> = if is_class {
-            let mut classes = sorted.clone();
-            classes.dedup();
-            classes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect()
-        } else {
-            (1..count).filter_map(|bin| sorted.get(bin * sorted.len() / count).copied()).collect()
-        };
-        edges.dedup();
-        edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
-        let of: Vec<Option<u32>> = values
-            .iter()
-            .map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32))
-            .collect();
-        let mut sums = vec![(0.0, 0.0); edges.len() + 1];
-        for (bin, value) in of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
-            let sum = &mut sums[bin as usize];
-            *sum = (sum.0 + value, sum.1 + 1.0);
-        }
-        Bins { at: sums.iter().map(|(sum, count)| sum / f64::max(*count, 1.0)).collect(), of, is_class }
-    }
 }
 
 /// Steps of events along the axes that parts are looked for on.
@@ -311,30 +246,28 @@ struct Steps {
 
 impl<'a> Ground<'a> {
     /// Of events or frame values; `laid`: their covariates.
-    pub fn new(
+    pub(crate) fn new(
         case: &'a Case,
-        (pixel, t_ns, polarity): (&'a [u32], &'a [i64], &'a [i8]),
-        log_light: &'a [f64],
-        block: &'a [u32],
+        on: Values<'a>,
         laid: &[Laid],
         setting: &'a LocatedSetting,
     ) -> Ground<'a> {
         let bins = laid
             .iter()
-            .map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, laid.covariate.is_class())))
+            .map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, 1, laid.covariate.is_class())))
             .collect();
-        Ground { case, pixel, t_ns, polarity, log_light, block, bins, setting }
+        Ground { case, on, bins, setting }
     }
 
     /// Where gains are, nats, one for each event; `own`: the covariate that the catalogue states for the
     /// effect.
-    pub fn locate(&self, gains: &[f64], own: &str) -> Located {
+    pub(crate) fn locate(&self, gains: &[f64], own: &str) -> Located {
         let gains: Vec<f64> = gains.iter().map(|gain| if gain.is_finite() { *gain } else { 0.0 }).collect();
         let (case, setting) = (self.case, self.setting);
         let Steps { row, column, time: step, step_ns, lit, lights } = &self.steps(gains.len());
         let wide = |values: &[usize]| -> Vec<f64> { values.iter().map(|value| *value as f64).collect() };
         let (start_ns, end_ns) = case.span;
-        let seconds: Vec<f64> = self.t_ns.iter().map(|t| (t - start_ns) as f64 * 1e-9).collect();
+        let seconds: Vec<f64> = self.on.t_ns.iter().map(|t| (t - start_ns) as f64 * 1e-9).collect();
 
         let (all, _) = self.means(&gains, &|_| true);
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
@@ -353,8 +286,9 @@ impl<'a> Ground<'a> {
         let is_then = |k: usize| is_placed(k) && is_within(step, &time, k);
         let lit_part = self.part(&gains, lit, *lights, &is_then);
         let ends = self.light_range((0..gains.len()).filter(|&k| is_within(lit, &lit_part, k)));
-        let by_polarity = (!self.polarity.is_empty())
-            .then(|| [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.polarity[k] == sign).0));
+        let by_polarity = (!self.on.polarity.is_empty()).then(|| {
+            [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.on.polarity[k] == sign).0)
+        });
         let polarity = by_polarity.map_or("both", |[on, off]| self.polarity_of(&on, &off));
         let rows = Part::of(rows, all, |found| {
             found
@@ -378,7 +312,7 @@ impl<'a> Ground<'a> {
         let shape = found.map_or("flat", |n| {
             if self.bins[n].1.is_class { "differs" } else { shape(&means, setting.straight) }
         });
-        let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, false));
+        let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, 1, false));
         let map = self.map(&gains);
         let pixels = self.pixels(&map, rows.range, columns.range, setting.rest * placed.gain);
         Located {
@@ -395,7 +329,7 @@ impl<'a> Ground<'a> {
             over,
             over_rows: curve(&wide(row)),
             over_time: curve(&seconds),
-            over_light: curve(self.log_light),
+            over_light: curve(self.on.log_light),
             map,
             pixels,
         }
@@ -404,14 +338,15 @@ impl<'a> Ground<'a> {
     /// Steps of each of the first `count` events along every axis.
     fn steps(&self, count: usize) -> Steps {
         let (case, setting) = (self.case, self.setting);
-        let place = |k: usize| case.place(self.pixel[k] as usize);
+        let place = |k: usize| case.place(self.on.pixel[k] as usize);
         let (start_ns, end_ns) = case.span;
         let step_ns = ((end_ns - start_ns) / setting.steps.max(1) as i64).max(1);
-        let light = Bins::new(self.log_light, setting.steps, false);
+        let light = Bins::new(self.on.log_light, setting.steps, 1, false);
         Steps {
             row: (0..count).map(|k| place(k).1 as usize).collect(),
             column: (0..count).map(|k| place(k).0 as usize).collect(),
             time: self
+                .on
                 .t_ns
                 .iter()
                 .map(|t| ((t - start_ns) / step_ns).clamp(0, setting.steps as i64 - 1) as usize)
@@ -424,7 +359,7 @@ impl<'a> Ground<'a> {
 
     /// Least and greatest log photocurrent of events; none where none is known.
     fn light_range(&self, events: impl Iterator<Item = usize>) -> Option<[f64; 2]> {
-        let light = events.map(|k| self.log_light[k]).filter(|u| u.is_finite());
+        let light = events.map(|k| self.on.log_light[k]).filter(|u| u.is_finite());
         light.fold(None, |ends: Option<[f64; 2]>, u| {
             Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)]))
         })
@@ -443,10 +378,10 @@ impl<'a> Ground<'a> {
 
     /// Mean gain of the chosen events, and of the others.
     fn means(&self, gains: &[f64], is_chosen: &dyn Fn(usize) -> bool) -> (Mean, Mean) {
-        let blocks = self.block.iter().copied().max().map_or(0, |last| last as usize + 1);
+        let blocks = self.on.block.iter().copied().max().map_or(0, |last| last as usize + 1);
         let mut sums = [vec![(0.0, 0.0); blocks], vec![(0.0, 0.0); blocks]];
         for (k, gain) in gains.iter().enumerate() {
-            let sum = &mut sums[usize::from(!is_chosen(k))][self.block[k] as usize];
+            let sum = &mut sums[usize::from(!is_chosen(k))][self.on.block[k] as usize];
             *sum = (sum.0 + gain, sum.1 + 1.0);
         }
         let [chosen, others] = sums.map(|sums| mean(&sums));
@@ -484,9 +419,9 @@ impl<'a> Ground<'a> {
         let [inside, outside] = sides((first, last), is_asked);
         let (mut differ, mut error) = (0.0, 0.0);
         for half in 0..2_u32 {
-            let is_in = |k: usize| is_asked(k) && self.block[k] % 2 == half;
+            let is_in = |k: usize| is_asked(k) && self.on.block[k] % 2 == half;
             let chosen = best(gains, at, steps, &is_in, setting.least_events / 2, setting.rim_events / 2)?;
-            let [inside, outside] = sides(chosen, &|k| is_asked(k) && self.block[k] % 2 != half);
+            let [inside, outside] = sides(chosen, &|k| is_asked(k) && self.on.block[k] % 2 != half);
             (differ, error) = (
                 differ + inside.gain - outside.gain,
                 libm::hypot(error, libm::hypot(inside.error, outside.error)),
@@ -552,7 +487,7 @@ impl<'a> Ground<'a> {
     /// Share of the squares of gains that a mean for each bin explains, on the half of the blocks that the
     /// means are not from; 0 where it is not significant.
     fn explained(&self, gains: &[f64], bins: &Bins) -> f64 {
-        let blocks = self.block.iter().copied().max().map_or(0, |last| last as usize + 1);
+        let blocks = self.on.block.iter().copied().max().map_or(0, |last| last as usize + 1);
         if bins.at.len() < 2 {
             return 0.0;
         }
@@ -561,18 +496,18 @@ impl<'a> Ground<'a> {
             let mut sums = vec![(0.0, 0.0); bins.at.len() + 1];
             let there = |k: usize| bins.of[k].map_or(bins.at.len(), |bin| bin as usize);
             let (mut all, mut count) = (0.0, 0.0);
-            for k in (0..gains.len()).filter(|&k| self.block[k] % 2 == half) {
+            for k in (0..gains.len()).filter(|&k| self.on.block[k] % 2 == half) {
                 let sum = &mut sums[there(k)];
                 *sum = (sum.0 + gains[k], sum.1 + 1.0);
                 (all, count) = (all + gains[k], count + 1.0);
             }
             let middle = all / f64::max(count, 1.0);
-            for k in (0..gains.len()).filter(|&k| self.block[k] % 2 != half) {
+            for k in (0..gains.len()).filter(|&k| self.on.block[k] % 2 != half) {
                 let (sum, of) = sums[there(k)];
                 let own = if of > 0.0 { sum / of } else { middle };
                 let (far, left) = (gains[k] - middle, gains[k] - own);
-                taken[self.block[k] as usize] += far * far - left * left;
-                counts[self.block[k] as usize] += 1.0;
+                taken[self.on.block[k] as usize] += far * far - left * left;
+                counts[self.on.block[k] as usize] += 1.0;
                 squares += far * far;
             }
         }
@@ -598,7 +533,7 @@ impl<'a> Ground<'a> {
         let mut map =
             GainMap { side, across, gain: vec![0.0; across * down], events: vec![0; across * down] };
         for (k, gain) in gains.iter().enumerate() {
-            let (x, y) = self.case.place(self.pixel[k] as usize);
+            let (x, y) = self.case.place(self.on.pixel[k] as usize);
             let cell = y as usize / side * across + x as usize / side;
             map.gain[cell] += gain;
             map.events[cell] += 1;

@@ -2,8 +2,9 @@
 //! everywhere.
 
 use super::*;
-use crate::candidates::{Candidate, Scales, Trial};
-use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
+use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
+use crate::residual::ranking::evidence;
 use crate::scenes::MadeUp;
 use crate::testing;
 use photocurrent_core::Extent;
@@ -239,15 +240,14 @@ fn drawn(seed: u64, mean: f64, is_part: impl Fn(u32, u32) -> bool) -> Drawn {
 
 fn located(drawn: &Drawn) -> Located {
     let setting = LocatedSetting::default();
-    let ground = Ground::new(
-        &drawn.case,
-        (&drawn.pixel, &drawn.t_ns, &drawn.polarity),
-        &drawn.light,
-        &drawn.block,
-        &[],
-        &setting,
-    );
-    ground.locate(&drawn.gains, "slope")
+    let on = Values {
+        pixel: &drawn.pixel,
+        t_ns: &drawn.t_ns,
+        polarity: &drawn.polarity,
+        log_light: &drawn.light,
+        block: &drawn.block,
+    };
+    Ground::new(&drawn.case, on, &[], &setting).locate(&drawn.gains, "slope")
 }
 
 #[test]

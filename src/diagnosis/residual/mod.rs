@@ -5,25 +5,27 @@
 //! and V_ref what the reset rule gives from the event before. Events stand where they were recorded, so
 //! nothing needs to be matched; every effect is evaluated by its own hooks
 //! ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that frames imply:
-//! [`through_frames`] takes it off.
+//! `through_frames` takes it off.
 //!
 //! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
-//! - [`fit`]: size and gain of each effect.
-//! - [`components`]: random effects.
-//! - [`open`]: what no effect of the catalogue has.
-//! - [`control`]: what is found where nothing is.
-//! - [`located`]: where the gain of an effect is.
-//! - [`evidence`]: all of it on one scene.
+//! - `fit`: size and gain of each effect.
+//! - `components`: random effects.
+//! - `open`: what no effect of the catalogue has.
+//! - `control`: what is found where nothing is.
+//! - `located`: where the gain of an effect is.
+//! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
 
 mod axis;
-pub mod components;
-pub mod control;
+mod components;
+mod control;
 pub mod evidence;
-pub mod fit;
-pub mod located;
-pub mod open;
+mod fit;
+mod laid;
+pub(crate) mod located;
+pub(crate) mod open;
 mod places;
 mod prepared;
+pub mod ranking;
 mod table;
 
 use crate::candidates::Trial;

@@ -6,9 +6,10 @@
 //! that is an effect of the catalogue.
 
 use super::Residuals;
-use super::fit::{self, Column, Fitted, Plain, Rows, Seen, heldout};
+use super::fit::{self, Column, Fitted, Plain, Rest, Rows, heldout};
+use super::laid::{Bins, Laid};
 use super::located::Located;
-use crate::covariates::{Covariate, Surroundings};
+use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
 use serde::{Deserialize, Serialize};
 
@@ -53,7 +54,7 @@ impl Open {
 }
 
 /// Takes what the control finds off, and sorts again, best first.
-pub fn beyond(found: &mut [Open], control: &[Open]) {
+pub(crate) fn beyond(found: &mut [Open], control: &[Open]) {
     for one in found.iter_mut() {
         let same = |other: &&Open| {
             (other.dependence.covariate, other.dependence.moved)
@@ -64,44 +65,15 @@ pub fn beyond(found: &mut [Open], control: &[Open]) {
     found.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
 }
 
-/// Values of a covariate at every event and at the event before it; NaN where it has none.
-#[derive(Clone, Debug)]
-pub struct Laid {
-    /// What.
-    pub covariate: Covariate,
-    /// Of a rhythm, its period, ns.
-    pub period_ns: Option<i64>,
-    pub(super) at: Vec<f64>,
-    before: Vec<f64>,
-}
-
 /// What is never asked: the polarity, which has effects of the catalogue, and the lag, which is slope and
 /// light.
 const LEFT_OUT: [Covariate; 2] = [Covariate::Polarity, Covariate::Lag];
-
-/// Lays every covariate over the events.
-pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
-    Covariate::ALL
-        .into_iter()
-        .filter(|covariate| *covariate != Covariate::AcPhase || period_ns.is_some())
-        .map(|covariate| {
-            let value = |k: usize, t_ns: i64, polarity: i8| {
-                surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN)
-            };
-            let at = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect();
-            let before = (0..events.t_ns.len())
-                .map(|k| value(k, events.t_ns[k] - events.since_ns[k], events.previous[k]))
-                .collect();
-            Laid { covariate, period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase), at, before }
-        })
-        .collect()
-}
 
 /// Every covariate with everything that may be moved, best first.
 ///
 /// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units;
 /// `least`: least noise.
-pub fn dependences(
+pub(crate) fn dependences(
     events: &Residuals,
     residual: &[f64],
     block: &[u32],
@@ -127,8 +99,6 @@ pub fn dependences(
 /// Columns of what is moved in each bin of a covariate, and in all of them.
 struct Free {
     bins: Bins,
-    /// The bin of each event.
-    of: Vec<Option<usize>>,
     columns: Vec<Column>,
     whole: Column,
 }
@@ -142,13 +112,16 @@ impl Free {
         setting: &OpenSetting,
     ) -> Option<Free> {
         // Events without a value keep what they have.
-        let bins = Bins::new(laid, setting)?;
-        let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) = (
-            laid.at.iter().map(|value| bins.of(*value)).collect(),
-            laid.before.iter().map(|value| bins.of(*value)).collect(),
-        );
-        let column = |bin: Option<usize>| -> Column {
-            let is_in = |at: Option<usize>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
+        let is_phase = matches!(laid.covariate, Covariate::AcPhase | Covariate::FramePhase);
+        let most = if is_phase { setting.bins_of_phase } else { setting.bins };
+        let bins = Bins::new(&laid.at, most, setting.least_in_bin, laid.covariate.is_class());
+        if bins.at.len() < 2 {
+            return None;
+        }
+        let of = &bins.of;
+        let of_before: Vec<Option<u32>> = laid.before.iter().map(|value| bins.bin(*value)).collect();
+        let column = |bin: Option<u32>| -> Column {
+            let is_in = |at: Option<u32>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
             let of = (0..of.len())
                 .map(|k| {
                     let (here, before) =
@@ -165,14 +138,14 @@ impl Free {
                 .collect();
             Column { of, log_slope: Vec::new() }
         };
-        let columns = (0..bins.count()).map(|bin| column(Some(bin))).collect();
+        let columns = (0..bins.at.len() as u32).map(|bin| column(Some(bin))).collect();
         let whole = column(None);
-        Some(Free { bins, of, columns, whole })
+        Some(Free { bins, columns, whole })
     }
 }
 
 /// What each event gains by a curve over one size for all of its bins, nats ([`fit::gains`]).
-pub fn gains(
+pub(crate) fn gains(
     events: &Residuals,
     residual: &[f64],
     block: &[u32],
@@ -197,8 +170,8 @@ pub fn gains(
             .collect()
     };
     let (one, all) = (left(&[&free.whole]), left(&free.columns.iter().collect::<Vec<_>>()));
-    let seen = |residual| Seen { residual, log_slope: &[] };
-    Some(fit::gains((seen(&one), &rows), (seen(&all), &rows)))
+    let rest = |residual| Rest { residual, log_slope: &[], rows: &rows };
+    Some(fit::gains(rest(&one), rest(&all)))
 }
 
 fn dependence(
@@ -211,8 +184,8 @@ fn dependence(
     least: f64,
     setting: &OpenSetting,
 ) -> Option<Open> {
-    let Free { bins, of, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
-    let count = bins.count();
+    let Free { bins, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
+    let count = bins.at.len();
     let plain = Plain::new(
         residual,
         Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] },
@@ -221,7 +194,7 @@ fn dependence(
     let one: Fitted = heldout(&plain, &[&whole]);
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
-    let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;
+    let weight = |bin: usize| bins.of.iter().filter(|at| **at == Some(bin as u32)).count() as f64;
     let mean = (0..count).map(|bin| weight(bin) * value[bin]).sum::<f64>()
         / f64::max((0..count).map(weight).sum(), 1.0);
     let taken = 1.0 - libm::exp(-2.0 * gain.max(0.0));
@@ -229,7 +202,7 @@ fn dependence(
         moved,
         covariate: laid.covariate,
         period_s: laid.period_ns.map(|period_ns| period_ns as f64 * 1e-9),
-        at: bins.middle(laid),
+        at: bins.at,
         value: value.iter().map(|value| value - mean).collect(),
         error: all.error.clone(),
         taken,
@@ -237,55 +210,6 @@ fn dependence(
         nats_per_event: gain,
     };
     Some(Open { dependence, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
-}
-
-/// Bins of a covariate with about as many events each; classes are their own.
-struct Bins {
-    edges: Vec<f64>,
-}
-
-impl Bins {
-    fn new(laid: &Laid, setting: &OpenSetting) -> Option<Bins> {
-        let mut values: Vec<f64> = laid.at.iter().copied().filter(|value| value.is_finite()).collect();
-        values.sort_by(f64::total_cmp);
-        let is_phase = matches!(laid.covariate, Covariate::AcPhase | Covariate::FramePhase);
-        let most = if is_phase { setting.bins_of_phase } else { setting.bins };
-        let count = if laid.covariate.is_class() {
-            values.len()
-        } else {
-            most.min(values.len() / setting.least_in_bin.max(1))
-        };
-        let mut edges: Vec<f64> = if laid.covariate.is_class() {
-            let mut classes = values.clone();
-            classes.dedup();
-            classes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect()
-        } else {
-            (1..count).map(|bin| values[bin * values.len() / count]).collect()
-        };
-        edges.dedup();
-        // A bin below the first value is none.
-        edges.retain(|edge| values.first().is_some_and(|first| edge > first));
-        (!edges.is_empty()).then_some(Bins { edges })
-    }
-
-    fn count(&self) -> usize {
-        self.edges.len() + 1
-    }
-
-    fn of(&self, value: f64) -> Option<usize> {
-        value.is_finite().then(|| self.edges.partition_point(|edge| *edge <= value))
-    }
-
-    /// Mean of the covariate in each bin.
-    fn middle(&self, laid: &Laid) -> Vec<f64> {
-        let mut sums = vec![(0.0, 0.0); self.count()];
-        for value in &laid.at {
-            if let Some(bin) = self.of(*value) {
-                sums[bin] = (sums[bin].0 + value, sums[bin].1 + 1.0);
-            }
-        }
-        sums.iter().map(|(sum, count)| sum / f64::max(*count, 1.0)).collect()
-    }
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use photocurrent_sensor::effects::{Effect, Kernel};
 use photocurrent_sensor::forward::neighbours::joined;
 
 /// A trial with its effects built and given the load of the recording.
-pub struct Prepared {
+pub(super) struct Prepared {
     /// The base fields.
     pub nominal: Nominal,
     /// The effects that the description states, and those of the trial.
@@ -19,7 +19,7 @@ pub struct Prepared {
 
 impl Prepared {
     /// The mixture of neighbours that the event path sees.
-    pub fn kernel(&self) -> Option<&Kernel> {
+    pub(super) fn kernel(&self) -> Option<&Kernel> {
         self.kernel.as_ref()
     }
 
@@ -27,7 +27,7 @@ impl Prepared {
     ///
     /// # Errors
     /// When an effect or its parameters are not understood, or effects cannot be combined.
-    pub fn new(case: &Case, trial: &Trial) -> Result<Prepared, String> {
+    pub(super) fn new(case: &Case, trial: &Trial) -> Result<Prepared, String> {
         let effects = effects_of(case, &trial.effects)?;
         let kernel = joined(&effects).map_err(|why| why.to_string())?;
         Ok(Prepared { nominal: trial.nominal.clone(), effects, kernel })

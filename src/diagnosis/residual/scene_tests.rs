@@ -2,7 +2,8 @@
 //! still ground, parts; and effects on known light.
 
 use crate::candidates::{CANDIDATES, Scales, Trial};
-use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
+use crate::residual::evidence::{Evidence, EvidenceSetting};
+use crate::residual::ranking::evidence;
 use crate::scenes::MadeUp;
 use photocurrent_core::Extent;
 use photocurrent_scene::Scene;

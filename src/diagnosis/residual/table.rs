@@ -3,10 +3,10 @@
 use super::components::{SPREADS, white_share};
 use super::evidence::{EvidenceSetting, Ranked};
 use super::fit::{
-    self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness,
+    Column, EventNoise, Fitted, Plain, Rest, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
-use super::located::Ground;
-use super::open::{self, Laid, Open, lay};
+use super::laid::{Laid, lay};
+use super::open::{self, Open};
 use super::places::Places;
 use super::prepared::Prepared;
 use super::{FrameValues, Residuals, View};
@@ -124,7 +124,7 @@ impl Table {
     }
 
     /// Fits every column with what a picture that is too soft leaves, `softest` of it at most.
-    pub fn fit(&mut self, softest: f64) {
+    pub(super) fn fit(&mut self, softest: f64) {
         self.softest = softest;
         let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
         let (soft, sharp) = (plain(false), plain(true));
@@ -140,23 +140,23 @@ impl Table {
 
     /// How much too soft the picture is: the size of the blur's column that events have too little of, 0 or
     /// below.
-    pub fn softness(&self) -> f64 {
+    pub(super) fn softness(&self) -> f64 {
         let size = |(_, fitted): &(usize, Fitted)| fitted.size[0];
         self.fitted.iter().find(|(n, _)| CANDIDATES[*n].id == SOFTNESS).map_or(0.0, size).min(0.0)
     }
 
     /// Residuals of the events.
-    pub fn residual(&self) -> &[f64] {
+    pub(super) fn residual(&self) -> &[f64] {
         &self.base[..self.events.pixel.len()]
     }
 
     /// The same without what a picture that is too soft leaves, or what free parameters of the scene explain.
-    pub fn sharp(&self) -> &[f64] {
+    pub(super) fn sharp(&self) -> &[f64] {
         &self.sharp
     }
 
     /// Columns of the events that each pixel may have a size of its own of.
-    pub fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
+    pub(super) fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
         let events = self.events.pixel.len();
         OF_PIXELS.map(|(id, parameter)| {
             self.of(id, parameter)
@@ -210,7 +210,7 @@ const FARTHEST: f64 = 0.2;
 
 impl Seen<'_> {
     /// The light of the pixels with each free parameter of the scene moved by a step from shares `by`.
-    pub fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
+    pub(super) fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
         let Some(target) = self.source.target() else { return Vec::new() };
         let one = |(k, (_, step)): (usize, (f64, f64))| {
             let mut moved = by.to_vec();
@@ -322,7 +322,7 @@ impl Seen<'_> {
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than
     /// are fitted.
-    pub fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
+    pub(super) fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
         if self.is_known {
             return Ok(1.0);
         }
@@ -337,7 +337,7 @@ impl Seen<'_> {
 
     /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is
     /// known.
-    pub fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
+    pub(super) fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
         let front_end = nominal.pixel.front_end;
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
         let surroundings = Surroundings::of(
@@ -363,28 +363,12 @@ impl Seen<'_> {
     }
 
     /// What gains over the residuals of a table are located on.
-    pub fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
-        let (events, frames, setting) = (&table.events, &table.frames, &self.setting.located);
-        let (of_events, of_frames) = table.block.split_at(events.pixel.len());
-        let on = (&events.pixel[..], &events.t_ns[..], &events.polarity[..]);
-        let on_frames = || {
-            Ground::new(
-                self.case,
-                (&frames.pixel, &frames.t_ns, &[]),
-                &frames.log_signal,
-                of_frames,
-                &laid[1],
-                setting,
-            )
-        };
-        Places {
-            events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting),
-            frames: (!frames.pixel.is_empty()).then(on_frames),
-        }
+    pub(super) fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
+        Places::new(self.case, &table.events, &table.frames, &table.block, laid, &self.setting.located)
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
-    pub fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
+    pub(super) fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
         open::dependences(
             &table.events,
             table.sharp(),
@@ -397,7 +381,13 @@ impl Seen<'_> {
     }
 
     /// Where the best of them is.
-    pub fn locate_dependence(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
+    pub(super) fn locate_dependence(
+        &self,
+        table: &Table,
+        laid: &[Laid],
+        places: &Places<'_>,
+        best: &mut Open,
+    ) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
         let gains = open::gains(
             events,
@@ -425,7 +415,7 @@ impl Seen<'_> {
 
     /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too
     /// soft by `softest` at most.
-    pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
+    pub(super) fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
         let can_be = |n: &usize| {
             Prepared::new(self.case, &trial.and(&CANDIDATES[*n], self.probe(*n), self.scales)).is_ok()
@@ -484,7 +474,7 @@ impl Seen<'_> {
 
     /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain
     /// is that over the residuals of `table`.
-    pub fn refine(
+    pub(super) fn refine(
         &self,
         trial: &Trial,
         table: &Table,
@@ -552,8 +542,8 @@ impl Seen<'_> {
         };
         let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[0]);
-        let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);
-        let with = (fit::Seen { residual: &left, log_slope: &found.log_slope[0] }, &with_rows);
+        let before = Rest { residual: &table.base, log_slope: &table.log_slope, rows: &rows };
+        let with = Rest { residual: &left, log_slope: &found.log_slope[0], rows: &with_rows };
         let (gain, gain_error) = gain_of(before, with);
         let gains = gains(before, with);
         if is_open {
@@ -610,7 +600,7 @@ impl Seen<'_> {
 
     /// All effects on top of a table's sensor, best first; the best few are exact. With `first`, an effect
     /// that the table's sensor has and its effect size, both sizes are fitted together on top of `bare`.
-    pub fn rank(
+    pub(super) fn rank(
         &self,
         bare: &Trial,
         table: &Table,
@@ -625,7 +615,7 @@ impl Seen<'_> {
             .iter()
             .map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal))
             .collect();
-        ranked.sort_by(by_gain);
+        ranked.sort_by(Ranked::by_gain);
         let best = ranked.first().map_or(0.0, Ranked::beyond);
         for one in ranked
             .iter_mut()
@@ -651,7 +641,7 @@ impl Seen<'_> {
             one.located = Some(places.locate(&found.gains, one.candidate));
             one.by = found.by;
         }
-        ranked.sort_by(by_gain);
+        ranked.sort_by(Ranked::by_gain);
         Ok(ranked)
     }
 
@@ -676,11 +666,6 @@ impl Seen<'_> {
             ..Ranked::default()
         }
     }
-}
-
-/// Best first.
-pub(super) fn by_gain(a: &Ranked, b: &Ranked) -> std::cmp::Ordering {
-    b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate))
 }
 
 fn wide(values: &[f32]) -> Vec<f64> {

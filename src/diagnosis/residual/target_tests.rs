@@ -3,7 +3,8 @@
 
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::residual::View;
-use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
+use crate::residual::evidence::{Evidence, EvidenceSetting};
+use crate::residual::ranking::evidence;
 use crate::scenes::MadeUp;
 use crate::targets::Sketches;
 use photocurrent_core::Extent;

@@ -163,8 +163,26 @@ pub struct Panel {
     /// Is x the recording's time in ms?
     #[serde(rename = "isTime")]
     pub is_time: bool,
+    /// Is x, all of it positive, shown by its logarithm?
+    #[serde(rename = "isLog")]
+    pub is_log: bool,
+    /// The part of x that is shown; all of it without one.
+    #[serde(rename = "xRange", skip_serializing_if = "Option::is_none")]
+    pub x_range: Option<[f64; 2]>,
     /// The curves.
     pub series: Vec<Curve>,
+    /// Level bars: from, to, their y, and what they are.
+    pub bars: Vec<(f64, f64, f64, String)>,
+    /// Events at x: ON?
+    pub ticks: Vec<(f64, bool)>,
+}
+
+impl Panel {
+    /// Adds the place where it is drawn to a page, and itself to the `charts` of the page's data.
+    pub fn put(self, html: &mut String, charts: &mut Vec<Panel>) {
+        html.push_str(&format!("<figure><div data-chart=\"{}\"></div></figure>\n", charts.len()));
+        charts.push(self);
+    }
 }
 
 /// One curve.
@@ -180,6 +198,8 @@ pub struct Curve {
     pub points: Vec<(f64, Option<f64>)>,
     /// x, lower and upper end of an interval.
     pub band: Vec<(f64, f64, f64)>,
+    /// Is the band drawn as a bar at each point?
+    pub whiskers: bool,
 }
 
 /// A pixel and what is known of it.

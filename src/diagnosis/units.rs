@@ -6,7 +6,7 @@ use crate::report::short;
 /// as they are. Four digits that count.
 ///
 /// ```
-/// use photocurrent_diagnosis::page::readable;
+/// use photocurrent_diagnosis::units::readable;
 /// assert_eq!(readable(0.000_954, "s"), "954 us");
 /// assert_eq!(readable(-0.0032, "s"), "-3.2 ms");
 /// assert_eq!(readable(0.125, "fraction"), "12.5 %");

@@ -1,0 +1,139 @@
+//! A finding, as a direct test or a scene measured it: the catalogue's words, numbers, evidence and place.
+
+use crate::candidates::{CANDIDATES, Candidate};
+use crate::dependence::Moved;
+use crate::integrity::Departure;
+use crate::report::{DIRECT, Evidence, Finding, Location, MASK_LIMIT, Parameter};
+use crate::stages::{Decided, Proposal, Unexplained};
+use crate::unstated;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
+
+impl Finding {
+    /// Of a direct test.
+    pub fn of_departure(case: &Case, nominal: &Nominal, departure: &Departure) -> Finding {
+        let decl = decl(departure.id);
+        let evidence = Evidence {
+            statistic: departure.statistic / departure.threshold,
+            heldout_nats: departure.heldout.map(|heldout| heldout.nats),
+            heldout_nats_per_event: departure.heldout.map(|heldout| heldout.per_event()),
+            found_by: vec![DIRECT.to_owned()],
+            ..Evidence::default()
+        };
+        let mut finding = Finding::of(&decl, location(case, &decl, departure), evidence);
+        finding.plain = format!("{}: {}", decl.about, departure.seen);
+        if let Some((id, because)) = unstated::alike(&case.sensor, departure) {
+            finding.also_possible.push(id.to_owned());
+            finding.plain += &format!("; the front end is not stated, and {because}");
+        }
+        for (name, value) in &departure.parameters {
+            let ci95 = departure.interval(name);
+            if let Some(candidate) = Candidate::find(departure.id, name) {
+                finding.put(candidate, *value, ci95, &case.sensor, nominal);
+                continue;
+            }
+            // Numbers that are no candidates of their own.
+            finding.values.push((*name, *value));
+            if let Some(of) = decl.parameter(name) {
+                let unit = of.unit.text().to_owned();
+                finding.parameters.insert(
+                    format!("{name}{}", of.unit.suffix()),
+                    Parameter { estimate: *value, ci95, nominal: of.null, unit },
+                );
+            }
+        }
+        finding
+    }
+
+    /// Of a scene of this name.
+    pub fn of_proposal(case: &Case, nominal: &Nominal, scene: &str, proposal: &Proposal) -> Finding {
+        let candidate = &CANDIDATES[proposal.candidate];
+        let evidence = Evidence {
+            statistic: proposal.score,
+            p_value: None,
+            heldout_nats: proposal.heldout_nats,
+            heldout_nats_ci95: proposal.heldout_nats_ci95,
+            heldout_nats_per_event: proposal.heldout_nats_per_event,
+            posterior: Some(proposal.probability),
+            found_by: vec![scene.to_owned()],
+        };
+        let decl = candidate.decl();
+        let mut finding = Finding::of(&decl, everywhere(case, Some(&decl)), evidence);
+        finding.ks = proposal.ks;
+        finding.put(candidate, proposal.value, proposal.ci95, &case.sensor, nominal);
+        finding
+    }
+
+    /// Of what no effect of the catalogue explains, on a decided scene or by a direct test.
+    pub fn unnamed(case: &Case, found: &Unexplained, decided: Option<&Decided>) -> Finding {
+        let mut location = everywhere(case, None);
+        found.located(decided).into_iter().for_each(|located| located.put(&mut location));
+        location.covariate.clone_from(&found.covariate);
+        let is_direct =
+            found.dependence.as_ref().is_some_and(|dependence| dependence.moved == Moved::EventRate);
+        let by = decided.filter(|_| !is_direct).map_or(DIRECT, |decided| &decided.name);
+        let evidence = Evidence {
+            statistic: found.score,
+            heldout_nats_per_event: Some(found.nats),
+            found_by: vec![by.to_owned()],
+            ..Evidence::default()
+        };
+        Finding {
+            id: "unnamed".into(),
+            also_possible: Vec::new(),
+            plain: "something that no effect of the catalogue explains".into(),
+            equation: found.equation.clone(),
+            insertion: found.insertion.clone(),
+            parameters: Default::default(),
+            location,
+            evidence,
+            values: Vec::new(),
+            ks: None,
+        }
+    }
+}
+
+fn decl(id: &str) -> EffectDecl {
+    catalogue()
+        .into_iter()
+        .map(|kind| kind.decl)
+        .find(|decl| decl.id == id)
+        .unwrap_or_else(|| unreachable!("findings are of the catalogue"))
+}
+
+fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
+    Location {
+        stream: match decl.map(|decl| decl.stage) {
+            Some(Stage::Exposure) => "frames",
+            None => "both",
+            Some(_) => "events",
+        }
+        .to_owned(),
+        polarity: "both".to_owned(),
+        rows: [0, case.extent.height.saturating_sub(1)],
+        columns: [0, case.extent.width.saturating_sub(1)],
+        time_ns: [case.span.0, case.span.1],
+        covariate: decl.map_or_else(String::new, |decl| decl.covariate.to_owned()),
+        shape: None,
+        pixels: case.extent.pixels() as u64,
+        pixel_list: Vec::new(),
+    }
+}
+
+fn location(case: &Case, decl: &EffectDecl, departure: &Departure) -> Location {
+    let mut location = everywhere(case, Some(decl));
+    location.polarity = departure.polarity.to_owned();
+    if !departure.pixels.is_empty() {
+        let places: Vec<(u32, u32)> =
+            departure.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
+        let ends = |values: Vec<u32>| {
+            [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)]
+        };
+        location.columns = ends(places.iter().map(|place| place.0).collect());
+        location.rows = ends(places.iter().map(|place| place.1).collect());
+        location.pixels = departure.pixels.len() as u64;
+        location.pixel_list = departure.pixels.iter().copied().take(MASK_LIMIT).collect();
+    }
+    location
+}

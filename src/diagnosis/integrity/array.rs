@@ -1,0 +1,57 @@
+//! What the direct tests share: the events of the array in order of time, and the halves of the array.
+
+use photocurrent_scene::case::Case;
+
+/// Side of the blocks of [`half`], pixels.
+pub(super) const BLOCK: u32 = 8;
+
+/// Which half of the array a pixel is of: a checkerboard of blocks.
+pub(super) fn half(case: &Case, pixel: usize) -> usize {
+    let (x, y) = case.place(pixel);
+    ((x / BLOCK + y / BLOCK) % 2) as usize
+}
+
+/// An event of the whole array in order of the recorded time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamped {
+    /// The recorded off-pixel time, ns.
+    pub t_ns: i64,
+    /// `y * width + x`.
+    pub pixel: u32,
+    /// +1 or -1.
+    pub polarity: i8,
+}
+
+/// All events of the array in order of their recorded time.
+#[derive(Clone, Debug, Default)]
+pub struct Stream(pub Vec<Stamped>);
+
+impl Stream {
+    /// Of a recording.
+    pub fn of(case: &Case) -> Stream {
+        let mut all = Vec::with_capacity(case.events.len());
+        for pixel in 0..case.events.pixels() {
+            all.extend(case.events.of(pixel).iter().map(|event| Stamped {
+                t_ns: event.t_off_ns,
+                pixel: pixel as u32,
+                polarity: event.polarity,
+            }));
+        }
+        all.sort_unstable_by_key(|event| (event.t_ns, event.pixel));
+        Stream(all)
+    }
+
+    /// First and last stamp, ns; none without events.
+    pub fn span(&self) -> Option<(i64, i64)> {
+        Some((self.0.first()?.t_ns, self.0.last()?.t_ns))
+    }
+}
+
+/// Where a curve is lowest, by a parabola through the lowest point and its neighbours; none at a rim.
+pub(super) fn lowest(curve: &[f64]) -> Option<f64> {
+    let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
+    let (before, here, after) = (*curve.get(k.checked_sub(1)?)?, curve[k], *curve.get(k + 1)?);
+    let bend = before - 2.0 * here + after;
+    let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    Some(k as f64 + between)
+}

@@ -1,0 +1,79 @@
+//! Covariates over events: their values, and the bins that these are sorted into.
+
+use super::Residuals;
+use crate::covariates::{Covariate, Surroundings};
+
+/// Values of a covariate at every event and at the event before it; NaN where it has none.
+#[derive(Clone, Debug)]
+pub(crate) struct Laid {
+    /// What.
+    pub covariate: Covariate,
+    /// Of a rhythm, its period, ns.
+    pub period_ns: Option<i64>,
+    /// At every event.
+    pub(super) at: Vec<f64>,
+    /// And at the one before it.
+    pub(super) before: Vec<f64>,
+}
+
+/// Lays every covariate over the events.
+pub(super) fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
+    Covariate::ALL
+        .into_iter()
+        .filter(|covariate| *covariate != Covariate::AcPhase || period_ns.is_some())
+        .map(|covariate| {
+            let value = |k: usize, t_ns: i64, polarity: i8| {
+                surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN)
+            };
+            let at = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect();
+            let before = (0..events.t_ns.len())
+                .map(|k| value(k, events.t_ns[k] - events.since_ns[k], events.previous[k]))
+                .collect();
+            Laid { covariate, period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase), at, before }
+        })
+        .collect()
+}
+
+/// Values sorted into bins.
+pub(super) struct Bins {
+    edges: Vec<f64>,
+    /// Mean value of each bin.
+    pub at: Vec<f64>,
+    /// The bin of each value; none of what is not finite.
+    pub of: Vec<Option<u32>>,
+    pub is_class: bool,
+}
+
+impl Bins {
+    /// At most so many bins with about as many values each, and no fewer than `least` of them; values of a
+    /// class are bins of their own.
+    pub(super) fn new(values: &[f64], most: usize, least: usize, is_class: bool) -> Bins {
+        let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+        sorted.sort_by(f64::total_cmp);
+        let count = most.min(sorted.len() / least.max(1));
+        let mut edges: Vec<f64> = if is_class {
+            let mut classes = sorted.clone();
+            classes.dedup();
+            classes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect()
+        } else {
+            (1..count).map(|bin| sorted[bin * sorted.len() / count]).collect()
+        };
+        edges.dedup();
+        // A bin below the first value is none.
+        edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
+        let mut bins = Bins { edges, at: Vec::new(), of: Vec::new(), is_class };
+        bins.of = values.iter().map(|value| bins.bin(*value)).collect();
+        let mut sums = vec![(0.0, 0.0); bins.edges.len() + 1];
+        for (bin, value) in bins.of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
+            let sum = &mut sums[bin as usize];
+            *sum = (sum.0 + value, sum.1 + 1.0);
+        }
+        bins.at = sums.iter().map(|(sum, count)| sum / f64::max(*count, 1.0)).collect();
+        bins
+    }
+
+    /// The bin of a value; none of what is not finite.
+    pub(super) fn bin(&self, value: f64) -> Option<u32> {
+        value.is_finite().then(|| self.edges.partition_point(|edge| *edge <= value) as u32)
+    }
+}

@@ -1,0 +1,473 @@
+//! Which effects explain the events, on a scene that frames alone (or the user) state.
+//!
+//! 1. Events count where the scene predicts the frames around them ([`photocurrent_scene::gate`]).
+//! 2. Every effect of the catalogue that has a size gets a column: what a small effect size of it changes of
+//!    every residual. It is fitted with its own noise and judged on the half of the blocks that it was not
+//!    fitted to (`table`).
+//! 3. The best are evaluated exactly, at their size, until it moves no more.
+//! 4. A control goes the same way (`control`): what it gains is what a regularised picture costs,
+//!    and every gain and size is counted from there.
+//! 5. Random effects are parts of the residuals' distribution (`components`); what no effect has is
+//!    free per bin of every covariate (`open`).
+//! 6. With the best one applied, all others are fitted again, its own size with them.
+
+use super::components::{Ground, Part, parts, value as part_value};
+use super::control::{Behind, control};
+use super::evidence::{Evidence, EvidenceSetting, NOISE, Ranked};
+use super::fit::EventNoise;
+use super::open::{self, Open};
+use super::table::{OF_PIXELS, Seen, Table, median_share};
+use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::rhythm::strongest_period_ns;
+use photocurrent_scene::Scene;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::gate::Gate;
+use photocurrent_scene::nominal::Nominal;
+
+/// What wider noise of events alone gains, on a scene that is known: on a fitted one, what the scene gets
+/// wrong widens residuals, and its noise is the control's.
+fn of_noise(random: &[Ranked], is_known: bool) -> f64 {
+    let gain = |one: &Ranked| if NOISE.contains(&CANDIDATES[one.candidate].id) { one.beyond() } else { 0.0 };
+    if is_known { random.iter().map(gain).fold(0.0, f64::max) } else { 0.0 }
+}
+
+/// Asks which effects explain the events of a recording.
+///
+/// # Errors
+/// When the scene predicts too few of the events' frames, or stated effects cannot be combined.
+pub fn evidence(
+    case: &Case,
+    nominal: &Nominal,
+    source: &dyn Scene,
+    setting: &EvidenceSetting,
+) -> Result<Evidence, String> {
+    let scales = Scales::of(case, nominal);
+    let (gate, counted, share) = counted_events(case, source, setting)?;
+    let pixels = spread(case, &counted, setting.events, setting.pixels);
+    let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
+    let step_ns =
+        if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
+    let mut seen = on_scene(case, source, setting, &scales, gate, step_ns, [pixels, more]);
+    let stated = Trial::stated(nominal);
+
+    let control_case = control_recording(&seen, nominal)?;
+    let control_source = source.refit(&control_case, nominal)?;
+    let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
+    let pixels = [seen.pixels.clone(), seen.more.clone()];
+    let control_seen =
+        on_scene(&control_case, &*control_source, setting, &scales, control_gate, step_ns, pixels);
+    let mut control_table = control_seen.table(&stated, None, 0.0)?;
+    let softest = setting.softness * control_table.softness();
+    control_table.fit(softest);
+    let table = seen.table(&stated, None, softest)?;
+    enough_left(&table, &control_table, setting)?;
+
+    let period_ns = period_of(case, &table);
+    let control_dependences =
+        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+    let slope_per_s = median_slope(&table);
+    let control_white = control_seen.white(&stated, control_source.as_ref())?;
+    let chance = Chance::new(&seen, nominal, &control_table, control_white, slope_per_s);
+    let ranking = Ranking {
+        nominal,
+        stated: &stated,
+        control_table: &control_table,
+        control_dependences: &control_dependences,
+        chance: &chance,
+        period_ns,
+        step_ns,
+        softest,
+    };
+
+    let base = ranking.round(&seen, &table, &stated, None, setting.refined)?;
+    let base_median = left_of(&seen, &table);
+    let mut noise = [of_noise(&base.random, source.is_known()), 0.0];
+    let first = base.best(noise[0]).cloned();
+    let (mut left, mut after) = ([base_median; 2], Round::default());
+    if let Some(first) = &first {
+        (after, left) = ranking.with_first(&mut seen, &table, &base.parts, first)?;
+        noise[1] = of_noise(&after.random, source.is_known());
+    }
+    let lists = [base.ranked, after.ranked, base.random, after.random];
+    let [ranked, second, random, random_second] = lists.map(|list| marked(case, nominal, list));
+    Ok(Evidence {
+        scene: source.name().to_owned(),
+        span_ns: None,
+        nats_per_event: table.nats_per_event,
+        share,
+        events: table.residual().len(),
+        median: base_median,
+        control_median: left_of(&seen, &control_table),
+        ks: control_table.noise.distance(table.sharp(), &table.events.slope_per_s),
+        left,
+        slope_per_s,
+        white: base.white,
+        softness: [softest, table.softness()],
+        misfit: source.misfit(),
+        noise,
+        ranked,
+        first,
+        second,
+        random,
+        random_second,
+        open: base.open,
+        open_second: after.open,
+    })
+}
+
+/// Where the scene predicts the frames, how many events of each pixel it predicts them around, and their
+/// share of all events; an error when they are too few.
+fn counted_events(
+    case: &Case,
+    source: &dyn Scene,
+    setting: &EvidenceSetting,
+) -> Result<(Gate, Vec<usize>, f64), String> {
+    let gate = source.gate(case, setting.least_dn, setting.spread);
+    let all = case.events.len();
+    let counted: Vec<usize> = (0..case.extent.pixels())
+        .map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count())
+        .collect();
+    let kept: usize = counted.iter().sum();
+    let share = kept as f64 / all.max(1) as f64;
+    if kept < setting.least_events || share < setting.least_share {
+        return Err(format!(
+            "the scene predicts the frames around {kept} of {all} events; {} and {:.0} % are needed",
+            setting.least_events,
+            100.0 * setting.least_share
+        ));
+    }
+    Ok((gate, counted, share))
+}
+
+/// A recording on its scene, with nothing of the scene moved; `pixels`: those of the residuals, and those of
+/// what needs pairs.
+fn on_scene<'a>(
+    case: &'a Case,
+    source: &'a dyn Scene,
+    setting: &'a EvidenceSetting,
+    scales: &'a Scales,
+    gate: Gate,
+    step_ns: i64,
+    pixels: [Vec<u32>; 2],
+) -> Seen<'a> {
+    let [pixels, more] = pixels;
+    let mut seen = Seen {
+        case,
+        light: source.light(case, step_ns),
+        gate,
+        pixels,
+        more,
+        setting,
+        scales,
+        least: setting.least_noise * scales.threshold,
+        is_known: source.is_known(),
+        source,
+        by: vec![0.0; source.target().map_or(0, |target| target.free().len())],
+        near: Vec::new(),
+        own: Vec::new(),
+    };
+    seen.near = seen.steps(&seen.by);
+    seen
+}
+
+/// The control of a recording: the stated sensor before a scene that looks like this one.
+fn control_recording(seen: &Seen<'_>, nominal: &Nominal) -> Result<Case, String> {
+    let (setting, source) = (seen.setting, seen.source);
+    let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
+    simulated.sort_unstable();
+    simulated.dedup();
+    let behind = Behind::looking_like(seen.case, nominal, source, &seen.light, setting.seed)?;
+    control(seen.case, nominal, source, &behind, &simulated, setting.block, setting.seed)
+}
+
+/// An error when too few events of the recording or of its control have residuals.
+fn enough_left(table: &Table, control_table: &Table, setting: &EvidenceSetting) -> Result<(), String> {
+    let events = table.residual().len();
+    if events < setting.least_events / 5 {
+        return Err(format!(
+            "only {events} of the events looked at follow another one that the scene explains as well; \
+             {} are needed",
+            setting.least_events / 5
+        ));
+    }
+    let control_events = control_table.residual().len();
+    if control_events < setting.least_events / 5 {
+        return Err(format!(
+            "only {control_events} events of the control count, the stated sensor on this scene; {} are \
+             needed",
+            setting.least_events / 5
+        ));
+    }
+    Ok(())
+}
+
+/// The period in which residuals swing most, apart from that of the frames, ns.
+fn period_of(case: &Case, table: &Table) -> Option<i64> {
+    let swing = table
+        .residual()
+        .iter()
+        .enumerate()
+        .map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
+    let frame_ns =
+        case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
+    strongest_period_ns(swing, case.span, frame_ns)
+}
+
+/// Median slope of the voltage at the events, ln/s.
+fn median_slope(table: &Table) -> f64 {
+    let mut slopes: Vec<f64> = table.events.slope_per_s.iter().map(|slope| slope.abs()).collect();
+    slopes.sort_by(f64::total_cmp);
+    slopes.get(slopes.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Median absolute residual over the threshold; what a known scene leaves open is no misfit.
+fn left_of(seen: &Seen<'_>, table: &Table) -> f64 {
+    median_share(if seen.is_known { table.sharp() } else { table.residual() }, seen.scales.threshold)
+}
+
+/// With those marked whose size is worth a word.
+fn marked(case: &Case, nominal: &Nominal, mut list: Vec<Ranked>) -> Vec<Ranked> {
+    list.iter_mut()
+        .for_each(|one| one.is_material = CANDIDATES[one.candidate].is_material(case, nominal, one.value));
+    list
+}
+
+/// All effects on top of one sensor.
+#[derive(Default)]
+struct Round {
+    /// With a size, best first.
+    ranked: Vec<Ranked>,
+    /// Random ones, best first.
+    random: Vec<Ranked>,
+    /// And the parts that they are.
+    parts: Vec<Part>,
+    /// What no effect of the catalogue has.
+    open: Vec<Open>,
+    /// Share of the squares of residuals that is noise of pixels.
+    white: f64,
+}
+
+impl Round {
+    /// The best of all, where wider noise of events alone gains `noise`.
+    fn best(&self, noise: f64) -> Option<&Ranked> {
+        let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
+        let best = |a: &&Ranked, b: &&Ranked| {
+            b.standing(noise).total_cmp(&a.standing(noise)).then(Ranked::by_gain(a, b))
+        };
+        self.ranked.iter().filter(found).chain(self.random.iter().filter(found)).min_by(best)
+    }
+}
+
+/// What the rounds of effects on one recording share.
+struct Ranking<'a> {
+    nominal: &'a Nominal,
+    /// The sensor as it is described.
+    stated: &'a Trial,
+    control_table: &'a Table,
+    control_dependences: &'a [Open],
+    chance: &'a Chance<'a>,
+    period_ns: Option<i64>,
+    step_ns: i64,
+    softest: f64,
+}
+
+impl Ranking<'_> {
+    /// All effects on top of a sensor and its table; `first`: an effect that the sensor has, and its size.
+    fn round(
+        &self,
+        seen: &Seen<'_>,
+        table: &Table,
+        trial: &Trial,
+        first: Option<(usize, f64)>,
+        refined: usize,
+    ) -> Result<Round, String> {
+        let laid = seen.lay(table, self.nominal, self.period_ns);
+        let places = seen.places(table, &laid);
+        let ranked =
+            seen.rank(self.stated, table, self.control_table, first, refined, self.nominal, &places)?;
+        let white = seen.white(trial, seen.source)?;
+        let (random, parts) = self.chance.beyond(table, white);
+        let mut open = seen.dependences(table, &laid[0]);
+        open::beyond(&mut open, self.control_dependences);
+        open.truncate(seen.setting.dependences);
+        if let Some(best) = open.first_mut() {
+            seen.locate_dependence(table, &laid[0], &places, best);
+        }
+        Ok(Round { ranked, random, parts, open, white })
+    }
+
+    /// All other effects with the first one applied, and what the first one and both leave; `table` and
+    /// `parts` are those without it.
+    fn with_first(
+        &self,
+        seen: &mut Seen<'_>,
+        table: &Table,
+        parts: &[Part],
+        first: &Ranked,
+    ) -> Result<(Round, [f64; 2]), String> {
+        let is_random = CANDIDATES[first.candidate].is_random;
+        let effect_size = first.effect_size + first.control_effect_size;
+        let with = if is_random {
+            self.stated.clone()
+        } else {
+            self.stated.and(&CANDIDATES[first.candidate], effect_size, seen.scales)
+        };
+        let shifted = parts
+            .iter()
+            .find(|part| is_random && part.candidate == first.candidate)
+            .and_then(|part| part.left.as_ref());
+        if let Some(left) = shifted {
+            // Each pixel with its own size, each event with its mean delay from here on.
+            seen.own = table.sharp().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
+        }
+        if !is_random
+            && let Some(light) =
+                seen.source.target().and_then(|target| target.moved(seen.case, self.step_ns, None, &first.by))
+        {
+            (seen.by, seen.light) = (first.by.clone(), light);
+            seen.near = seen.steps(&seen.by);
+        }
+        let table = seen.table(&with, Some(first.candidate), self.softest)?;
+        let mut left = [left_of(seen, &table); 2];
+        let first_effect = (!is_random).then_some((first.candidate, effect_size));
+        let mut round = self.round(seen, &table, &with, first_effect, seen.setting.refined_second)?;
+        round.random.retain(|other| other.candidate != first.candidate);
+        if let Some(other) = round.ranked.first().filter(|other| other.is_exact) {
+            left[1] = other.left;
+        }
+        Ok((round, left))
+    }
+}
+
+/// Random effects, counted from what the control finds.
+struct Chance<'a> {
+    setting: &'a EvidenceSetting,
+    scales: &'a Scales,
+    nominal: &'a Nominal,
+    is_known: bool,
+    noise: EventNoise,
+    control: Vec<Part>,
+    slope_per_s: f64,
+    /// Events a second and a pixel.
+    rate: f64,
+    /// What one effect size of [`OF_PIXELS`] is.
+    effect_sizes: [f64; 2],
+}
+
+impl<'a> Chance<'a> {
+    fn new(
+        seen: &Seen<'a>,
+        nominal: &'a Nominal,
+        control: &Table,
+        white: f64,
+        slope_per_s: f64,
+    ) -> Chance<'a> {
+        let Seen { case, setting, scales, is_known, .. } = *seen;
+        let least = setting.least_noise * scales.threshold;
+        let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
+        let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
+            Candidate::find(id, parameter).map_or(0.0, |candidate| {
+                candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal)
+            })
+        });
+        let rate = case.events.len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
+        let of_control = of_table(control, white, setting, scales.threshold, &noise);
+        Chance {
+            setting,
+            scales,
+            nominal,
+            is_known,
+            noise,
+            control: of_control,
+            slope_per_s,
+            rate,
+            effect_sizes,
+        }
+    }
+
+    /// Best first, and the parts themselves.
+    fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
+        let threshold = self.scales.threshold;
+        let parts = of_table(table, white, self.setting, threshold, &self.noise);
+        // What a description does not state may be there; only on known light it is seen so sharply that it
+        // must be allowed for.
+        let unstated = if self.is_known && self.nominal.threshold_noise == 0.0 {
+            self.setting.least_unstated_noise
+        } else {
+            0.0
+        };
+        let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
+            "threshold_noise" => one.value > f64::max(self.setting.least_event_noise, unstated) * threshold,
+            "timestamp_jitter" => one.value * self.slope_per_s > self.setting.least_event_noise * threshold,
+            _ => true,
+        };
+        let mut found: Vec<Ranked> = parts
+            .iter()
+            .zip(&self.control)
+            .map(|(part, control)| Ranked {
+                candidate: part.candidate,
+                effect_size: part.size,
+                value: part_value(
+                    part,
+                    control.size,
+                    threshold,
+                    (self.effect_sizes[0], self.effect_sizes[1]),
+                    self.nominal,
+                    self.rate,
+                ),
+                gain: part.gain,
+                control_gain: control.gain.max(0.0),
+                control_effect_size: control.size,
+                is_exact: true,
+                ..Ranked::default()
+            })
+            .filter(matters)
+            .collect();
+        found.sort_by(Ranked::by_gain);
+        (found, parts)
+    }
+}
+
+fn of_table(
+    table: &Table,
+    white: f64,
+    setting: &EvidenceSetting,
+    threshold: f64,
+    noise: &EventNoise,
+) -> Vec<Part> {
+    let least = setting.least_noise * threshold;
+    let least_spread = setting.least_spread;
+    let [scale, refractory] = table.of_pixels();
+    parts(
+        &Ground {
+            events: &table.events,
+            residual: table.sharp(),
+            columns: [&scale, &refractory],
+            white,
+            threshold,
+            least,
+            least_spread,
+        },
+        noise,
+    )
+}
+
+/// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at
+/// most.
+fn spread(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u32> {
+    let width = case.extent.width as usize;
+    let all: usize = counted.iter().sum();
+    let lit = counted.iter().filter(|count| **count > 0).count();
+    let step = usize::max(all / events.max(1), lit / pixels.max(1)).max(1);
+    // Another column from row to row, so that all columns are seen.
+    let turn =
+        (1..=step).find(|turn| step == 1 || (turn * turn > step && gcd(*turn, step) == 1)).unwrap_or(1);
+    (0..counted.len())
+        .filter(|&pixel| (pixel % width + turn * (pixel / width)).is_multiple_of(step) && counted[pixel] > 0)
+        .map(|pixel| pixel as u32)
+        .collect()
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
