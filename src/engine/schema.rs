@@ -22,11 +22,6 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
             "optional": { "type": "boolean" },
         },
     });
-    let layer = json!({
-        "type": "object", "additionalProperties": false,
-        "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } },
-    });
-    let ends = json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 });
     json!({
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "photocurrent manifest",
@@ -44,46 +39,7 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                 "propertyNames": { "pattern": "^[a-z][a-z0-9_]*$" },
                 "additionalProperties": { "oneOf": kinds.into_iter().chain([overlay]).collect::<Vec<_>>() },
             },
-            "ablation": {
-                "type": "object",
-                "additionalProperties": false,
-                "properties": {
-                    "about": { "type": "string", "description": "What the ablation is for." },
-                    "metrics": {
-                        "type": "array", "items": { "type": "string" },
-                        "description": "Numbers to compare: node.metric.",
-                    },
-                    "baseline": { "type": "object", "description": "The variant to compare with: a level \
-                                                            for every axis." },
-                    "skip": {
-                        "type": "array", "items": { "type": "object" },
-                        "description": "Combinations to leave out.",
-                    },
-                    "axes": {
-                        "type": "object", "description": "Named axes, each with named levels: tables that \
-                                                          are laid over the manifest.",
-                        "additionalProperties": { "type": "object", "additionalProperties": layer },
-                    },
-                    "sweep": {
-                        "type": "object", "description": "Paths of parameters, in quotes, with their values.",
-                        "additionalProperties": { "oneOf": [
-                            { "type": "array", "minItems": 1 },
-                            {
-                                "type": "object", "additionalProperties": false,
-                                "required": ["log", "steps"],
-                                "properties": { "log": ends, "steps": { "type": "integer", "minimum": 2 } },
-                            },
-                            {
-                                "type": "object", "additionalProperties": false,
-                                "required": ["linear", "steps"],
-                                "properties": {
-                                    "linear": ends, "steps": { "type": "integer", "minimum": 2 },
-                                },
-                            },
-                        ] },
-                    },
-                },
-            },
+            "ablation": ablation(),
         },
         "$defs": {
             "pipeline": {
@@ -98,6 +54,51 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                         "description": "Outputs to store though nothing takes them: node.port.",
                     },
                     "blocks": crate::blocks::Blocks::schema(),
+                },
+            },
+        },
+    })
+}
+
+/// The schema of an ablation.
+fn ablation() -> Json {
+    let layer = json!({
+        "type": "object", "additionalProperties": false,
+        "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } },
+    });
+    let spaced = |by: &str| {
+        let ends = json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 });
+        json!({
+            "type": "object", "additionalProperties": false,
+            "required": [by, "steps"],
+            "properties": { by: ends, "steps": { "type": "integer", "minimum": 2 } },
+        })
+    };
+    json!({
+        "type": "object",
+        "additionalProperties": false,
+        "properties": {
+            "about": { "type": "string", "description": "What the ablation is for." },
+            "metrics": {
+                "type": "array", "items": { "type": "string" },
+                "description": "Numbers to compare: node.metric.",
+            },
+            "baseline": {
+                "type": "object", "description": "The variant to compare with: a level for every axis.",
+            },
+            "skip": {
+                "type": "array", "items": { "type": "object" },
+                "description": "Combinations to leave out.",
+            },
+            "axes": {
+                "type": "object",
+                "description": "Named axes, each with named levels: tables that are laid over the manifest.",
+                "additionalProperties": { "type": "object", "additionalProperties": layer },
+            },
+            "sweep": {
+                "type": "object", "description": "Paths of parameters, in quotes, with their values.",
+                "additionalProperties": {
+                    "oneOf": [{ "type": "array", "minItems": 1 }, spaced("log"), spaced("linear")],
                 },
             },
         },

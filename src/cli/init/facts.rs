@@ -1,13 +1,14 @@
 //! What is found in the files, and what has to be proposed because they do not state it.
 
 use super::fill::Fill;
+use super::hazards::{Acts, Evidence, act};
 use super::units::DENSE;
 use super::window::Window;
-use super::{hazards, readings, units, window};
+use super::{pairing, readings, units, window};
 use crate::declared::DeclaredOptions;
 use crate::failure::{Failure, usage};
 use crate::parts::Parts;
-use photocurrent_core::quantity::Duration;
+use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{FramesMeta, TimeSpan};
 use photocurrent_formats::arrange::{self, Arranged, EVENTS_BUDGET, arrange};
 use photocurrent_formats::hazard::{self, Limits};
@@ -71,202 +72,252 @@ impl Facts {
 
 /// Reads the files, and proposes what they do not state.
 pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String]) -> Result<Facts, Failure> {
-    let parts = Parts::sort(files)?;
-    let mut all = declared.parameters(&parts.recording);
-    let stated = stated(&all)?;
-    if let Some((name, _)) = stated.iter().find(|(name, _)| !takes(parts.format.id, name)) {
-        let hint =
-            format!("hint: photocurrent nodes read/{} lists what can be stated of it", parts.format.id);
-        let flag = name.replace('_', "-");
-        return Err(usage(format!(
-            "--{flag} is nothing that can be stated of {}: it is recorded, or has no meaning there\n  {hint}",
-            parts.format.name
-        )));
+    let (mut draft, inputs) = Draft::new(Parts::sort(files)?, declared);
+    let stated = draft.stated()?;
+    draft.reader = units::propose(&draft.parts, &mut draft.all);
+    let mut opened = draft.settle()?;
+    let (events_span, part) = common_part(&opened, &draft.parts.recording)?;
+    if let Some(window) = &part {
+        (draft.all.start, draft.all.end) = (Some(window.start), Some(window.end));
+        opened = draft.open().map_err(refused)?;
     }
-    let mut inputs = vec![parts.recording.clone()];
-    if let Some(frames) = &parts.frames {
-        all.frames = Some(photocurrent_core::quantity::InputPath::new(frames));
-        inputs.push(frames.clone());
-    }
-    if let Some(stamps) = &parts.stamps {
-        all.stamps = Some(photocurrent_core::quantity::InputPath::new(stamps));
-        inputs.push(stamps.clone());
-    }
-    let mut reader = units::propose(&parts, &mut all);
-    let (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
-    let path = &parts.recording;
-    let need_frames = |arranged: &Arranged| {
-        arranged.frames.clone().map_err(|why| {
-            let hint = "hint: name the frames too: a folder of pictures next to the event file; events \
-                        alone do not state the light's level";
-            usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
-        })
-    };
-    let events_meta = arranged
-        .events
-        .clone()
-        .map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
-    let frames = need_frames(&arranged)?;
-    let events_span =
-        events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
-    // A few strays are no overlap.
-    let dense = arranged.scan.as_ref().and_then(|scan| scan.dense_span(DENSE));
-    let dense = dense.map_or(events_span, |(first, last)| {
-        TimeSpan::new(first.saturating_sub(arranged.zero_ns), last.saturating_sub(arranged.zero_ns))
-    });
-    overlap(path, dense, &frames)?;
-    // The part that has frames, before anything is measured: what lies outside is in nobody's picture.
-    let part = window::with_frames(recording.as_ref(), &arranged, &frames, events_span).map_err(refused)?;
-    let (mut recording, mut arranged) = match &part {
-        Some(window) => {
-            (all.start, all.end) = (Some(window.start), Some(window.end));
-            open(&parts, &all).map_err(refused)?
-        }
-        None => (recording, arranged),
-    };
-    let mut acts = hazards::Acts::default();
-    // Another size of the array changes what everything else is compared on: the findings are those of that
-    // size.
-    for _ in 0..2 {
-        let was = all.extent;
-        acts = surveyed(recording.as_ref(), &arranged, &parts, accepted, &mut all)?;
-        if acts.parameters.is_empty() {
-            break;
-        }
-        reader.append(&mut acts.parameters);
-        (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
-        if all.extent == was {
-            break;
-        }
-    }
-    // Everything that was recorded is measured, whichever part is rendered.
-    let (start, end) = (all.start.take(), all.end.take());
-    let whole = open(&parts, &all).map_err(refused)?;
-    let mut found = measured(whole.0.as_ref(), &whole.1, &parts, &mut all, &mut reader)?;
-    let mut offset_why = String::new();
-    let by_finding = acts.late.as_ref().map(|(late, _)| Estimate { value: late.value, ci95: late.ci95 });
-    found.offset_ns = found.offset_ns.filter(is_an_offset).or(by_finding.filter(is_an_offset));
-    if found.offset_ns.is_some() {
-        let (helps, why) =
-            readings::offset_helps(&PartOf::new(whole.0.as_ref(), &whole.1)).map_err(refused)?;
-        (found.offset_ns, offset_why) = (found.offset_ns.filter(|_| helps), why);
-    }
-    if let (None, Some((_, mark))) = (&found.offset_ns, &acts.late) {
-        acts.marks.push(format!("{mark}; no offset was proposed: {offset_why}"));
-    }
-    (all.start, all.end) = (start, end);
+    let mut acts = draft.act_on_findings(&mut opened, accepted)?;
+    let (found, offset_why) = draft.measure(&mut acts)?;
     // A better exposure moves the frames' times.
     if found.exposure_ns.is_some() {
-        (recording, arranged) = open(&parts, &all).map_err(refused)?;
+        opened = draft.open().map_err(refused)?;
     }
-    let frames = need_frames(&arranged)?;
-    let bits = recording.pictures().map_or(8, |pictures| pictures.about().bits);
-    let events_meta = arranged.events.clone().map_err(usage)?;
-    let events = events_meta.count_hint.unwrap_or(0);
-    let (short, rate_hz) = window::to_render(&frames, events_meta.span.unwrap_or(events_span), events);
+    let (recording, arranged) = opened;
+    let frames = frames_of(&arranged)?;
+    let events = arranged.events.as_ref().map_err(usage)?;
+    let (short, rate_hz) =
+        window::to_render(&frames, events.span.unwrap_or(events_span), events.count_hint.unwrap_or(0));
     let window = match (part, short) {
         (Some(part), Some(short)) => Some(Window { why: format!("{}; {}", part.why, short.why), ..short }),
         (part, short) => short.or(part),
     };
-    let losses = arranged.losses.iter().map(|loss| format!("{}: {}", loss.at, loss.what)).collect();
-    let mut facts = Facts {
-        format: parts.format,
-        all,
+    Ok(Facts {
+        format: draft.parts.format,
+        all: draft.all,
         inputs,
         stated,
-        reader,
-        sensor: Vec::new(),
+        reader: draft.reader,
+        sensor: describe(&found, &offset_why),
         frames,
-        bits,
+        bits: recording.pictures().map_or(8, |pictures| pictures.about().bits),
         window,
         rate_hz,
         sensor_text: recording.sensor_text().map(String::from),
-        camera: parts.camera.clone(),
+        camera: draft.parts.camera,
         marks: acts.marks,
-        notes: arranged.notes.clone(),
-        losses,
-    };
-    facts.sensor = describe(&found, &offset_why);
-    Ok(facts)
+        losses: arranged.losses.iter().map(|loss| format!("{}: {}", loss.at, loss.what)).collect(),
+        notes: arranged.notes,
+    })
 }
 
-/// Surveys the part that is read and acts on what is found.
-fn surveyed(
-    recording: &dyn Recording,
-    arranged: &Arranged,
-    parts: &Parts,
-    accepted: &[String],
-    all: &mut All,
-) -> Result<hazards::Acts, Failure> {
-    let part = PartOf::new(recording, arranged);
-    let survey = survey(&part, parts.format.id, &Most::default(), |_| ()).map_err(refused)?;
-    let findings = hazard::findings(&survey, &Limits::default());
-    let mut numbers = arranged.frames_read().to_vec();
-    numbers.sort_unstable();
-    let pictures = part.pictures();
-    let frames = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
-    let reading = if (all.mirror, all.shift) == (None, None) {
-        readings::best(&part, &survey, &findings).map_err(refused)?
-    } else {
-        None
-    };
-    hazards::act(&survey, &findings, parts.format, frames, reading.as_ref(), accepted, all)
+/// A recording as it was opened, and what its reader makes of it.
+type Opened = (Box<dyn Recording>, Arranged);
+
+/// The frames, or a refusal.
+fn frames_of(arranged: &Arranged) -> Result<Arc<FramesMeta>, Failure> {
+    arranged.frames.clone().map_err(|why| {
+        let hint = "hint: name the frames too: a folder of pictures next to the event file; events alone do \
+                    not state the light's level";
+        usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
+    })
+}
+
+/// The time from the first to the last event, and the part that has frames where that is shorter: what lies
+/// outside is in nobody's picture.
+fn common_part((recording, arranged): &Opened, path: &Path) -> Result<(TimeSpan, Option<Window>), Failure> {
+    let events = arranged.events.as_ref();
+    let events = events.map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
+    let frames = frames_of(arranged)?;
+    let span = events.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
+    // A few strays are no overlap.
+    let dense = arranged.scan.as_ref().and_then(|scan| scan.dense_span(DENSE));
+    let dense = dense.map_or(span, |(first, last)| {
+        TimeSpan::new(first.saturating_sub(arranged.zero_ns), last.saturating_sub(arranged.zero_ns))
+    });
+    overlap(path, dense, &frames)?;
+    let part = window::with_frames(recording.as_ref(), arranged, &frames, span).map_err(refused)?;
+    Ok((span, part))
+}
+
+/// A reader's parameters while they are put together.
+struct Draft {
+    parts: Parts,
+    /// All parameters as they stand.
+    all: All,
+    /// Those of them that were proposed.
+    reader: Vec<Fill>,
+}
+
+impl Draft {
+    /// What was stated, and the paths that a manifest names.
+    fn new(parts: Parts, declared: &DeclaredOptions) -> (Draft, Vec<PathBuf>) {
+        let mut all = declared.parameters(&parts.recording);
+        all.frames = parts.frames.as_ref().map(InputPath::new).or(all.frames);
+        all.stamps = parts.stamps.as_ref().map(InputPath::new).or(all.stamps);
+        let inputs = [Some(&parts.recording), parts.frames.as_ref(), parts.stamps.as_ref()];
+        let inputs = inputs.into_iter().flatten().cloned().collect();
+        (Draft { parts, all, reader: Vec::new() }, inputs)
+    }
+
+    /// What was stated on the command line, as lines of a manifest; paths stand elsewhere.
+    fn stated(&self) -> Result<Vec<(String, String)>, Failure> {
+        let value = toml::Table::try_from(&self.all).map_err(|error| Failure::other(error.to_string()))?;
+        let is_path = |name: &str| ["path", "frames", "stamps"].contains(&name);
+        let lines = value.into_iter().filter(|(name, _)| !is_path(name));
+        let stated: Vec<_> = lines.map(|(name, value)| (name, value.to_string())).collect();
+        let format = self.parts.format;
+        if let Some((name, _)) = stated.iter().find(|(name, _)| !takes(format.id, name)) {
+            return Err(usage(format!(
+                "--{} is nothing that can be stated of {}: it is recorded, or has no meaning there\n  hint: \
+                 photocurrent nodes read/{} lists what can be stated of it",
+                name.replace('_', "-"),
+                format.name,
+                format.id
+            )));
+        }
+        Ok(stated)
+    }
+
+    /// Acts on what a survey of the part that is read finds. Another size of the array changes what
+    /// everything else is compared on: the findings are those of that size.
+    fn act_on_findings(&mut self, opened: &mut Opened, accepted: &[String]) -> Result<Acts, Failure> {
+        let mut acts = Acts::default();
+        for _ in 0..2 {
+            let before = self.all.extent;
+            acts = self.surveyed(opened, accepted)?;
+            if acts.parameters.is_empty() {
+                break;
+            }
+            self.reader.append(&mut acts.parameters);
+            *opened = self.settle()?;
+            if self.all.extent == before {
+                break;
+            }
+        }
+        Ok(acts)
+    }
+
+    fn surveyed(&mut self, (recording, arranged): &Opened, accepted: &[String]) -> Result<Acts, Failure> {
+        let part = PartOf::new(recording.as_ref(), arranged);
+        let survey = survey(&part, self.parts.format.id, &Most::default(), |_| ()).map_err(refused)?;
+        let findings = hazard::findings(&survey, &Limits::default());
+        let mut numbers = arranged.frames_read().to_vec();
+        numbers.sort_unstable();
+        let pictures = part.pictures();
+        let frames = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
+        let reading = if (self.all.mirror, self.all.shift) == (None, None) {
+            readings::best(&part, &survey, &findings).map_err(refused)?
+        } else {
+            None
+        };
+        let evidence =
+            Evidence { survey: &survey, format: self.parts.format, frames, reading: reading.as_ref() };
+        act(&evidence, &findings, accepted, &mut self.all)
+    }
+
+    /// Thresholds, exposure and offset by the streams themselves, of everything that was recorded, whichever
+    /// part is rendered; and what an offset explains. A lag without a proposed offset is marked.
+    fn measure(&mut self, acts: &mut Acts) -> Result<(Proposals, String), Failure> {
+        let (start, end) = (self.all.start.take(), self.all.end.take());
+        let (recording, arranged) = self.open().map_err(refused)?;
+        let mut found = self.proposals(recording.as_ref(), &arranged)?;
+        let mut offset_why = String::new();
+        let by_finding = acts.late.as_ref().map(|(late, _)| Estimate { value: late.value, ci95: late.ci95 });
+        found.offset_ns = found.offset_ns.filter(is_an_offset).or(by_finding.filter(is_an_offset));
+        if found.offset_ns.is_some() {
+            let part = PartOf::new(recording.as_ref(), &arranged);
+            let (helps, why) = readings::offset_helps(&part).map_err(refused)?;
+            (found.offset_ns, offset_why) = (found.offset_ns.filter(|_| helps), why);
+        }
+        if let (None, Some((_, mark))) = (&found.offset_ns, &acts.late) {
+            acts.marks.push(format!("{mark}; no offset was proposed: {offset_why}"));
+        }
+        (self.all.start, self.all.end) = (start, end);
+        Ok((found, offset_why))
+    }
+
+    /// What the streams themselves say; of a long recording, its first part.
+    fn proposals(&mut self, recording: &dyn Recording, arranged: &Arranged) -> Result<Proposals, Failure> {
+        let gathered =
+            arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
+        let (Some((events, _)), Some(frames)) = (gathered.map_err(refused)?, arranged.frame_sequence())
+        else {
+            return Ok(Proposals::default());
+        };
+        let mut found = proposals(&events, &frames)
+            .map_err(|error| Failure::Other { message: error.to_string(), code: 3 })?;
+        // An exposure that is recorded or stated is no question.
+        let Some(fill) = self.reader.iter_mut().find(|fill| fill.name == "exposure") else {
+            found.exposure_ns = None;
+            return Ok(found);
+        };
+        found.exposure_ns = found.exposure_ns.filter(|exposure| exposure.value >= 1e4);
+        if let Some(exposure) = &found.exposure_ns {
+            let rounded = Duration::new((exposure.value / 1e4).round() as i64 * 10_000);
+            self.all.exposure = Some(rounded);
+            fill.value = format!("\"{rounded}\"");
+            let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
+            fill.why = format!(
+                "the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: \
+                 {low:.2} to {high:.2} ms)",
+                self.parts.format.name
+            );
+        } else if let Some(why) = &found.exposure_unclear {
+            fill.why = format!("{}; it was not measured: {why}", fill.why);
+        }
+        Ok(found)
+    }
+
+    /// Opens and arranges; what is missing is proposed until nothing is.
+    fn settle(&mut self) -> Result<Opened, Failure> {
+        let mut is_paired = false;
+        for _ in 0..16 {
+            let opened = self.open();
+            let Draft { parts, all, reader } = self;
+            if !is_paired && pairing::is_open(all, opened.as_ref().err()) {
+                is_paired = true;
+                let mut proposed = pairing::proposed(parts, all)?;
+                if proposed.is_empty() && opened.is_err() {
+                    proposed.extend(pairing::by_trial(parts, all)?);
+                }
+                if !proposed.is_empty() {
+                    reader.extend(proposed);
+                    continue;
+                }
+            }
+            let error = match opened {
+                Ok(found) => return Ok(found),
+                Err(error) => error,
+            };
+            let fill = error.undeclared.and_then(|name| propose(name, parts, all));
+            let Some(fill) = fill else { return Err(refused(error)) };
+            reader.push(fill);
+        }
+        Err(usage(format!("{}: more is missing than can be proposed", self.parts.recording.display())))
+    }
+
+    fn open(&self) -> Result<Opened, FormatError> {
+        let mut settings = self.all.settings();
+        if self.parts.format.id == OWN {
+            // The reader of our own recordings keeps their clock.
+            settings.zero = Some(Duration::new(0));
+        }
+        let path = &self.parts.recording;
+        let recording = joined::open(self.parts.format, path, &settings.declared)?;
+        let arranged =
+            arrange(path, recording.as_ref(), &settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))?;
+        Ok((recording, arranged))
+    }
 }
 
 /// A refusal of a reader.
 fn refused(error: FormatError) -> Failure {
     crate::declared::refused(&error)
-}
-
-/// What was stated on the command line, as lines of a manifest; paths stand elsewhere.
-fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
-    let value = toml::Table::try_from(all).map_err(|error| Failure::other(error.to_string()))?;
-    let lines = value.into_iter().filter(|(name, _)| !["path", "frames", "stamps"].contains(&name.as_str()));
-    Ok(lines.map(|(name, value)| (name, value.to_string())).collect())
-}
-
-/// Opens and arranges; what is missing is proposed until nothing is.
-fn settle(
-    parts: &Parts,
-    all: &mut All,
-    fills: &mut Vec<Fill>,
-) -> Result<(Box<dyn Recording>, Arranged), Failure> {
-    let mut is_paired = false;
-    for _ in 0..16 {
-        let opened = open(parts, all);
-        if !is_paired && super::pairing::is_open(all, opened.as_ref().err()) {
-            is_paired = true;
-            let mut proposed = super::pairing::proposed(parts, all)?;
-            if proposed.is_empty() && opened.is_err() {
-                proposed.extend(super::pairing::by_trial(parts, all)?);
-            }
-            if !proposed.is_empty() {
-                fills.extend(proposed);
-                continue;
-            }
-        }
-        let error = match opened {
-            Ok(found) => return Ok(found),
-            Err(error) => error,
-        };
-        let fill = error.undeclared.and_then(|name| propose(name, parts, all));
-        let Some(fill) = fill else { return Err(refused(error)) };
-        fills.push(fill);
-    }
-    Err(usage(format!("{}: more is missing than can be proposed", parts.recording.display())))
-}
-
-fn open(parts: &Parts, all: &All) -> Result<(Box<dyn Recording>, Arranged), FormatError> {
-    let mut settings = all.settings();
-    if parts.format.id == OWN {
-        // The reader of our own recordings keeps their clock.
-        settings.zero = Some(Duration::new(0));
-    }
-    let recording = joined::open(parts.format, &parts.recording, &settings.declared)?;
-    let arranged = arrange(&parts.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| {
-        Ok::<(), FormatError>(())
-    })?;
-    Ok((recording, arranged))
 }
 
 /// A value for a parameter that no file states, put into `all`; `None` where nothing sensible can be
@@ -287,12 +338,12 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             );
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
-        "stamps" if all.trigger_line.is_none() => super::pairing::line(parts, all),
+        "stamps" if all.trigger_line.is_none() => pairing::line(parts, all),
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
             Some(Fill::open(
                 "coordinate_scale",
-                "32".into(),
+                "32",
                 "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel",
             ))
         }
@@ -312,12 +363,12 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
                        Too long blurs what is sharp, too short leaves blur";
             Some(Fill::open("exposure", format!("\"{exposure}\""), why))
         }
-        "stamp" if all.stamp.is_none() && all.trigger_line.is_some() => Some(super::pairing::stamp(all)),
+        "stamp" if all.stamp.is_none() && all.trigger_line.is_some() => Some(pairing::stamp(all)),
         "stamp" if all.stamp.is_none() => {
             all.stamp = Some(StampRole::Middle);
             let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A \
                        wrong one shifts frames against events";
-            Some(Fill::open("stamp", "\"middle\"".into(), why))
+            Some(Fill::open("stamp", "\"middle\"", why))
         }
         "row_time" if all.row_time.is_none() && parts.line_delay_s.is_some() => {
             let delay = Duration::new((parts.line_delay_s? * 1e9).round() as i64);
@@ -332,7 +383,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             all.row_time = Some(Duration::new(0));
             let why = "the delay from row to row is not recorded; 0 is a global shutter. A rolling shutter \
                        left at 0 leaves its skew in the picture";
-            Some(Fill::open("row_time", "\"0 us\"".into(), why))
+            Some(Fill::open("row_time", "\"0 us\"", why))
         }
         "transfer" if all.transfer.is_none() => {
             let linear = pictures().is_some_and(|pictures| pictures.about().bits != 8);
@@ -398,44 +449,6 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
     })
 }
 
-/// What the streams themselves say; of a long recording, its first part.
-fn measured(
-    recording: &dyn Recording,
-    arranged: &Arranged,
-    parts: &Parts,
-    all: &mut All,
-    fills: &mut [Fill],
-) -> Result<Proposals, Failure> {
-    let failed = |error: photocurrent_core::NodeError| Failure::Other { message: error.to_string(), code: 3 };
-    let gathered = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
-    let (Some((events, _)), Some(frames)) = (gathered.map_err(refused)?, arranged.frame_sequence()) else {
-        return Ok(Proposals::default());
-    };
-    let mut found = proposals(&events, &frames).map_err(failed)?;
-    // An exposure that is recorded or stated is no question.
-    let Some(fill) = fills.iter_mut().find(|fill| fill.name == "exposure") else {
-        found.exposure_ns = None;
-        return Ok(found);
-    };
-    if let Some(exposure) = found.exposure_ns.filter(|exposure| exposure.value >= 1e4) {
-        let rounded = Duration::new((exposure.value / 1e4).round() as i64 * 10_000);
-        all.exposure = Some(rounded);
-        fill.value = format!("\"{rounded}\"");
-        let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
-        fill.why = format!(
-            "the exposure is not recorded; this length explains the blur of the frames of {} best \
-                     (95 %: {low:.2} to {high:.2} ms)",
-            parts.format.name
-        );
-    } else {
-        found.exposure_ns = None;
-        if let Some(why) = &found.exposure_unclear {
-            fill.why = format!("{}; it was not measured: {why}", fill.why);
-        }
-    }
-    Ok(found)
-}
-
 /// An offset below this is no matter: a latency of the front end is of that size.
 const SMALL_OFFSET_NS: f64 = 5e5;
 
@@ -460,7 +473,7 @@ fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
         ),
         None => Fill::open(
             name,
-            "0.25".into(),
+            "0.25",
             format!(
                 "never recorded, and too little moves to measure it; \
                                                      usual settings lie between 0.15 and 0.5. {matters}"
@@ -472,7 +485,7 @@ fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
         threshold("threshold_off", found.thresholds.map(|both| both.1)),
         Fill::open(
             "refractory",
-            "\"100 us\"".into(),
+            "\"100 us\"",
             "the blind time after an event is a bias of the camera; the shortest interval between events of \
              one pixel bounds it",
         ),

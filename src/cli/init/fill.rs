@@ -14,12 +14,12 @@ pub struct Fill {
 
 impl Fill {
     /// A proposal that is marked.
-    pub fn open(name: &'static str, value: String, why: impl Into<String>) -> Fill {
-        Fill { name, value, why: why.into(), is_open: true }
+    pub fn open(name: &'static str, value: impl Into<String>, why: impl Into<String>) -> Fill {
+        Fill { name, value: value.into(), why: why.into(), is_open: true }
     }
 
     /// A correction that is stated with its reason.
-    pub fn settled(name: &'static str, value: String, why: impl Into<String>) -> Fill {
-        Fill { name, value, why: why.into(), is_open: false }
+    pub fn settled(name: &'static str, value: impl Into<String>, why: impl Into<String>) -> Fill {
+        Fill { name, value: value.into(), why: why.into(), is_open: false }
     }
 }

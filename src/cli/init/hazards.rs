@@ -6,8 +6,7 @@ use super::readings::Reading;
 use crate::failure::{Failure, usage};
 use photocurrent_core::Extent;
 use photocurrent_formats::hazard::{self, Consequence, Finding, Severity};
-use photocurrent_formats::survey::Interval;
-use photocurrent_formats::survey::Survey;
+use photocurrent_formats::survey::{Interval, Survey};
 use photocurrent_formats::{Format, Mirror, Pictures, Shift};
 use photocurrent_nodes::read::foreign::{All, Size};
 use photocurrent_nodes::read::formats::takes;
@@ -23,213 +22,196 @@ pub struct Acts {
     pub late: Option<(Interval, String)>,
 }
 
-/// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their
-/// numbers in the file; `reading`: how both streams agree best, where that was compared.
+impl Acts {
+    fn mark(&mut self, finding: &Finding) {
+        self.marks.push(marked(finding));
+    }
+
+    /// Sets a parameter, the first time.
+    fn set(&mut self, fill: Fill) {
+        if !self.parameters.iter().any(|known| known.name == fill.name) {
+            self.parameters.push(fill);
+        }
+    }
+}
+
+/// A finding as a line.
+fn marked(finding: &Finding) -> String {
+    format!("{}: {}; {}. To do: {}", finding.id, finding.message, finding.evidence, finding.what_to_do)
+}
+
+/// Where findings come from.
+pub struct Evidence<'a> {
+    pub survey: &'a Survey,
+    pub format: &'a Format,
+    /// The frames that were surveyed, and their numbers in the file.
+    pub frames: Option<(&'a dyn Pictures, &'a [usize])>,
+    /// How both streams agree best, where that was compared.
+    pub reading: Option<&'a Reading>,
+}
+
+/// Acts on findings; those in `accepted` are not refused.
 ///
 /// # Errors
 /// When one is refused: with what was found, the evidence, and the option that states what is true.
 pub fn act(
-    survey: &Survey,
+    evidence: &Evidence,
     findings: &[Finding],
-    format: &Format,
-    frames: Option<(&dyn Pictures, &[usize])>,
-    reading: Option<&Reading>,
     accepted: &[String],
     all: &mut All,
 ) -> Result<Acts, Failure> {
     let mut acts = Acts::default();
     // A fact is no fault.
-    let has_consequence = |finding: &&Finding| finding.severity != Severity::Fact;
-    for finding in findings.iter().filter(has_consequence) {
-        let mark = || {
-            format!(
-                "{}: {}; {}. To do: {}",
-                finding.id, finding.message, finding.evidence, finding.what_to_do
-            )
-        };
+    for finding in findings.iter().filter(|finding| finding.severity != Severity::Fact) {
         match hazard::consequence(finding.id) {
             Some(Consequence::Corrects(parameters)) => {
                 let parameter = parameters.first().copied().unwrap_or_default();
-                // A window is cut before; what the format does not take stays marked.
-                match correction(parameter, finding, survey, frames, all)
-                    .filter(|_| takes(format.id, parameter))
-                {
-                    Some(fill) => {
-                        if !acts.parameters.iter().any(|known| known.name == fill.name) {
-                            acts.parameters.push(fill);
-                        }
-                    }
+                match evidence.correction(parameter, finding, all) {
+                    Some(fill) if takes(evidence.format.id, parameter) => acts.set(fill),
+                    // A window is cut before.
                     None if parameter == "start" && all.start.is_some() => {}
-                    None => acts.marks.push(mark()),
+                    _ => acts.mark(finding),
                 }
             }
-            // What looks late may be mirrored or moved.
-            Some(Consequence::Proposes("clock_offset")) => {
-                let found = ["mirror", "shift"]
-                    .into_iter()
-                    .filter_map(|parameter| proposal(parameter, finding, survey, reading, all));
-                let fresh: Vec<Fill> = found
-                    .filter(|fill| {
-                        takes(format.id, fill.name)
-                            && !acts.parameters.iter().any(|known| known.name == fill.name)
-                    })
-                    .collect();
-                let is_late = reading.is_none_or(|reading| (reading.mirror, reading.shift) == (None, None));
-                acts.late = survey
-                    .lag
-                    .as_ref()
-                    .and_then(|lag| lag.late_ns)
-                    .filter(|_| is_late)
-                    .map(|late| (late, mark()));
-                acts.parameters.extend(fresh);
+            Some(Consequence::Proposes("clock_offset")) => evidence.late(finding, all, &mut acts),
+            Some(Consequence::Proposes(parameter)) => match evidence.proposal(parameter, finding, all) {
+                Some(fill) if takes(evidence.format.id, parameter) => acts.set(fill),
+                // It was proposed, or is stated, before.
+                None if ["exposure", "stamp", "row_time", "transfer"].contains(&parameter) => {}
+                None if parameter == "extent" && all.extent.is_some() => {}
+                // Another reading explains it better.
+                None if evidence.reading.is_some() && ["mirror", "shift"].contains(&parameter) => {}
+                _ => acts.mark(finding),
+            },
+            Some(Consequence::Refuses(option)) if !accepted.iter().any(|id| id == finding.id) => {
+                return Err(evidence.refusal(finding, option));
             }
-            Some(Consequence::Proposes(parameter)) => {
-                match proposal(parameter, finding, survey, reading, all) {
-                    Some(fill) if takes(format.id, parameter) => {
-                        if !acts.parameters.iter().any(|known| known.name == fill.name) {
-                            acts.parameters.push(fill);
-                        }
-                    }
-                    // It was proposed, or is stated, before.
-                    None if ["exposure", "stamp", "row_time", "transfer", "clock_offset"]
-                        .contains(&parameter) => {}
-                    None if parameter == "extent" && all.extent.is_some() => {}
-                    // Another reading explains it better.
-                    None if reading.is_some() && ["mirror", "shift"].contains(&parameter) => {}
-                    _ => acts.marks.push(mark()),
-                }
-            }
-            Some(Consequence::Marks) => acts.marks.push(mark()),
-            Some(Consequence::Refuses(_)) if accepted.iter().any(|id| id == finding.id) => {
-                acts.marks.push(mark())
-            }
-            Some(Consequence::Refuses(option)) => {
-                let id = finding.id;
-                let parameter = option.trim_start_matches("--").replace('-', "_");
-                let is_stated = ["frames", "camera", "frame_camera", "end"].contains(&parameter.as_str())
-                    || takes(format.id, &parameter);
-                let state =
-                    if is_stated { format!("state what is true: {option}; or ") } else { String::new() };
-                return Err(usage(format!(
-                    "{}: {id}: {}\n  {}\n  hint: {}\n  {state}go on all the same: --accept {id}",
-                    survey.format, finding.message, finding.evidence, finding.what_to_do
-                )));
-            }
+            Some(Consequence::Marks | Consequence::Refuses(_)) => acts.mark(finding),
             Some(Consequence::None) | None => {}
         }
     }
-    if reading.is_some_and(|reading| reading.is_inverted)
+    if let Some(reading) = evidence.reading.filter(|reading| reading.is_inverted)
         && all.invert_polarity.is_none()
-        && takes(format.id, "invert_polarity")
+        && takes(evidence.format.id, "invert_polarity")
     {
-        let why = format!(
-            "events and frames agree with ON and OFF exchanged only: {}",
-            reading.map_or("", |reading| &reading.why)
-        );
-        acts.parameters.push(Fill::open("invert_polarity", "true".into(), why));
+        let why = format!("events and frames agree with ON and OFF exchanged only: {}", reading.why);
+        acts.set(Fill::open("invert_polarity", "true", why));
     }
     apply(&acts.parameters, all);
     Ok(acts)
 }
 
-/// A parameter that puts a fault right.
-fn correction(
-    parameter: &str,
-    finding: &Finding,
-    survey: &Survey,
-    of_file: Option<(&dyn Pictures, &[usize])>,
-    all: &All,
-) -> Option<Fill> {
-    match parameter {
-        "drop_duplicates" if all.drop_duplicates.is_none() => Some(Fill::settled(
-            "drop_duplicates",
-            "true".into(),
-            format!("{}: {}", finding.message, finding.evidence),
-        )),
-        "skip_frames" if all.skip_frames.is_none() => {
-            let values = &survey.frames.as_ref()?.values;
-            let mut frames: Vec<usize> = values.unreadable_frames.clone();
-            // An even picture everywhere is refused; some of them show nothing.
-            if values.constant.len() < values.read.len() {
-                frames.extend(&values.constant);
-            }
-            frames.extend(&values.repeated);
-            let (pictures, numbers) = of_file?;
-            let stamps = &pictures.about().stamps;
-            let begin = |frame: usize| stamps[frame].exposure.map_or(stamps[frame].at, |exposure| exposure.0);
-            frames.extend((1..stamps.len()).filter(|frame| begin(*frame) == begin(*frame - 1)));
-            frames.sort_unstable();
-            frames.dedup();
-            // Film of which most would go is another fault.
-            if frames.is_empty() || 2 * frames.len() > stamps.len() {
-                return None;
-            }
-            let list = frames
-                .iter()
-                .filter_map(|frame| numbers.get(*frame))
-                .map(usize::to_string)
-                .collect::<Vec<_>>()
-                .join(", ");
-            let why = format!(
-                "{}: {}; left out are frames that cannot be read, are even or the one before, or \
-                         have its stamp",
-                finding.message, finding.evidence
-            );
-            Some(Fill::settled("skip_frames", format!("[{list}]"), why))
-        }
-        _ => None,
+impl Evidence<'_> {
+    /// What looks late may be mirrored or moved.
+    fn late(&self, finding: &Finding, all: &All, acts: &mut Acts) {
+        let found = ["mirror", "shift"].map(|parameter| self.proposal(parameter, finding, all));
+        let taken = found.into_iter().flatten().filter(|fill| takes(self.format.id, fill.name));
+        taken.for_each(|fill| acts.set(fill));
+        let is_late = self.reading.is_none_or(|reading| (reading.mirror, reading.shift) == (None, None));
+        let late = self.survey.lag.as_ref().and_then(|lag| lag.late_ns).filter(|_| is_late);
+        acts.late = late.map(|late| (late, marked(finding)));
     }
-}
 
-/// A parameter that the files leave open, or that the streams contradict.
-fn proposal(
-    parameter: &str,
-    finding: &Finding,
-    survey: &Survey,
-    reading: Option<&Reading>,
-    all: &All,
-) -> Option<Fill> {
-    let why = format!("{}: {}", finding.message, finding.evidence);
-    match parameter {
-        "mirror" if all.mirror.is_none() => {
-            let reading = reading?;
-            let way = reading.mirror?;
-            let why = format!("{why}; {}", reading.why);
-            let word = match way {
-                Mirror::LeftRight => "left_right",
-                Mirror::TopBottom => "top_bottom",
-                Mirror::Both => "both",
-            };
-            Some(Fill::open("mirror", format!("\"{word}\""), why))
+    fn refusal(&self, finding: &Finding, option: &str) -> Failure {
+        let id = finding.id;
+        let parameter = option.trim_start_matches("--").replace('-', "_");
+        let is_stated = ["frames", "camera", "frame_camera", "end"].contains(&parameter.as_str())
+            || takes(self.format.id, &parameter);
+        let state = if is_stated { format!("state what is true: {option}; or ") } else { String::new() };
+        usage(format!(
+            "{}: {id}: {}\n  {}\n  hint: {}\n  {state}go on all the same: --accept {id}",
+            self.survey.format, finding.message, finding.evidence, finding.what_to_do
+        ))
+    }
+
+    /// A parameter that puts a fault right.
+    fn correction(&self, parameter: &str, finding: &Finding, all: &All) -> Option<Fill> {
+        match parameter {
+            "drop_duplicates" if all.drop_duplicates.is_none() => Some(Fill::settled(
+                "drop_duplicates",
+                "true",
+                format!("{}: {}", finding.message, finding.evidence),
+            )),
+            "skip_frames" if all.skip_frames.is_none() => {
+                let values = &self.survey.frames.as_ref()?.values;
+                let mut frames: Vec<usize> = values.unreadable_frames.clone();
+                // An even picture everywhere is refused; some of them show nothing.
+                if values.constant.len() < values.read.len() {
+                    frames.extend(&values.constant);
+                }
+                frames.extend(&values.repeated);
+                let (pictures, numbers) = self.frames?;
+                let stamps = &pictures.about().stamps;
+                let begin =
+                    |frame: usize| stamps[frame].exposure.map_or(stamps[frame].at, |exposure| exposure.0);
+                frames.extend((1..stamps.len()).filter(|frame| begin(*frame) == begin(*frame - 1)));
+                frames.sort_unstable();
+                frames.dedup();
+                // Film of which most would go is another fault.
+                if frames.is_empty() || 2 * frames.len() > stamps.len() {
+                    return None;
+                }
+                let list = frames
+                    .iter()
+                    .filter_map(|frame| numbers.get(*frame))
+                    .map(usize::to_string)
+                    .collect::<Vec<_>>()
+                    .join(", ");
+                let why = format!(
+                    "{}: {}; left out are frames that cannot be read, are even or the one before, or \
+                             have its stamp",
+                    finding.message, finding.evidence
+                );
+                Some(Fill::settled("skip_frames", format!("[{list}]"), why))
+            }
+            _ => None,
         }
-        "shift" if all.shift.is_none() => {
-            let reading = reading?;
-            let Shift { right, down } = reading.shift?;
-            let why = format!("{why}; {}", reading.why);
-            Some(Fill::open("shift", format!("{{ right = {right}, down = {down} }}"), why))
+    }
+
+    /// A parameter that the files leave open, or that the streams contradict.
+    fn proposal(&self, parameter: &str, finding: &Finding, all: &All) -> Option<Fill> {
+        let why = format!("{}: {}", finding.message, finding.evidence);
+        match parameter {
+            "mirror" if all.mirror.is_none() => {
+                let reading = self.reading?;
+                let way = reading.mirror?;
+                let why = format!("{why}; {}", reading.why);
+                let word = match way {
+                    Mirror::LeftRight => "left_right",
+                    Mirror::TopBottom => "top_bottom",
+                    Mirror::Both => "both",
+                };
+                Some(Fill::open("mirror", format!("\"{word}\""), why))
+            }
+            "shift" if all.shift.is_none() => {
+                let reading = self.reading?;
+                let Shift { right, down } = reading.shift?;
+                let why = format!("{why}; {}", reading.why);
+                Some(Fill::open("shift", format!("{{ right = {right}, down = {down} }}"), why))
+            }
+            "extent" if all.extent.is_none() && finding.id == "small_part_used" => {
+                let Reading { extent, why: explained, .. } = self.reading?;
+                let Extent { width, height } = (*extent)?;
+                Some(Fill::open(
+                    "extent",
+                    format!("{{ width = {width}, height = {height} }}"),
+                    format!("{why}; {explained}"),
+                ))
+            }
+            "extent" if all.extent.is_none() => {
+                let (x, y) = self.survey.events.as_ref()?.places.largest;
+                let why = format!("{why}; a larger array has more rows or columns than those that fired");
+                Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", x + 1, y + 1), why))
+            }
+            "coordinate_scale" if all.coordinate_scale.is_none() => {
+                let scale: u32 = finding
+                    .what_to_do
+                    .split_once("coordinate_scale = ")
+                    .and_then(|(_, rest)| rest.trim_end_matches('`').parse().ok())?;
+                Some(Fill::open("coordinate_scale", scale.to_string(), why))
+            }
+            _ => None,
         }
-        "extent" if all.extent.is_none() && finding.id == "small_part_used" => {
-            let Reading { extent, why: explained, .. } = reading?;
-            let Extent { width, height } = (*extent)?;
-            Some(Fill::open(
-                "extent",
-                format!("{{ width = {width}, height = {height} }}"),
-                format!("{why}; {explained}"),
-            ))
-        }
-        "extent" if all.extent.is_none() => {
-            let (x, y) = survey.events.as_ref()?.places.largest;
-            let why = format!("{why}; a larger array has more rows or columns than those that fired");
-            Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", x + 1, y + 1), why))
-        }
-        "coordinate_scale" if all.coordinate_scale.is_none() => {
-            let scale: u32 = finding
-                .what_to_do
-                .split_once("coordinate_scale = ")
-                .and_then(|(_, rest)| rest.trim_end_matches('`').parse().ok())?;
-            Some(Fill::open("coordinate_scale", scale.to_string(), why))
-        }
-        _ => None,
     }
 }
 
@@ -315,8 +297,17 @@ mod tests {
             (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
         let numbers: Vec<usize> = (5..15).collect();
         let npz = catalog::named("npz").unwrap();
-        let acts =
-            act(&survey(), &[finding], npz, Some((&film, &numbers)), Some(&reading), accepted, &mut all);
+        let acts = act(
+            &Evidence {
+                survey: &survey(),
+                format: npz,
+                frames: Some((&film, &numbers)),
+                reading: Some(&reading),
+            },
+            &[finding],
+            accepted,
+            &mut all,
+        );
         (acts, all)
     }
 

@@ -51,7 +51,7 @@ pub fn stamp(all: &mut All) -> Fill {
     all.stamp = Some(StampRole::Start);
     let why = "the trigger line has one edge a frame: mostly the start of its exposure, at some cameras the \
                end. A wrong one shifts frames against events";
-    Fill::open("stamp", "\"start\"".into(), why)
+    Fill::open("stamp", "\"start\"", why)
 }
 
 /// The pairing to take, put into `all`; nothing where everything about it is recorded or stated.

@@ -67,100 +67,130 @@ pub fn best(
     if !is_unclear && !findings.iter().any(|finding| APART.contains(&finding.id)) {
         return Ok(None);
     }
-    let much = Much {
-        span_ns: survey.events.as_ref().and_then(|events| events.span_ns),
-        events: EVENTS,
-        extent: None,
-    };
-    // Mirrors first, each with and without an offset.
-    let ways = [None, Some(Mirror::LeftRight), Some(Mirror::TopBottom), Some(Mirror::Both)];
-    let mirrored = |way: Option<Mirror>| {
-        let (left_right, top_bottom) = (
-            matches!(way, Some(Mirror::LeftRight | Mirror::Both)),
-            matches!(way, Some(Mirror::TopBottom | Mirror::Both)),
-        );
-        let name = way.map_or("as they are".to_owned(), |way| format!("mirrored {}", way.name()));
-        Alternative::new(name).mirrored(left_right, top_bottom)
-    };
-    let with_offset = |of: Alternative| {
-        let name = format!("{}, with an offset", of.name);
-        Alternative { name, ..of }.fitting_offset()
-    };
-    let mut of_ways: Vec<Alternative> =
-        ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
-    of_ways.push(Alternative::new("ON and OFF exchanged").inverted());
-    let scored = compare(recording, &of_ways, &much)?;
-    let exchanged = of_ways.len() - 1;
-    if scored.first().is_some_and(|best| best.alternative == exchanged) && decided(&scored).is_some() {
-        return Ok(Some(Reading { is_inverted: true, why: listed(&scored), ..Reading::default() }));
-    }
-    let scored: Vec<Scored> = scored.into_iter().filter(|one| one.alternative != exchanged).collect();
-    let way_of = |one: &Scored| ways[one.alternative / 2];
-    let Some(first) = scored.first().filter(|first| first.explained.ci95.0 > LEAST_EXPLAINED) else {
-        return Ok(None);
-    };
-    let as_is = scored.iter().find(|one| way_of(one).is_none());
-    let is_mirrored = way_of(first).is_some()
-        && as_is.is_none_or(|as_is| as_is.behind.ci95.0 > 0.0 && as_is.behind.value > LEAST_AHEAD);
-    let mirror = way_of(first).filter(|_| is_mirrored);
-    // Then shifts, without an offset.
-    let moved = |(right, down): (i32, i32)| {
-        let of = mirrored(mirror).shifted(right, down);
-        let name = if (right, down) == (0, 0) {
-            of.name.clone()
-        } else {
-            format!("{}, events moved {right} right and {down} down", of.name)
-        };
-        Alternative { name, ..of }
-    };
     let suggested = survey
         .lag
         .as_ref()
         .and_then(|lag| lag.grid.as_ref())
         .and_then(|grid| hazard::shift_of(grid, &Limits::default()));
-    let starts =
-        [Some((0, 0)), suggested.filter(|_| mirror.is_none()).map(|shift| (-shift.right, -shift.down))];
-    let mut explained: BTreeMap<(i32, i32), f64> = BTreeMap::new();
-    for start in starts.into_iter().flatten() {
-        let mut centre = start;
-        for _ in 0..STEPS {
-            let around = (-1..=1)
-                .flat_map(|down| (-1..=1).map(move |right| (right, down)))
-                .map(|(right, down)| (centre.0 + right, centre.1 + down));
-            let unknown: Vec<(i32, i32)> = around.filter(|at| !explained.contains_key(at)).collect();
-            let readings: Vec<Alternative> = unknown.iter().map(|at| moved(*at)).collect();
-            // Each pass evaluates the same tiles only if it holds the same reference.
-            for one in compare(recording, &readings, &much)? {
-                explained.insert(unknown[one.alternative], one.explained.value);
-            }
-            let highest = explained.iter().max_by(|a, b| a.1.total_cmp(b.1)).map(|(at, _)| *at);
-            match highest.filter(|highest| *highest != centre) {
-                Some(highest) => centre = highest,
-                None => break,
+    let span_ns = survey.events.as_ref().and_then(|events| events.span_ns);
+    let trials = Trials { recording, much: Much { span_ns, events: EVENTS, extent: None } };
+    match trials.way()? {
+        Some(Reading { is_inverted: false, mirror, .. }) => {
+            let start = suggested.filter(|_| mirror.is_none()).map(|shift| (-shift.right, -shift.down));
+            trials.against_offset(mirror, trials.shift(mirror, start)?).map(Some)
+        }
+        decided => Ok(decided),
+    }
+}
+
+/// The frames as they are, or mirrored.
+fn mirrored(way: Option<Mirror>) -> Alternative {
+    let name = way.map_or("as they are".to_owned(), |way| format!("mirrored {}", way.name()));
+    Alternative::new(name).mirrored(
+        matches!(way, Some(Mirror::LeftRight | Mirror::Both)),
+        matches!(way, Some(Mirror::TopBottom | Mirror::Both)),
+    )
+}
+
+/// The same with the events moved by whole pixels, right and down.
+fn moved(way: Option<Mirror>, (right, down): (i32, i32)) -> Alternative {
+    let reading = mirrored(way).shifted(right, down);
+    if (right, down) == (0, 0) {
+        return reading;
+    }
+    Alternative { name: format!("{}, events moved {right} right and {down} down", reading.name), ..reading }
+}
+
+fn with_offset(reading: Alternative) -> Alternative {
+    Alternative { name: format!("{}, with an offset", reading.name), ..reading }.fitting_offset()
+}
+
+/// Is a reading clearly behind the best one?
+fn is_behind(one: &Scored) -> bool {
+    one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD
+}
+
+/// Readings of one recording, each compared on as many events.
+struct Trials<'a> {
+    recording: &'a dyn Recording,
+    much: Much,
+}
+
+impl Trials<'_> {
+    fn compare(&self, readings: &[Alternative]) -> Result<Vec<Scored>, FormatError> {
+        compare(self.recording, readings, &self.much)
+    }
+
+    /// How the frames are mirrored, if at all, or that ON and OFF are exchanged; each way with and without an
+    /// offset. `None` where nothing explains the frames' change.
+    fn way(&self) -> Result<Option<Reading>, FormatError> {
+        let ways = [None, Some(Mirror::LeftRight), Some(Mirror::TopBottom), Some(Mirror::Both)];
+        let mut readings: Vec<Alternative> =
+            ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
+        readings.push(Alternative::new("ON and OFF exchanged").inverted());
+        let mut scored = self.compare(&readings)?;
+        let exchanged = readings.len() - 1;
+        if scored.first().is_some_and(|best| best.alternative == exchanged) && decided(&scored).is_some() {
+            return Ok(Some(Reading { is_inverted: true, why: listed(&scored), ..Reading::default() }));
+        }
+        scored.retain(|one| one.alternative != exchanged);
+        let way_of = |one: &Scored| ways[one.alternative / 2];
+        let Some(first) = scored.first().filter(|first| first.explained.ci95.0 > LEAST_EXPLAINED) else {
+            return Ok(None);
+        };
+        let as_is = scored.iter().find(|one| way_of(one).is_none());
+        let mirror = way_of(first).filter(|_| as_is.is_none_or(is_behind));
+        Ok(Some(Reading { mirror, ..Reading::default() }))
+    }
+
+    /// By how much the events are moved, right and down, so that they explain most without an offset; searched
+    /// for from none and from `start`.
+    fn shift(&self, way: Option<Mirror>, start: Option<(i32, i32)>) -> Result<(i32, i32), FormatError> {
+        let mut explained: BTreeMap<(i32, i32), f64> = BTreeMap::new();
+        let highest = |explained: &BTreeMap<(i32, i32), f64>| {
+            explained.iter().max_by(|a, b| a.1.total_cmp(b.1)).map(|(at, _)| *at)
+        };
+        for start in [Some((0, 0)), start].into_iter().flatten() {
+            let mut centre = start;
+            for _ in 0..STEPS {
+                let around = (-1..=1)
+                    .flat_map(|down| (-1..=1).map(move |right| (right, down)))
+                    .map(|(right, down)| (centre.0 + right, centre.1 + down));
+                let unknown: Vec<(i32, i32)> = around.filter(|at| !explained.contains_key(at)).collect();
+                let readings: Vec<Alternative> = unknown.iter().map(|at| moved(way, *at)).collect();
+                // Each pass evaluates the same tiles only if it holds the same reference.
+                for one in self.compare(&readings)? {
+                    explained.insert(unknown[one.alternative], one.explained.value);
+                }
+                match highest(&explained).filter(|highest| *highest != centre) {
+                    Some(highest) => centre = highest,
+                    None => break,
+                }
             }
         }
+        Ok(highest(&explained).unwrap_or((0, 0)))
     }
-    let shift = explained.iter().max_by(|a, b| a.1.total_cmp(b.1)).map_or((0, 0), |(at, _)| *at);
-    // At last the shift against an offset, on one set of pairs.
-    let mut finals = vec![moved((0, 0)), with_offset(moved((0, 0)))];
-    if shift != (0, 0) {
-        finals.push(moved(shift));
+
+    /// A shift against an offset, on one set of pairs.
+    fn against_offset(&self, mirror: Option<Mirror>, shift: (i32, i32)) -> Result<Reading, FormatError> {
+        let mut finals = vec![mirrored(mirror), with_offset(mirrored(mirror))];
+        if shift != (0, 0) {
+            finals.push(moved(mirror, shift));
+        }
+        if mirror.is_some() {
+            finals.push(with_offset(mirrored(None)));
+        }
+        let scored = self.compare(&finals)?;
+        let is_shifted = shift != (0, 0)
+            && scored.first().is_some_and(|best| best.alternative == 2)
+            && scored.iter().filter(|one| one.alternative != 2).all(is_behind);
+        Ok(Reading {
+            mirror,
+            shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }),
+            why: listed(&scored),
+            ..Reading::default()
+        })
     }
-    if mirror.is_some() {
-        finals.push(with_offset(mirrored(None)));
-    }
-    let scored = compare(recording, &finals, &much)?;
-    let is_shifted = scored.first().is_some_and(|best| best.alternative == 2 && shift != (0, 0))
-        && scored
-            .iter()
-            .filter(|one| one.alternative != 2)
-            .all(|one| one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD);
-    Ok(Some(Reading {
-        mirror,
-        shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }),
-        why: listed(&scored),
-        ..Reading::default()
-    }))
 }
 
 /// Frame pixels along the side of an event pixel, at most, in the search for another array.

@@ -7,7 +7,7 @@
 use super::run::{Output, Run, Styles};
 use crate::failure::Failure;
 use crate::numbers::human_bytes;
-use photocurrent_core::{Extent, Sensor, Value};
+use photocurrent_core::{Extent, NodeError, Sensor, Value};
 use photocurrent_nodes::show::{Shown, Tone};
 use photocurrent_page::{Film, Group, Mark, Picture, RunPage, png_uri};
 use std::sync::Arc;
@@ -91,7 +91,7 @@ pub fn pictures(runs: &[Run], styles: &mut Styles, budget: u64, page: &mut RunPa
     for Scene { run: name, extent, all, sensor } in scenes {
         let several = runs.len() > 1 || page.groups.iter().any(|group| group.name.starts_with(&name));
         let name = if several { format!("{name}, {extent} pixels") } else { name };
-        let group = group(name, all, sensor.as_deref(), styles, share, page)?;
+        let group = group(name, &all, sensor.as_deref(), styles, share, page)?;
         page.groups.push(group);
     }
     if let Some(first) = page.groups.first_mut() {
@@ -182,50 +182,28 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
 /// Chooses instants and size, and encodes.
 fn group(
     name: String,
-    all: Vec<Candidate>,
+    all: &[Candidate],
     sensor: Option<&Sensor>,
     styles: &mut Styles,
     budget: u64,
     page: &mut RunPage,
 ) -> Result<Group, Failure> {
+    let failed = |error: NodeError| Failure::other(format!("the pictures of {name} cannot be made: {error}"));
     let reference = all
         .iter()
         .position(|one| one.is_reference)
         .or_else(|| all.iter().position(|one| one.kind() == "method"))
         .unwrap_or(0);
-    let failed = |error: photocurrent_core::NodeError| {
-        Failure::other(format!("the pictures of {name} cannot be made: {error}"))
-    };
-    let tone = Tone::of(&all[reference].shown, sensor).map_err(failed)?;
     let middles: Vec<Vec<i64>> = all.iter().map(|one| one.shown.middles_ns()).collect();
     let instants = common(
         &middles[reference],
         all.iter().zip(&middles).filter(|(one, _)| one.kind() == "method").map(|(_, middles)| middles),
     );
     let extent = all[reference].shown.extent();
-    let mut shrink = 1;
-    let count = loop {
-        let probe = instants[instants.len() / 2];
-        let sizes = all.iter().zip(&middles).map(|(one, middles)| {
-            one.shown.png(nearest(middles, probe), &tone, shrink).map(|png| png.len() as u64)
-        });
-        let bytes = sizes.sum::<Result<u64, _>>().map_err(failed)?;
-        // Base64 writes four letters for three bytes.
-        let fitting = (budget / (bytes * 4 / 3 + 100 * all.len() as u64).max(1)) as usize;
-        let most = instants.len().min(MOST_INSTANTS);
-        let smaller = shrink * 2;
-        let can_shrink =
-            smaller <= MOST_SHRINK && extent.width / smaller >= 16 && extent.height / smaller >= 16;
-        if fitting >= most.min(FEWEST) || !can_shrink {
-            break fitting.clamp(1, most);
-        }
-        shrink = smaller;
-    };
-    let chosen: Vec<i64> = (0..count)
-        .map(|k| {
-            instants[if count == 1 { instants.len() / 2 } else { k * (instants.len() - 1) / (count - 1) }]
-        })
-        .collect();
+    let tone = Tone::of(&all[reference].shown, sensor).map_err(failed)?;
+    let mut films = Films { all, middles, tone, shrink: 1 };
+    let count = films.fit(&instants, extent, budget).map_err(failed)?;
+    let shrink = films.shrink;
     if count < instants.len() || shrink > 1 {
         let size = if shrink > 1 { format!(", at 1/{shrink} of their size") } else { String::new() };
         page.picture_notes.push(format!(
@@ -235,40 +213,82 @@ fn group(
             human_bytes(budget)
         ));
     }
-    let mut sequences = Vec::new();
-    for (one, middles) in all.iter().zip(&middles) {
-        let mut film = Film {
-            label: one.label.clone(),
-            kind: one.kind(),
-            style: if one.kind() == "method" { styles.of(&one.label) } else { CAPTURED },
-            ..Film::default()
-        };
-        for &instant in &chosen {
-            let frame = nearest(middles, instant);
-            let at = match film.frames.iter().rposition(|known| known.frame == frame) {
-                Some(at) => at,
-                None => {
-                    let src = png_uri(&one.shown.png(frame, &tone, shrink).map_err(failed)?);
-                    film.frames.push(Picture { frame, t_ns: middles[frame], src });
-                    film.frames.len() - 1
-                }
-            };
-            film.at.push(at);
-        }
-        sequences.push(film);
-    }
+    let last = instants.len() - 1;
+    let place = |k: usize| if count == 1 { instants.len() / 2 } else { k * last / (count - 1) };
+    let chosen: Vec<i64> = (0..count).map(|k| instants[place(k)]).collect();
+    let sequences = films.encode(&chosen, styles).map_err(failed)?;
     Ok(Group {
         first: first_pair(&sequences, best(page)),
         name,
         width: extent.width / shrink,
         height: extent.height / shrink,
         shrink,
-        black: tone.black,
-        white: tone.white,
+        black: films.tone.black,
+        white: films.tone.white,
         instants_ns: chosen,
         holds_pixels: false,
         sequences,
     })
+}
+
+/// Sequences of one size and how their pictures are made.
+struct Films<'a> {
+    all: &'a [Candidate],
+    /// Middles of the exposures of each, ns.
+    middles: Vec<Vec<i64>>,
+    tone: Tone,
+    /// Pixels to one of a picture, in each direction.
+    shrink: u32,
+}
+
+impl Films<'_> {
+    /// How many instants fit into a budget of bytes; where these are too few, pictures get smaller.
+    fn fit(&mut self, instants: &[i64], extent: Extent, budget: u64) -> Result<usize, NodeError> {
+        let probe = instants[instants.len() / 2];
+        let most = instants.len().min(MOST_INSTANTS);
+        loop {
+            let mut bytes = 0;
+            for (one, middles) in self.all.iter().zip(&self.middles) {
+                bytes += one.shown.png(nearest(middles, probe), &self.tone, self.shrink)?.len() as u64;
+            }
+            // Base64 writes four letters for three bytes.
+            let fitting = (budget / (bytes * 4 / 3 + 100 * self.all.len() as u64).max(1)) as usize;
+            let smaller = self.shrink * 2;
+            let can_shrink =
+                smaller <= MOST_SHRINK && extent.width / smaller >= 16 && extent.height / smaller >= 16;
+            if fitting >= most.min(FEWEST) || !can_shrink {
+                return Ok(fitting.clamp(1, most));
+            }
+            self.shrink = smaller;
+        }
+    }
+
+    /// The sequences at some instants; a picture that is shown at several is stored once.
+    fn encode(&self, chosen: &[i64], styles: &mut Styles) -> Result<Vec<Film>, NodeError> {
+        let mut sequences = Vec::new();
+        for (one, middles) in self.all.iter().zip(&self.middles) {
+            let mut film = Film {
+                label: one.label.clone(),
+                kind: one.kind(),
+                style: if one.kind() == "method" { styles.of(&one.label) } else { CAPTURED },
+                ..Film::default()
+            };
+            for &instant in chosen {
+                let frame = nearest(middles, instant);
+                let at = match film.frames.iter().rposition(|known| known.frame == frame) {
+                    Some(at) => at,
+                    None => {
+                        let src = png_uri(&one.shown.png(frame, &self.tone, self.shrink)?);
+                        film.frames.push(Picture { frame, t_ns: middles[frame], src });
+                        film.frames.len() - 1
+                    }
+                };
+                film.at.push(at);
+            }
+            sequences.push(film);
+        }
+        Ok(sequences)
+    }
 }
 
 /// The instants at which every method has frames, all of them where there are none in common.

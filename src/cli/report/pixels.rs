@@ -2,7 +2,7 @@
 
 use super::films::sensor;
 use super::run::{Output, Run, Styles};
-use crate::failure::Failure;
+use crate::failure::{Failure, usage};
 use photocurrent_core::{NodeError, TimeSpan, Value};
 use photocurrent_nodes::show::{Photocurrent, Seen, Shown, Tone, lively, seen, solved};
 use photocurrent_page::{Bar, Event, Group, Pixel, Residual, RunPage, Solved};
@@ -23,57 +23,28 @@ pub fn follow(
     };
     let (width, height) = (group.width * group.shrink, group.height * group.shrink);
     if let Some((x, y)) = asked.iter().find(|(x, y)| *x >= width || *y >= height) {
-        let message = format!(
-            "--pixel {x},{y}: the pixel is outside, the pictures have {width} x {height}\n  hint: \
-                     keep x below {width}, and y below {height}"
-        );
-        return Err(Failure::Other { message, code: 2 });
+        return Err(usage(format!(
+            "--pixel {x},{y}: the pixel is outside, the pictures have {width} x {height}\n  hint: keep x \
+             below {width}, and y below {height}"
+        )));
     }
-    let all = |data_type: &str| -> Vec<(Output, String)> {
-        let mut found: Vec<(Output, String)> = Vec::new();
-        for variant in run.variants() {
-            for output in run.outputs(variant, data_type) {
-                if !found.iter().any(|(known, _)| *known == output) {
-                    let label = if data_type == "tracks" {
-                        followed_by(run, &output).map(|shown| run.label_in(&shown, variant))
-                    } else {
-                        None
-                    };
-                    found.push((output.clone(), label.unwrap_or_else(|| run.label_in(&output, variant))));
-                }
-            }
-        }
-        found
-    };
-    let size = |value: &Value| value.meta().rows().map(|rows| rows.len()) == Some(height as usize);
-    let load = |data_type: &str| -> Vec<(Value, String)> {
-        let outputs = all(data_type);
-        outputs
-            .into_iter()
-            .filter_map(|(output, label)| Some((run.value(&output).ok()?, label)))
-            .filter(|(value, _)| size(value))
-            .collect()
-    };
-    let (events, frames, tracks) = (load("events"), load("frames"), tracks(run, all("tracks")));
-    let tracks: Vec<(Value, String)> = tracks.into_iter().filter(|(value, _)| size(value)).collect();
-    let truth = load("truth").into_iter();
-    let frames: Vec<Shown> = truth.chain(frames).filter_map(|(value, _)| Shown::of(value)).collect();
-    let captured = frames.iter().find(|shown| shown.is_captured());
+    let stored = Stored::load(run, height as usize);
     let Some(sensor) = sensor(run) else {
         page.pixel_notes.push(
-            "No sensor description is stored with the run, so no voltages are shown: connect \
-                   `read/sensor`, or a recording with a description."
+            "No sensor description is stored with the run, so no voltages are shown: connect `read/sensor`, \
+             or a recording with a description."
                 .into(),
         );
         return Ok(());
     };
-    let first = frames.iter().find(|shown| shown.is_truth()).or(captured);
-    let Some(first) = first else { return Ok(()) };
+    let captured = stored.frames.iter().find(|shown| shown.is_captured());
+    let Some(first) = stored.frames.iter().find(|shown| shown.is_truth()).or(captured) else {
+        return Ok(());
+    };
     let failed = |error: NodeError| Failure::other(format!("a pixel cannot be followed: {error}"));
     let mut tone = Tone::of(first, Some(&sensor)).map_err(failed)?;
     (tone.black, tone.white) = (group.black, group.white);
-    let events = events.first().map(|(value, _)| value);
-    let places = match (asked, events) {
+    let places = match (asked, &stored.events) {
         ([], Some(events)) => lively(events, USUAL).map_err(failed)?,
         _ => asked.to_vec(),
     };
@@ -84,7 +55,7 @@ pub fn follow(
                 .into(),
         );
     }
-    if tracks.is_empty() {
+    if stored.tracks.is_empty() {
         page.pixel_notes.push(
             "The cache holds no photocurrent of single pixels: `solve/map` gives it, and `pipeline.keep = \
              [\"NODE.tracks\"]` stores what nothing else takes."
@@ -92,9 +63,9 @@ pub fn follow(
         );
     }
     for (x, y) in places {
-        let seen = seen(events, captured, &sensor, &tone, x, y).map_err(failed)?;
+        let seen = seen(stored.events.as_ref(), captured, &sensor, &tone, x, y).map_err(failed)?;
         let mut pixel = pixel(&seen, &group, x, y);
-        for (value, label) in &tracks {
+        for (value, label) in &stored.tracks {
             if let Some(found) = solved(value, &seen, &sensor, x, y).map_err(failed)? {
                 pixel.solved.push(shown(found, &group, label, styles.of(label)));
             }
@@ -102,6 +73,45 @@ pub fn follow(
         page.pixels.push(pixel);
     }
     Ok(())
+}
+
+/// What the cache has of a run at the size of its pictures.
+struct Stored {
+    events: Option<Value>,
+    /// The truth first.
+    frames: Vec<Shown>,
+    /// Photocurrents, each with its label.
+    tracks: Vec<(Value, String)>,
+}
+
+impl Stored {
+    fn load(run: &Run, height: usize) -> Stored {
+        let has_size = |value: &Value| value.meta().rows().map(|rows| rows.len()) == Some(height);
+        let load = |data_type: &str| {
+            let values =
+                outputs(run, data_type).into_iter().filter_map(|(output, _)| run.value(&output).ok());
+            values.filter(has_size).collect::<Vec<_>>()
+        };
+        let frames = load("truth").into_iter().chain(load("frames")).filter_map(Shown::of).collect();
+        let mut tracks = tracks(run, outputs(run, "tracks"));
+        tracks.retain(|(value, _)| has_size(value));
+        Stored { events: load("events").into_iter().next(), frames, tracks }
+    }
+}
+
+/// Outputs of a type with their labels, each once; tracks are called as the frames rendered from them.
+fn outputs(run: &Run, data_type: &str) -> Vec<(Output, String)> {
+    let mut found: Vec<(Output, String)> = Vec::new();
+    for variant in run.variants() {
+        for output in run.outputs(variant, data_type) {
+            if !found.iter().any(|(known, _)| *known == output) {
+                let rendered = (data_type == "tracks").then(|| followed_by(run, &output)).flatten();
+                let label = run.label_in(rendered.as_ref().unwrap_or(&output), variant);
+                found.push((output, label));
+            }
+        }
+    }
+    found
 }
 
 /// The first block of the frames that are rendered from tracks, where those are joined; a label; the tracks,
