@@ -112,8 +112,8 @@ impl Exposure {
 }
 
 /// What is known at rising instants, ns, at another one, `t_ns`, of which number `after` is the first behind:
-/// `join` of the values on both sides and of the share of the way from one to the other; beyond either end the
-/// value there. `None` without instants.
+/// `join` of the values on both sides and of the share of the way from one to the other; beyond either end
+/// the value there. `None` without instants.
 #[inline]
 pub fn between<T>(
     instants: &[i64],

@@ -6,8 +6,8 @@ use photocurrent_sensor::comparator::PixelEvent;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The recorded events of all pixels of an array, pixel by pixel, each in order of in-pixel time: the recorded
-/// in-pixel stamp, or the off-pixel stamp less the smallest latency. A copy shares them.
+/// The recorded events of all pixels of an array, pixel by pixel, each in order of in-pixel time: the
+/// recorded in-pixel stamp, or the off-pixel stamp less the smallest latency. A copy shares them.
 #[derive(Clone, Debug, Default)]
 pub struct PixelEvents {
     /// Where the events of each pixel begin and end.

@@ -47,6 +47,7 @@ pub mod front_end;
 pub mod inverse;
 pub mod lanes;
 pub mod map;
+mod misfit;
 pub mod mixing;
 pub mod model;
 pub mod pooling;

@@ -143,8 +143,8 @@ impl Trials<'_> {
         Ok(Some(Reading { mirror, ..Reading::default() }))
     }
 
-    /// By how much the events are moved, right and down, so that they explain most without an offset; searched
-    /// for from none and from `start`.
+    /// By how much the events are moved, right and down, so that they explain most without an offset;
+    /// searched for from none and from `start`.
     fn shift(&self, way: Option<Mirror>, start: Option<(i32, i32)>) -> Result<(i32, i32), FormatError> {
         let mut explained: BTreeMap<(i32, i32), f64> = BTreeMap::new();
         let highest = |explained: &BTreeMap<(i32, i32), f64>| {

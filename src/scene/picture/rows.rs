@@ -131,8 +131,8 @@ impl Rows {
         })
     }
 
-    /// How many exposures cover the place of each coefficient, of the frame values that were fitted: one that lay
-    /// there throughout counts 1, one that passed by less.
+    /// How many exposures cover the place of each coefficient, of the frame values that were fitted: one
+    /// that lay there throughout counts 1, one that passed by less.
     pub(super) fn coverage(&self, grid: &Grid) -> Vec<f32> {
         let mut coverage = vec![0.0; grid.coefficients()];
         // A frame spreads one value over each square pixel of the picture.

@@ -139,8 +139,8 @@ pub struct Displacement {
     pub correlation: f64,
     /// Correlation without a shift, at the offset that suits that best.
     pub correlation_at_none: f64,
-    /// Whole pixels right and down that agree best at that same offset: what is a shift for the one offset and
-    /// none for the other is motion.
+    /// Whole pixels right and down that agree best at that same offset: what is a shift for the one offset
+    /// and none for the other is motion.
     pub shift_at_one_offset: (i32, i32),
     /// Correlation there.
     pub correlation_at_one_offset: f64,

@@ -12,7 +12,7 @@
 use super::problem::{LOG_PHOTOCURRENT_MAX, PixelProblem};
 use crate::front_end::{FrontEnd, TauRule, settled_photocurrent, settling_rate};
 use crate::lanes::{LANES, Lanes};
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 use crate::scalar::Scalar;
 use multiversion::multiversion;
 

@@ -1,7 +1,7 @@
 //! What one pixel's inverse problem consists of, and what makes it ill posed.
 
 use crate::front_end::{FrontEnd, TauRule};
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 
 /// Smallest natural log of photocurrent that a solution may hold: 4e-18, dark for any unit in use.
 pub const LOG_PHOTOCURRENT_MIN: f64 = -40.0;

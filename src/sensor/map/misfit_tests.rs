@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::front_end::FrontEnd;
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 use photocurrent_core::random::Random;
 use photocurrent_core::sensor::Reset;
 

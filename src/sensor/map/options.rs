@@ -2,7 +2,7 @@
 
 use super::prior::Prior;
 use super::problem::{MapProblem, Noise, Offsets};
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 
 /// How the problem is solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,7 +143,7 @@ pub struct MapOutcome {
 
 /// Are the log of the marginal likelihood and the misfit wanted?
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Evidence {
+pub(crate) enum Evidence {
     Wanted,
     /// It is left at zero, and so is the misfit, which saves a pass.
     Unwanted,

@@ -7,7 +7,7 @@ use super::*;
 use crate::effects::Site;
 use crate::forward::{Chain as Pixels, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use crate::front_end::FrontEnd;
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 use photocurrent_core::Exposure;
 use photocurrent_core::sensor::Reset;
 

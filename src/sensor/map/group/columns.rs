@@ -6,7 +6,7 @@ use super::passes::{Expected, Line, WideOffsets};
 use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, NO_EVENT, RISE, SEGMENT, Stream};
 use crate::elementary::exp;
 use crate::front_end::FrontEnd;
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 use crate::wide::{Flags, Wide};
 use multiversion::multiversion;
 

@@ -193,16 +193,14 @@ pub(super) fn forward<
     memory: &mut Memory<N, W>,
     evidence: &mut Evidence<W>,
 ) {
-    let mut state = begin::<N, W>(ask);
-    let steps = ask.lines.len();
+    let (mut state, steps) = (begin::<N, W>(ask), ask.lines.len());
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
     let kept = &mut memory.kept[..if KEEP { steps } else { 0 }];
     let dampings = &mut memory.dampings[..if DAMPED { steps } else { 0 }];
     let informations = &mut memory.information[..if KEEP && EVIDENCE { steps } else { 0 }];
     for j in 0..steps {
-        let line = &lines[j];
         // Nothing moves before the first step: its segment keeps all as it is.
-        let prior = &expected[j];
+        let (line, prior) = (&lines[j], &expected[j]);
         state.predict(
             &Transition::new(prior.correlation, prior.scale, &line.slopes),
             prior.fresh,

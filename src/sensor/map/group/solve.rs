@@ -12,7 +12,7 @@ use super::passes::{self, Ask, Line, Memory, WideOffsets, step};
 use super::stream::{EVENT, LIGHT, NO_EVENT};
 use super::variance;
 use super::waiting::Waiting;
-use crate::residuals::Misfit;
+use crate::misfit::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
 
 /// Variance of the first log light around the start value: free for all practical light.
@@ -28,7 +28,7 @@ const LOG_LIMIT: f64 = 40.0;
 #[derive(Clone, Debug, Default)]
 pub struct MapGroup {
     pub(super) side_by_side: InStep<WIDTH>,
-    /// For a pixel that has no other beside it: idle lanes would cost as much as pixels.
+    /// For a pixel that is solved alone: idle lanes would cost as much as pixels.
     alone: InStep<1>,
     order: Vec<usize>,
     answer: Answer,
@@ -85,7 +85,7 @@ impl MapGroup {
         self.solve_with(tasks, Evidence::Wanted, take);
     }
 
-    /// Solves one pixel; with no other beside it.
+    /// Solves one pixel.
     pub fn solve_one(&mut self, task: &MapTask<'_>) -> MapSolution<'_> {
         let mut answer = std::mem::take(&mut self.answer);
         let mut outcome = None;
@@ -101,7 +101,7 @@ impl MapGroup {
     }
 
     /// Solves `tasks`, with the evidence or without.
-    pub(in super::super) fn solve_with(
+    pub(crate) fn solve_with(
         &mut self,
         tasks: &[MapTask<'_>],
         evidence: Evidence,
