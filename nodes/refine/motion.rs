@@ -80,7 +80,7 @@ impl Neighbours<'_> {
             advect::neighbours(log, (flow, motion, doubt), (x, row.row as usize), row.span(), t_ns)
         };
         let measured = row.measured(x, sensor, log.extent, frames, threshold);
-        Trust::new(trust).hints(say, log, (row.span(), step_ns), &measured, hints);
+        Trust::new(trust).hints(say, log, row.span(), step_ns, &measured, hints);
     }
 }
 

@@ -166,7 +166,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                     threshold,
                 );
                 let say = |t_ns: i64| pictures.predict(light, (x, row.row as usize), t_ns);
-                Trust::new(trust).hints(say, &log, (row.span(), step_ns), &measured, hints);
+                Trust::new(trust).hints(say, &log, row.span(), step_ns, &measured, hints);
             };
             // First without frames that are held out from the pixels: do they come out better with the
             // picture than without?

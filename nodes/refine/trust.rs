@@ -99,17 +99,18 @@ impl Trust {
         &mut self,
         say: impl Fn(i64) -> Option<Said>,
         tracks: &LogTracks,
-        steps: ((i64, i64), i64),
+        span: (i64, i64),
+        step_ns: i64,
         measured: &Measured<'_>,
         hints: &mut Vec<Hint>,
     ) {
         hints.clear();
-        if !self.look(say, tracks, steps, measured) {
+        if !self.look(say, tracks, span, step_ns, measured) {
             return;
         }
         let TrustParams { floor, pooled, wide, one_sided, most_contradiction, together, one_error, .. } =
             self.params;
-        self.judge(steps.1, measured);
+        self.judge(step_ns, measured);
         self.contradicted.clear();
         self.contradicted.extend(
             self.said
@@ -145,7 +146,8 @@ impl Trust {
         &mut self,
         say: impl Fn(i64) -> Option<Said>,
         tracks: &LogTracks,
-        (span, step_ns): ((i64, i64), i64),
+        span: (i64, i64),
+        step_ns: i64,
         measured: &Measured<'_>,
     ) -> bool {
         self.said.clear();
@@ -378,7 +380,8 @@ mod tests {
         Trust::new(&TrustParams::default()).hints(
             say,
             &tracks,
-            ((0, 48_000_000), 100_000),
+            (0, 48_000_000),
+            100_000,
             &measured,
             &mut hints,
         );

@@ -55,15 +55,9 @@ fn along(
     let side = |direction: f64| -> Option<(f64, f64)> {
         let (mut sum, mut weights) = (0.0, 0.0);
         for (k, line_weight) in LINE_WEIGHTS.iter().enumerate() {
-            let Some((log, apart_ms)) = crossing(
-                tracks,
-                flow,
-                (x, y),
-                (span, longest_ms),
-                t_ns,
-                velocity,
-                direction * (k + 1) as f64,
-            ) else {
+            let Some((log, apart_ms)) =
+                crossing(tracks, flow, (x, y), span, longest_ms, t_ns, velocity, direction * (k + 1) as f64)
+            else {
                 break;
             };
             let stale = apart_ms / fresh_ms;
@@ -97,7 +91,8 @@ fn crossing(
     tracks: &LogTracks,
     flow: &dyn Fn(f64, f64, i64) -> [f64; 2],
     (x, y): (usize, usize),
-    (span, longest_ms): ((i64, i64), f64),
+    span: (i64, i64),
+    longest_ms: f64,
     t_ns: i64,
     velocity: [f64; 2],
     lines: f64,

@@ -95,7 +95,7 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let mut hints = Vec::new();
     let say =
         |t_ns: i64| advect::neighbours(&tracks, (&flow, &MotionParams::default(), 0.5), (12, 8), span, t_ns);
-    Trust::new(&TrustParams::default()).hints(say, &tracks, (span, 500_000), &measured, &mut hints);
+    Trust::new(&TrustParams::default()).hints(say, &tracks, span, 500_000, &measured, &mut hints);
     hints
 }
 
