@@ -2,7 +2,7 @@
 //
 // P.chart(place, { title, x, y, series: [{ label, points: [[x, y], ...], style, step, band: [[x, low, high], ...] }], bars, ticks }) draws into `place` and gives
 // { cursor(x) }, which moves a line. `y` of a point may be null: a gap. `style` is a number, or "truth"; `dots` marks points, `loose` ones
-// are not joined; with `whiskers` the band is a bar at each point. `bars` are exposures [from, to, y, label], `ticks` events [x, isOn]; `isLog`: x by its logarithm.
+// are not joined; with `whiskers` the band is a bar at each point. `bars` are exposures [from, to, y, label], `ticks` events [x, isOn]; `isLog`: x by its logarithm; `hasZero`: y reaches 0.
 {
   const DASHES = ["", "8 3", "3 2", "10 3 3 3", "15 4", "5 3", "2 2", "12 3 3 3 3 3"];
   const line = (style) =>
@@ -47,7 +47,7 @@
     const xs = shown.flatMap((one) => one.points.map((point) => point[0])).concat((spec.bars ?? []).flatMap((bar) => [bar[0], bar[1]]));
     const ys = shown.flatMap((one) => one.points.map((point) => point[1]).concat((one.band ?? []).flatMap((band) => [band[1], band[2]])));
     const [x0, x1] = spec.xRange ?? [Math.min(...xs), Math.max(...xs)].map((value, at) => (Number.isFinite(value) ? value : at));
-    const [y0, y1] = range(ys.concat((spec.bars ?? []).map((bar) => bar[2])));
+    const [y0, y1] = range(ys.concat((spec.bars ?? []).map((bar) => bar[2]), spec.hasZero ? [0] : []));
     const scaled = spec.isLog ? Math.log10 : (value) => value;
     const span = x1 > x0 ? scaled(x1) - scaled(x0) : 1;
     const x = (value) => left + ((scaled(value) - scaled(x0)) / span) * (width - left - right);

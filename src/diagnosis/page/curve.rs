@@ -67,6 +67,7 @@ fn over(covariate: Covariate, points: &[(f64, f64, f64)], unit: &str) -> Panel {
         x: axis(covariate),
         y: unit.into(),
         is_log,
+        has_zero: true,
         x_range: (ends.1 > ends.0).then(|| [six_digits(ends.0 - room), six_digits(ends.1 + room)]),
         series: vec![measured(points)],
         ..Panel::default()

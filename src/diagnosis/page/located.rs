@@ -228,6 +228,7 @@ fn small(curve: &Curve, label: &str, range: Option<[f64; 2]>) -> Panel {
     Panel {
         x: label.into(),
         y: "nats an event".into(),
+        has_zero: true,
         series: vec![measured(&points)],
         bars: range.map(bar).into_iter().collect(),
         ..Panel::default()

@@ -355,6 +355,7 @@ fn proof(html: &mut String, charts: &mut Vec<Panel>, report: &Report, case: &Cas
     let panel = Panel {
         x: "frame".into(),
         y: "root mean square error, DN".into(),
+        has_zero: true,
         series: std::iter::once(curve(before, "nominal", 0)).chain(fitted).collect(),
         ..Panel::default()
     };

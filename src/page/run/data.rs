@@ -166,6 +166,9 @@ pub struct Panel {
     /// Is x, all of it positive, shown by its logarithm?
     #[serde(rename = "isLog")]
     pub is_log: bool,
+    /// Is y = 0 shown in any case?
+    #[serde(rename = "hasZero")]
+    pub has_zero: bool,
     /// The part of x that is shown; all of it without one.
     #[serde(rename = "xRange", skip_serializing_if = "Option::is_none")]
     pub x_range: Option<[f64; 2]>,
