@@ -573,11 +573,5 @@ impl EventCursor for Followed {
         self.inner.seek(i64::MIN)
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }

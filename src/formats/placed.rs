@@ -163,13 +163,7 @@ impl EventCursor for PlacedCursor {
         self.inner.seek(t_ns)
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }
 
 /// Pictures without some.

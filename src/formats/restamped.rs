@@ -150,13 +150,7 @@ impl EventCursor for RestampedCursor {
         self.inner.seek(self.ratio.undo(t_ns))
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }
 
 #[cfg(test)]
