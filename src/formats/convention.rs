@@ -24,7 +24,7 @@
 
 use crate::chunk::EventChunk;
 use crate::declared::{Counter, Declared, Polarity};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::recording::{Convention, EventCursor, EventsAbout};
 use photocurrent_core::Extent;
 use std::collections::BTreeMap;

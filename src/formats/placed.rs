@@ -8,7 +8,7 @@
 use crate::arrange::Arranged;
 use crate::chunk::{EventChunk, Trigger};
 use crate::declared::{Declared, Mirror, Shift};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::Path;

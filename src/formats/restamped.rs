@@ -9,7 +9,7 @@
 
 use crate::chunk::{EventChunk, Trigger};
 use crate::declared::{Declared, TimeUnit};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::evidence::unit_name;
 use crate::known::Described;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
