@@ -14,7 +14,7 @@ use std::ops::Range;
 
 /// Periods without a frame that make a pause, and periods around a frame that are near it. Fifteen dropped
 /// frames are still reconstructed from events.
-pub(crate) const PAUSE: i64 = 16;
+const PAUSE: i64 = 16;
 /// The longest period, in exposures.
 const LONGEST: i64 = 1000;
 /// The period of a single frame, in exposures.
@@ -92,7 +92,7 @@ impl Coverage {
     }
 
     /// How much of a span is near frames, ns.
-    pub(crate) fn near_ns(&self, span: TimeSpan) -> i64 {
+    fn near_ns(&self, span: TimeSpan) -> i64 {
         let (mut near, mut until) = (0i64, span.start.0);
         for part in &self.parts {
             let around = self.around(part);

@@ -105,12 +105,6 @@ impl DigestBuilder {
         self.framed(&value.to_le_bytes())
     }
 
-    /// A float by its bits; `-0.0` counts as `0.0`.
-    pub fn float(&mut self, value: f64) -> &mut Self {
-        let folded = if value == 0.0 { 0.0 } else { value };
-        self.framed(&folded.to_bits().to_le_bytes())
-    }
-
     /// Another digest.
     pub fn digest(&mut self, digest: &Digest) -> &mut Self {
         self.framed(&digest.0)
@@ -150,10 +144,5 @@ mod tests {
         let published = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262";
         assert_eq!(Digest::of_bytes(b"").to_string(), published);
         assert_eq!(published.parse::<Digest>().unwrap(), Digest::of_bytes(b""));
-    }
-
-    #[test]
-    fn both_zeros_are_one() {
-        assert_eq!(DigestBuilder::new("t").float(0.0).finish(), DigestBuilder::new("t").float(-0.0).finish());
     }
 }

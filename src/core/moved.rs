@@ -41,7 +41,7 @@ impl FrameSource for Moved<FrameSequence> {
 
 impl Meta {
     /// The same of a sensor with so many rows; of what is not banded, the same.
-    pub(crate) fn with_height(&self, height: u32) -> Meta {
+    fn with_height(&self, height: u32) -> Meta {
         let of = |extent: Extent| Extent { height, ..extent };
         let frames =
             |meta: &Arc<FramesMeta>| Arc::new(FramesMeta { extent: of(meta.extent), ..(**meta).clone() });

@@ -89,7 +89,7 @@ impl Meta {
     }
 
     /// About how many bytes some rows of the value take in memory, when all rows are alike.
-    pub(crate) fn estimated_bytes_of(&self, rows: Rows) -> u64 {
+    fn estimated_bytes_of(&self, rows: Rows) -> u64 {
         let Some(all) = self.rows().filter(|all| !all.is_empty()) else { return self.estimated_bytes() };
         (self.estimated_bytes() as f64 * all.intersect(rows).len() as f64 / all.len() as f64) as u64
     }

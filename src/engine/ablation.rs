@@ -12,7 +12,7 @@ use photocurrent_core::document::{Item, Key, Origin, Problem, Source, Table, Tre
 const MOST_VARIANTS: usize = 4096;
 
 /// The name of the only variant of a manifest without an ablation.
-pub const BASE: &str = "base";
+const BASE: &str = "base";
 
 /// What an ablation says about its variants as a whole.
 #[derive(Clone, Debug)]

@@ -59,7 +59,7 @@ mod typed;
 #[cfg(test)]
 mod tests;
 
-pub use ablation::{Ablation, BASE};
+pub use ablation::Ablation;
 pub use blocks::{Blocks, Extract, Source, node_of};
 pub use budget::machine_memory;
 pub use explain::{Explanation, explain};

@@ -237,7 +237,7 @@ pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
 }
 
 /// Checks what a file, a level and `--set` have in common: the tables `pipeline` and `nodes`.
-pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
+fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
     let seed = such_as(json!({ "type": "integer", "minimum": 0 }), "`seed = 7`");
     let keep = such_as(list_of(text()), "`keep = [\"solve.tracks\"]`");
     let pipeline = object(json!({ "about": text(), "seed": seed, "keep": keep, "blocks": Blocks::schema() }));
@@ -316,7 +316,7 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
 }
 
 /// Small letters, digits and `_`, a letter first: safe in paths, references and overlays.
-pub(crate) fn is_node_id(name: &str) -> bool {
+fn is_node_id(name: &str) -> bool {
     name.starts_with(|c: char| c.is_ascii_lowercase())
         && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }

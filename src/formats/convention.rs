@@ -24,7 +24,7 @@
 
 use crate::chunk::EventChunk;
 use crate::declared::{Counter, Declared, Polarity};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::recording::{Convention, EventCursor, EventsAbout};
 use photocurrent_core::Extent;
 use std::collections::BTreeMap;
@@ -573,11 +573,5 @@ impl EventCursor for Followed {
         self.inner.seek(i64::MIN)
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }

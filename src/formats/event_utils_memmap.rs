@@ -11,8 +11,8 @@ use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::npy::pictures::NpyPictures;
 use crate::npy::place::Place;
-use crate::npy::table::{Reading, Table, TableCursor};
-use crate::npz;
+use crate::npy::table::{Reading, Table};
+use crate::npz::{self, Events};
 use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
@@ -50,9 +50,7 @@ fn without(path: &Path, names: &[&str]) -> FormatError {
 
 /// An opened folder.
 pub(crate) struct Memmap {
-    about: Lazy,
-    table: Arc<Table>,
-    reading: Reading,
+    events: Events,
     frames: Option<Arc<NpyPictures>>,
     losses: Vec<Loss>,
     files: Vec<PathBuf>,
@@ -104,7 +102,7 @@ impl Memmap {
         let reading =
             Reading { unit, scale, wraps_at: None, extent, has_t_in: false, rules: Rules::default() };
         let about = Lazy::new(path, declared, npz::about(&table, &reading, notes));
-        Ok(Memmap { about, table: Arc::new(table), reading, frames, losses, files })
+        Ok(Memmap { events: Events { about, table: Arc::new(table), reading }, frames, losses, files })
     }
 }
 
@@ -179,19 +177,15 @@ fn stated_extent(path: &Path, files: &mut Vec<PathBuf>) -> Option<Extent> {
 
 impl Recording for Memmap {
     fn events_about(&self) -> Option<&EventsAbout> {
-        Some(self.about.about(|tally| self.table.tally(self.reading, tally)))
+        Some(self.events.about())
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        let settled = self.about.settled(|tally| self.table.tally(self.reading, tally))?;
-        let reading = Reading { rules: settled.rules, ..self.reading };
-        Ok(settled.followed(Box::new(TableCursor::open(self.table.clone(), reading)?)))
+        self.events.open()
     }
 
     fn conventions(&self) -> Vec<Convention> {
-        self.about
-            .settled(|tally| self.table.tally(self.reading, tally))
-            .map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
+        self.events.conventions()
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

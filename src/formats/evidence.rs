@@ -51,6 +51,18 @@ pub(crate) fn unit_name(unit: TimeUnit) -> &'static str {
     }
 }
 
+/// Takes a unit in brackets off a name: `t [us]`.
+pub(crate) fn unit_in_brackets(name: &mut String) -> Option<TimeUnit> {
+    let mut unit = None;
+    for (open, close) in [('[', ']'), ('(', ')')] {
+        if let Some((before, after)) = name.clone().split_once(open) {
+            unit = unit_named(after.trim_end_matches(close));
+            *name = before.trim().into();
+        }
+    }
+    unit
+}
+
 /// A unit by the names that files use.
 pub(crate) fn unit_named(name: &str) -> Option<TimeUnit> {
     match name.trim().to_ascii_lowercase().as_str() {

@@ -38,7 +38,7 @@ pub struct Scan {
 }
 
 /// Stamps that a scan keeps, at most.
-pub const KEPT_STAMPS: usize = 1 << 16;
+const KEPT_STAMPS: usize = 1 << 16;
 
 impl Scan {
     /// The shortest span that holds a share (0 to 1) of the kept stamps; a few strays do not widen it. `None`

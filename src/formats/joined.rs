@@ -27,7 +27,7 @@ pub struct Joined {
 ///
 /// # Errors
 /// When there are no pictures, or nothing says when they were taken.
-pub fn with_declared_frames(
+pub(crate) fn with_declared_frames(
     events: Box<dyn Recording>,
     declared: &Declared,
 ) -> Result<Box<dyn Recording>, FormatError> {

@@ -4,7 +4,7 @@
 //! The unit of the stamps is in none of these, and the user states it; of an array of N x 4 the order of the
 //! columns too.
 
-use crate::convention::{Lazy, Rules};
+use crate::convention::{Lazy, Rules, Settled};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of, unit_name};
@@ -36,12 +36,37 @@ fn recognises(probe: &Probe) -> bool {
         && probe.head.get(30..30 + name_length).is_some_and(|name| name.ends_with(b".npy"))
 }
 
+/// Events in the columns of arrays, decided how to read when that is first needed.
+pub(crate) struct Events {
+    pub(crate) about: Lazy,
+    pub(crate) table: Arc<Table>,
+    pub(crate) reading: Reading,
+}
+
+impl Events {
+    fn settled(&self) -> Result<&Settled, FormatError> {
+        self.about.settled(|tally| self.table.tally(self.reading, tally))
+    }
+
+    pub(crate) fn about(&self) -> &EventsAbout {
+        self.about.about(|tally| self.table.tally(self.reading, tally))
+    }
+
+    pub(crate) fn open(&self) -> Result<Box<dyn EventCursor>, FormatError> {
+        let settled = self.settled()?;
+        let reading = Reading { rules: settled.rules, ..self.reading };
+        Ok(settled.followed(Box::new(TableCursor::open(self.table.clone(), reading)?)))
+    }
+
+    pub(crate) fn conventions(&self) -> Vec<Convention> {
+        self.settled().map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
+    }
+}
+
 /// An opened npz or npy file.
 pub(crate) struct Npz {
     path: PathBuf,
-    about: Lazy,
-    table: Arc<Table>,
-    reading: Reading,
+    events: Events,
     losses: Vec<Loss>,
     names: String,
 }
@@ -69,7 +94,8 @@ impl Npz {
             rules: Rules::default(),
         };
         let about = Lazy::new(path, declared, about(&table, &reading, notes));
-        Ok(Npz { path: path.into(), about, table: Arc::new(table), reading, losses, names })
+        let events = Events { about, table: Arc::new(table), reading };
+        Ok(Npz { path: path.into(), events, losses, names })
     }
 }
 
@@ -223,19 +249,15 @@ fn path_begins(path: &Path, with: &[u8]) -> Result<bool, FormatError> {
 
 impl Recording for Npz {
     fn events_about(&self) -> Option<&EventsAbout> {
-        Some(self.about.about(|tally| self.table.tally(self.reading, tally)))
+        Some(self.events.about())
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        let settled = self.about.settled(|tally| self.table.tally(self.reading, tally))?;
-        let reading = Reading { rules: settled.rules, ..self.reading };
-        Ok(settled.followed(Box::new(TableCursor::open(self.table.clone(), reading)?)))
+        self.events.open()
     }
 
     fn conventions(&self) -> Vec<Convention> {
-        self.about
-            .settled(|tally| self.table.tally(self.reading, tally))
-            .map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
+        self.events.conventions()
     }
 
     fn facts(&self) -> Vec<(String, String)> {

@@ -8,7 +8,7 @@
 use crate::arrange::Arranged;
 use crate::chunk::{EventChunk, Trigger};
 use crate::declared::{Declared, Mirror, Shift};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::Path;
@@ -163,13 +163,7 @@ impl EventCursor for PlacedCursor {
         self.inner.seek(t_ns)
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }
 
 /// Pictures without some.

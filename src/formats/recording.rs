@@ -88,6 +88,20 @@ macro_rules! forward {
 }
 pub(crate) use forward;
 
+/// What a cursor that changes another one's events passes on from the field that holds it.
+macro_rules! forward_cursor {
+    ($field:ident) => {
+        fn losses(&self) -> Vec<$crate::error::Loss> {
+            self.$field.losses()
+        }
+
+        fn position(&self) -> (u64, u64) {
+            self.$field.position()
+        }
+    };
+}
+pub(crate) use forward_cursor;
+
 /// An unusual way of storing that was recognised.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Convention {

@@ -9,7 +9,7 @@
 
 use crate::chunk::{EventChunk, Trigger};
 use crate::declared::{Declared, TimeUnit};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::evidence::unit_name;
 use crate::known::Described;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
@@ -150,13 +150,7 @@ impl EventCursor for RestampedCursor {
         self.inner.seek(self.ratio.undo(t_ns))
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }
 
 #[cfg(test)]

@@ -105,13 +105,7 @@ impl EventCursor for Trimmed {
         self.inner.seek(t_ns.saturating_add(self.trim.zero_ns).max(self.trim.start_ns))
     }
 
-    fn losses(&self) -> Vec<Loss> {
-        self.inner.losses()
-    }
-
-    fn position(&self) -> (u64, u64) {
-        self.inner.position()
-    }
+    crate::recording::forward_cursor!(inner);
 }
 
 /// No more events are sorted in memory: about 1.3 GB of columns.

@@ -284,7 +284,9 @@ mod tests {
     }
 
     fn of(id: &'static str, accepted: &[String]) -> (Result<Acts, Failure>, All) {
-        let finding = Finding::new(id, Severity::Hazard, "what", "evidence", "state `coordinate_scale = 32`");
+        let [message, evidence, what_to_do] =
+            ["what", "evidence", "state `coordinate_scale = 32`"].map(String::from);
+        let finding = Finding { id, severity: Severity::Hazard, message, evidence, what_to_do };
         let reading = Reading {
             mirror: Some(Mirror::Both),
             shift: Some(Shift { right: 1, down: 0 }),

@@ -131,9 +131,10 @@ mod tests {
         ];
         let mut ids = BTreeSet::new();
         for source in sources {
-            for call in source.split("Finding::new(").skip(1) {
-                // The id stands before the severity.
-                let before = call.split("Severity::").next().unwrap_or_default();
+            let calls = ["add", "error", "hazard", "question", "fact"].map(|name| format!("found.{name}("));
+            for call in calls.iter().flat_map(|call| source.split(call.as_str()).skip(1)) {
+                // The id is the first argument.
+                let before = call.split(',').next().unwrap_or_default();
                 let literals = before.split('"').skip(1).step_by(2).filter(|text| {
                     text.len() > 3 && text.chars().all(|c| c.is_ascii_lowercase() || c == '_')
                 });

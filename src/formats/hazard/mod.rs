@@ -5,7 +5,7 @@
 //! silently: a finding says what was seen, and the user decides.
 //!
 //! - [`limits`]: from where on something is a finding, each with its reason.
-//! - [`events`], [`frames`], [`together`]: the detectors.
+//! - `events`, `frames`, `together`: the detectors.
 //! - [`consequence`]: what becomes of each finding when a manifest is written; [`places`]: how the two
 //!   streams lie on each other, as parameters.
 //!
@@ -14,11 +14,11 @@
 //! and the file does not hold; a [`Severity::Fact`] is information and no fault.
 
 pub mod consequence;
-pub mod events;
-pub mod frames;
+mod events;
+mod frames;
 pub mod limits;
 pub mod places;
-pub mod together;
+mod together;
 
 #[cfg(test)]
 mod tests;
@@ -79,45 +79,64 @@ pub struct Finding {
     pub what_to_do: String,
 }
 
-impl Finding {
-    /// One.
-    pub fn new(
+/// Findings of one recording while they are collected.
+pub(crate) struct Findings<'a> {
+    limits: &'a Limits,
+    all: Vec<Finding>,
+}
+
+impl Findings<'_> {
+    fn add(
+        &mut self,
         id: &'static str,
         severity: Severity,
         message: impl Into<String>,
         evidence: impl Into<String>,
         what_to_do: impl Into<String>,
-    ) -> Finding {
-        Finding {
-            id,
-            severity,
-            message: message.into(),
-            evidence: evidence.into(),
-            what_to_do: what_to_do.into(),
-        }
+    ) {
+        let (message, evidence, what_to_do) = (message.into(), evidence.into(), what_to_do.into());
+        self.all.push(Finding { id, severity, message, evidence, what_to_do });
     }
 }
 
-/// Everything that is to be said of a recording, worst first.
+/// Methods of [`Findings`] that add a finding of one severity.
+macro_rules! severities {
+    ($($name:ident: $severity:ident),*) => {
+        impl Findings<'_> {
+            $(fn $name(
+                &mut self,
+                id: &'static str,
+                message: impl Into<String>,
+                evidence: impl Into<String>,
+                what_to_do: impl Into<String>,
+            ) {
+                self.add(id, Severity::$severity, message, evidence, what_to_do);
+            })*
+        }
+    };
+}
+severities!(error: Error, hazard: Hazard, question: Question, fact: Fact);
+
+/// All findings about a recording, worst first.
 pub fn findings(survey: &Survey, limits: &Limits) -> Vec<Finding> {
-    let mut found = Vec::new();
+    let mut found = Findings { limits, all: Vec::new() };
     damage(survey, &mut found);
     if let Some(events) = &survey.events {
-        events::judge(events, &survey.format, limits, &mut found);
+        events::judge(events, &survey.format, &mut found);
     }
     if let Some(frames) = &survey.frames {
-        frames::judge(frames, limits, &mut found);
+        frames::judge(frames, &mut found);
     }
     for line in &survey.triggers {
         together::line(line, survey.frames.as_ref(), &mut found);
     }
-    together::judge(survey, limits, &mut found);
-    found.sort_by_key(|finding| finding.severity);
-    found
+    together::judge(survey, &mut found);
+    found.all.sort_by_key(|finding| finding.severity);
+    found.all
 }
 
 /// What was left out, one finding for each cause: what can be done depends on it.
-fn damage(survey: &Survey, found: &mut Vec<Finding>) {
+fn damage(survey: &Survey, found: &mut Findings) {
     let mut causes: Vec<Cause> = survey.losses.iter().map(|loss| loss.cause).collect();
     causes.sort_unstable();
     causes.dedup();
@@ -126,13 +145,7 @@ fn damage(survey: &Survey, found: &mut Vec<Finding>) {
         let Some(first) = of_cause().next() else { continue };
         let (id, message, what_to_do) = advice(cause);
         let places = count(of_cause().map(|loss| loss.places).sum(), "place", "places");
-        found.push(Finding::new(
-            id,
-            Severity::Hazard,
-            message,
-            format!("{places} in all; first {}: {}", first.at, first.what),
-            what_to_do,
-        ));
+        found.hazard(id, message, format!("{places} in all; first {}: {}", first.at, first.what), what_to_do);
     }
 }
 

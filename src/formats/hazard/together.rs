@@ -1,7 +1,7 @@
 //! Hazards of events and frames together: clocks that do not meet, events in step with frames, late events,
 //! mirrored pictures, trigger edges.
 
-use super::{Finding, Limits, Severity, count, mirror_of, percent, shift_of, time};
+use super::{Findings, Severity, count, mirror_of, percent, shift_of, time};
 use crate::survey::grid::GridSurvey;
 use crate::survey::interval::Interval;
 use crate::survey::lag::LagSurvey;
@@ -10,29 +10,27 @@ use crate::survey::pictures::FramesSurvey;
 use crate::survey::{EventsSurvey, Survey};
 
 /// Adds what there is to say.
-pub fn judge(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
+pub(super) fn judge(survey: &Survey, found: &mut Findings) {
     match (&survey.events, &survey.frames) {
         (Some(events), Some(frames)) if events.count > 0 && frames.count > 0 => {
-            if overlap(events, frames, limits, found) {
-                step(survey, limits, found);
-                late(survey, frames, limits, found);
+            if overlap(events, frames, found) {
+                step(survey, found);
+                late(survey, frames, found);
             }
-            sizes(events, frames, limits, found);
+            sizes(events, frames, found);
         }
-        (None, Some(_)) => found.push(Finding::new(
+        (None, Some(_)) => found.fact(
             "frames_only",
-            Severity::Fact,
             "there are frames and no events",
             "no event stream in this file",
             "name the file of the events too",
-        )),
-        (Some(_), None) => found.push(Finding::new(
+        ),
+        (Some(_), None) => found.fact(
             "events_only",
-            Severity::Fact,
             "there are events and no frames",
             "no frames in this file",
             "name the frames too, if there are any",
-        )),
+        ),
         _ => {}
     }
 }
@@ -42,7 +40,7 @@ fn span(span: (i64, i64)) -> String {
 }
 
 /// Do the spans meet?
-fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) -> bool {
+fn overlap(events: &EventsSurvey, frames: &FramesSurvey, found: &mut Findings) -> bool {
     let (Some(of_events), Some(of_frames)) = (events.span_ns, frames.span_ns) else { return false };
     let shared = of_events.1.min(of_frames.1).saturating_sub(of_events.0.max(of_frames.0));
     let (long_events, long_frames) =
@@ -73,36 +71,29 @@ fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found:
                              stamps makes both begin together"
             ),
         };
-        found.push(Finding::new(
-            "no_overlap",
-            Severity::Error,
-            "events and frames do not overlap in time",
-            spans,
-            advice,
-        ));
+        found.error("no_overlap", "events and frames do not overlap in time", spans, advice);
         return false;
     }
-    if (shared as f64) < limits.overlap_share * long_events.min(long_frames) as f64 {
-        found.push(Finding::new(
+    if (shared as f64) < found.limits.overlap_share * long_events.min(long_frames) as f64 {
+        found.hazard(
             "little_overlap",
-            Severity::Hazard,
             "events and frames overlap little in time",
             format!("{spans}: {} are common", time(shared as f64)),
             "check the offset between the two clocks",
-        ));
+        );
     }
     true
 }
 
-fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
-    let Some(phase) = survey.phase.as_ref().filter(|phase| phase.frames >= limits.phase_fewest) else {
+fn step(survey: &Survey, found: &mut Findings) {
+    let Some(phase) = survey.phase.as_ref().filter(|phase| phase.frames >= found.limits.phase_fewest) else {
         return;
     };
     let peak = phase.profile[phase.peak];
     let by_row = phase
         .readout
         .iter()
-        .filter(|line| line.over > limits.phase_peak && line.sigma > limits.readout_sigma);
+        .filter(|line| line.over > found.limits.phase_peak && line.sigma > found.limits.readout_sigma);
     let (over, evidence) = match by_row.max_by(|a, b| a.sigma.total_cmp(&b.sigma)) {
         Some(line) => (
             line.over,
@@ -117,7 +108,7 @@ fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
                 phase.frames
             ),
         ),
-        None if peak > limits.phase_peak && phase.peak_sigma > limits.phase_sigma => {
+        None if peak > found.limits.phase_peak && phase.peak_sigma > found.limits.phase_sigma => {
             let mean_on = phase.on_share.iter().sum::<f64>() / phase.on_share.len() as f64;
             (
                 peak,
@@ -134,36 +125,35 @@ fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
         }
         None => return,
     };
-    found.push(Finding::new(
+    found.add(
         "frame_coupled_events",
-        if over > limits.phase_strong { Severity::Hazard } else { Severity::Fact },
+        if over > found.limits.phase_strong { Severity::Hazard } else { Severity::Fact },
         "some events come in step with the frames",
         evidence,
         "the switching of the frame path fires pixels: state `frame_coupling` in the description, or cut \
          that phase out; a lamp in step with the frames does this too",
-    ));
+    );
 }
 
-fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+fn late(survey: &Survey, frames: &FramesSurvey, found: &mut Findings) {
     let (Some(lag), Some(period)) = (&survey.lag, frames.period) else { return };
     let period = period.median_ns as f64;
-    if let Some((way, r)) = mirror_of(lag, limits) {
+    if let Some((way, r)) = mirror_of(lag, found.limits) {
         let how = way.name();
         let as_is = lag.mirrored[0];
-        found.push(Finding::new(
+        found.hazard(
             "mirrored",
-            Severity::Hazard,
             format!("events and frames may be mirrored, {how}"),
             format!(
                 "events correlate {r:.2} with the changes of the frames when mirrored, {as_is:.2} as they are"
             ),
             "look at a picture of both; flip one of them",
-        ));
+        );
     }
     if let Some(grid) = &lag.grid {
-        displaced(grid, limits, found);
+        displaced(grid, found);
     }
-    let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= limits.correlation) else { return };
+    let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= found.limits.correlation) else { return };
     let interval = format!("{} (95 % {} to {})", time(late.value), time(late.ci95.0), time(late.ci95.1));
     let explained = lag
         .front_end_ns
@@ -178,59 +168,58 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
     );
     // What a stated front end explains is not part of it; where none is stated, dim light may be what is
     // late.
-    let share = limits.late_share * period;
-    let beyond = lag.front_end_ns.map_or(share.max(limits.late_ns), |ns| share + limits.late_explained * ns);
+    let share = found.limits.late_share * period;
+    let beyond = lag
+        .front_end_ns
+        .map_or(share.max(found.limits.late_ns), |ns| share + found.limits.late_explained * ns);
     // What moves far within an exposure is a streak in a frame: which part of it the events show is not
     // certain, and the two correlate weakly.
     let streak = frames
         .exposure
-        .filter(|_| lag.correlation.0 < limits.late_correlation)
+        .filter(|_| lag.correlation.0 < found.limits.late_correlation)
         .map_or(0.0, |exposure| 0.5 * exposure.median_ns as f64);
     let beyond = beyond + streak;
     if late.ci95.0 > 0.5 * beyond && late.value > beyond
         || late.ci95.1 < -0.5 * beyond && late.value < -beyond
     {
         let way = if late.value > 0.0 { "late" } else { "early" };
-        found.push(Finding::new(
+        found.hazard(
             "events_late",
-            Severity::Hazard,
             format!("events are {way} against the frames"),
             evidence,
             "a latency, an offset of the clocks, or a stamp that means another part of the exposure: \
              estimate/offset measures it; state the offset, or the latency in the description",
-        ));
+        );
     } else {
-        found.push(Finding::new(
+        found.fact(
             "in_time",
-            Severity::Fact,
             "events and frames show the same changes",
             format!("events later by {evidence}"),
             "nothing",
-        ));
+        );
     }
     if let Some(drift) = lag.drift_ns_per_s {
-        drifts(drift, lag, period, limits, found);
+        drifts(drift, lag, period, found);
     }
 }
 
 /// Do the clocks drift apart?
-fn drifts(drift: Interval, lag: &LagSurvey, period_ns: f64, limits: &Limits, found: &mut Vec<Finding>) {
-    let least =
-        limits.drift_share * period_ns + limits.drift_explained * lag.front_end_ns.unwrap_or(limits.late_ns);
+fn drifts(drift: Interval, lag: &LagSurvey, period_ns: f64, found: &mut Findings) {
+    let least = found.limits.drift_share * period_ns
+        + found.limits.drift_explained * lag.front_end_ns.unwrap_or(found.limits.late_ns);
     let (early, late) = lag.drift_halves_ns_per_s;
     // Each half of the picture by itself must show it: what moves in one part only is no clock.
     let halves = [early, late].map(|half| half * drift.value.signum() * lag.drift_over_s);
-    let is_sure = lag.pairs >= limits.drift_pairs
+    let is_sure = lag.pairs >= found.limits.drift_pairs
         && (drift.ci95.0 > 0.0 || drift.ci95.1 < 0.0)
         && halves.iter().all(|half| *half > 0.5 * least);
     if is_sure
         && drift.value.abs() * lag.drift_over_s > least
-        && lag.drift_correlation.0 > lag.drift_correlation.1 + limits.drift_gain
+        && lag.drift_correlation.0 > lag.drift_correlation.1 + found.limits.drift_gain
     {
         let per_s = |ns: f64| format!("{:.0}", ns * 1e-3);
-        found.push(Finding::new(
+        found.hazard(
             "clock_drift",
-            Severity::Hazard,
             "the clocks of events and frames drift apart",
             format!(
                 "{} us a second (95 % {} to {}), {} over {}; {} and {} us a second in the two halves of the \
@@ -244,14 +233,14 @@ fn drifts(drift: Interval, lag: &LagSurvey, period_ns: f64, limits: &Limits, fou
                 per_s(late)
             ),
             "state `clock_drift` in the description, or record with a common trigger",
-        ));
+        );
     }
 }
 
 /// Do both lie on one pixel grid?
-fn displaced(grid: &GridSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+fn displaced(grid: &GridSurvey, found: &mut Findings) {
     let (best, none) = grid.correlation;
-    if best < limits.correlation {
+    if best < found.limits.correlation {
         return;
     }
     let (right, down) = (grid.right_px, grid.down_px);
@@ -265,27 +254,20 @@ fn displaced(grid: &GridSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         interval(down, "down"),
         count(grid.patches as u64, "patch", "patches")
     );
-    if shift_of(grid, limits).is_some() {
-        found.push(Finding::new(
+    if shift_of(grid, found.limits).is_some() {
+        found.hazard(
             "displaced",
-            Severity::Hazard,
             "frames and events are shifted against each other by whole pixels",
             evidence,
             "crop one of them by that shift, or state `misalignment` in the description",
-        ));
+        );
     } else {
-        found.push(Finding::new(
-            "on_one_grid",
-            Severity::Fact,
-            "events and frames lie on one pixel grid",
-            evidence,
-            "nothing",
-        ));
+        found.fact("on_one_grid", "events and frames lie on one pixel grid", evidence, "nothing");
     }
 }
 
-fn sizes(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
-    if events.count < limits.fewest_events {
+fn sizes(events: &EventsSurvey, frames: &FramesSurvey, found: &mut Findings) {
+    if events.count < found.limits.fewest_events {
         return;
     }
     let used = (events.places.largest.0 + 1, events.places.largest.1 + 1);
@@ -300,74 +282,68 @@ fn sizes(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found: &
     );
     let fits = |used: (u32, u32)| used.0 <= frames.width && used.1 <= frames.height;
     if !fits(used) && fits((used.1, used.0)) && events.extent.is_none() {
-        found.push(Finding::new(
+        found.hazard(
             "swapped",
-            Severity::Hazard,
             "columns and rows of the events may be swapped",
             evidence,
             "look at a picture of both; state the columns in the order in which they are stored",
-        ));
+        );
     } else if let Some(scale) = [16, 32, 64, 128].into_iter().find(|scale| {
         used.0.div_ceil(*scale) <= frames.width
             && used.0 > frames.width * (scale / 2)
             && used.1 > frames.height * (scale / 2)
     }) {
-        found.push(Finding::new(
+        found.error(
             "scaled",
-            Severity::Error,
             format!("coordinates of the events count {scale} to a pixel"),
             evidence,
             format!("state `coordinate_scale = {scale}`"),
-        ));
+        );
     } else if !(whole(stated.0, frames.width) && whole(stated.1, frames.height)) && events.extent.is_some() {
-        found.push(Finding::new(
+        found.question(
             "sizes_differ",
-            Severity::Question,
             "frames are no whole multiple of the events' pixels: they are not aligned as they are",
             format!("events {} x {}, frames {} x {}", stated.0, stated.1, frames.width, frames.height),
             "align them first (a homography or a crop); both cameras must see one picture",
-        ));
+        );
     }
 }
 
 /// A trigger line, against the frames.
-pub fn line(line: &LineSurvey, frames: Option<&FramesSurvey>, found: &mut Vec<Finding>) {
+pub(super) fn line(line: &LineSurvey, frames: Option<&FramesSurvey>, found: &mut Findings) {
     let name = format!("trigger line {}", line.line);
     let edges = format!("{} rising, {} falling", line.rising, line.falling);
     // A line with one kind of edge has none to miss.
     if line.unpaired > 0 {
-        found.push(Finding::new(
+        found.hazard(
             "trigger_unpaired",
-            Severity::Hazard,
             format!("edges of {name} do not come in pairs"),
             format!(
                 "{edges}; {} one of their own kind",
                 count(line.unpaired, "edge follows", "edges follow")
             ),
             "an edge was missed: frames after it may be shifted by one; count both against the frames",
-        ));
+        );
     }
     if line.gaps > 0 {
         let usual = line.period.map_or_else(String::new, |period| {
             format!(", usual {}, longest {}", time(period.median_ns as f64), time(period.max_ns as f64))
         });
-        found.push(Finding::new(
+        found.hazard(
             "trigger_gaps",
-            Severity::Hazard,
             format!("pulses of {name} are missing"),
             format!("{}{usual}", count(line.gaps, "gap", "gaps")),
             "a pulse was missed: match edges and frames by time, not by number",
-        ));
+        );
     }
     let (beats, Some(frames)) = (line.rising.max(line.falling), frames) else { return };
     let is_near = beats.abs_diff(frames.count) * 5 < frames.count;
     if is_near && beats != frames.count {
-        found.push(Finding::new(
+        found.hazard(
             "trigger_count",
-            Severity::Hazard,
             format!("{name} has another number of pulses than there are frames"),
             format!("{beats} pulses, {} frames", frames.count),
             "a frame or a pulse was lost, at an end or between: match them by time",
-        ));
+        );
     }
 }

@@ -8,7 +8,7 @@ use super::names::is_picture;
 use crate::decimal::Decimal;
 use crate::declared::{Declared, StampRole, TimeUnit};
 use crate::error::FormatError;
-use crate::evidence::{self, Of, unit_name, unit_named};
+use crate::evidence::{self, Of, unit_in_brackets, unit_name, unit_named};
 use crate::text::fields::{Separator, is_comment};
 use std::path::Path;
 
@@ -64,13 +64,7 @@ enum Role {
 
 fn role(name: &str) -> (Role, Option<TimeUnit>) {
     let mut text = name.trim().trim_matches(['"', '\'']).to_ascii_lowercase();
-    let mut unit = None;
-    for (open, close) in [('[', ']'), ('(', ')')] {
-        if let Some((before, after)) = text.clone().split_once(open) {
-            unit = unit_named(after.trim_end_matches(close));
-            text = before.trim().into();
-        }
-    }
+    let mut unit = unit_in_brackets(&mut text);
     if let Some((before, after)) = text.clone().rsplit_once('_')
         && let Some(stated) = unit_named(after)
     {

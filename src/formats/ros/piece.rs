@@ -19,7 +19,7 @@ pub(crate) enum Container {
 /// One message longer than this is left out: no camera sends it, and it is held whole.
 pub(crate) const MOST_MESSAGE: u64 = 256 << 20;
 /// A compressed chunk that claims more than this is left out: it would be a day's work for a few bytes.
-pub(crate) const MOST_CHUNK: u64 = 1 << 30;
+const MOST_CHUNK: u64 = 1 << 30;
 /// What is read from a file at a time.
 const FILE_BUFFER: usize = 1 << 16;
 

@@ -1,8 +1,7 @@
-//! Readings of one recording held against each other: another unit, offset, pixel grid, polarity or pairing,
-//! each judged by how much of the frames' change its events explain.
+//! Readings of one recording held against each other: an offset, mirrored or moved places, other signs, each
+//! judged by how much of the frames' change its events explain.
 //!
-//! A shift in time can look like much: a wrong unit, a strobe that is read upside down, a picture shifted by
-//! a pixel along its motion. So nothing is concluded from one reading alone: [`compare`] counts the same
+//! A shift in time can look like much, such as a picture shifted by a pixel along its motion. So nothing is concluded from one reading alone: [`compare`] counts the same
 //! events under every [`Alternative`] and measures each on pairs of frames that its thresholds and offset
 //! were not fitted on ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their
 //! distance decide, or that nothing does ([`decided`]).
@@ -12,7 +11,7 @@
 //! use photocurrent_formats::survey::alternatives::{Alternative, compare, decided, Much};
 //! let alternatives = [
 //!     Alternative::new("as read").fitting_offset(),
-//!     Alternative::new("stamps in milliseconds").scaled(1e-3).fitting_offset(),
+//!     Alternative::new("two pixels right").shifted(2, 0).fitting_offset(),
 //!     Alternative::new("mirrored left to right").mirrored(true, false).fitting_offset(),
 //! ];
 //! let scored = compare(recording, &alternatives, &Much::default())?;
@@ -41,13 +40,9 @@ use crate::recording::{FramesAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use photocurrent_sensor::estimate::{Changes, TILE, Trial, Waits, agreements};
 use serde::Serialize;
-use std::collections::BTreeSet;
-use std::sync::Arc;
 
-/// Pairs of frames, at most, in all.
-pub const PAIRS: usize = 32;
-/// Pairs of frames that each reading proposes, spread over the time that events and frames share in it.
-const PROPOSED: usize = 16;
+/// Pairs of frames, at most, spread over the time that events and frames share.
+pub const PAIRS: usize = 16;
 /// Tiles of a pair.
 pub const A_PAIR: usize = 96;
 /// Readings that are counted in one pass over the events.
@@ -67,28 +62,15 @@ pub const LEAST_AHEAD: f64 = 0.02;
 pub struct Alternative {
     /// What it is, for reports.
     pub name: String,
-    /// Events' stamps are multiplied by this: 1e-3 for events in microseconds that were read as milliseconds.
-    pub scale: f64,
-    /// Then this is added, ns.
-    pub offset_ns: i64,
     /// Is an offset of up to a frame period to each side fitted too, on the half of the pairs that is not
     /// measured?
     pub fits_offset: bool,
-    /// Columns and rows exchanged, before anything else is done to places.
-    pub swapped: bool,
-    /// Coordinates count so many to a pixel.
-    pub coordinate_scale: u16,
     /// Mirrored left to right, and top to bottom, within the picture.
     pub mirrored: (bool, bool),
     /// Pixels by which the events' picture is moved right and down, after mirroring.
     pub shifted: (i32, i32),
     /// ON and OFF exchanged.
     pub inverted: bool,
-    /// Middles of the exposures of row 0 of every frame, ns, in place of those of the recording: another
-    /// strobe, another pairing, another meaning of the stamp.
-    pub mids_ns: Option<Arc<[i64]>>,
-    /// Delay from row to row of the frames, ns, in place of the one that is recorded.
-    pub row_time_ns: Option<i64>,
 }
 
 impl Alternative {
@@ -96,29 +78,11 @@ impl Alternative {
     pub fn new(name: impl Into<String>) -> Alternative {
         Alternative {
             name: name.into(),
-            scale: 1.0,
-            offset_ns: 0,
             fits_offset: false,
-            swapped: false,
-            coordinate_scale: 1,
             mirrored: (false, false),
             shifted: (0, 0),
             inverted: false,
-            mids_ns: None,
-            row_time_ns: None,
         }
-    }
-
-    /// Multiplies the events' stamps.
-    #[must_use]
-    pub fn scaled(self, scale: f64) -> Alternative {
-        Alternative { scale, ..self }
-    }
-
-    /// Adds to the events' stamps, after their scale.
-    #[must_use]
-    pub fn offset(self, offset_ns: i64) -> Alternative {
-        Alternative { offset_ns, ..self }
     }
 
     /// Fits an offset of up to a frame period as well.
@@ -139,42 +103,10 @@ impl Alternative {
         Alternative { shifted: (right, down), ..self }
     }
 
-    /// Exchanges columns and rows.
-    #[must_use]
-    pub fn swapped(self) -> Alternative {
-        Alternative { swapped: true, ..self }
-    }
-
-    /// Divides coordinates.
-    #[must_use]
-    pub fn coordinates(self, scale: u16) -> Alternative {
-        Alternative { coordinate_scale: scale.max(1), ..self }
-    }
-
     /// Exchanges ON and OFF.
     #[must_use]
     pub fn inverted(self) -> Alternative {
         Alternative { inverted: true, ..self }
-    }
-
-    /// Puts the middles of the frames' exposures elsewhere; one for each frame of the recording.
-    #[must_use]
-    pub fn with_mids(self, mids_ns: Vec<i64>) -> Alternative {
-        Alternative { mids_ns: Some(mids_ns.into()), ..self }
-    }
-
-    /// States a delay from row to row.
-    #[must_use]
-    pub fn with_row_time(self, row_time_ns: i64) -> Alternative {
-        Alternative { row_time_ns: Some(row_time_ns), ..self }
-    }
-
-    /// A stamp in this reading.
-    fn time(&self, t_ns: i64) -> i64 {
-        // A product of floats has steps of a quarter of a microsecond for clocks of the day; without a scale
-        // nothing is rounded.
-        let scaled = if self.scale == 1.0 { t_ns } else { (t_ns as f64 * self.scale) as i64 };
-        scaled.saturating_add(self.offset_ns)
     }
 }
 
@@ -299,8 +231,7 @@ impl Canvas {
 
     /// Where an event of a reading falls.
     fn place(&self, of: &Alternative, x: u16, y: u16) -> Option<(usize, usize)> {
-        let (x, y) = if of.swapped { (y, x) } else { (x, y) };
-        let pixel = |at: u16| i64::from(at / of.coordinate_scale.max(1)) / self.divides as i64;
+        let pixel = |at: u16| i64::from(at) / self.divides as i64;
         let mirrored = |at: i64, is: bool, size: usize| if is { size as i64 - 1 - at } else { at };
         let x = mirrored(pixel(x), of.mirrored.0, self.width) + i64::from(of.shifted.0);
         let y = mirrored(pixel(y), of.mirrored.1, self.height) + i64::from(of.shifted.1);
@@ -330,26 +261,13 @@ pub fn compare(
     let Some(span) = much.span_ns.map_or_else(|| span(recording, much), |span| Ok(Some(span)))? else {
         return Ok(Vec::new());
     };
-    let read: Vec<i64> = about.stamps.iter().map(middle).collect();
-    let mids = |of: &Alternative| {
-        of.mids_ns
-            .as_deref()
-            .filter(|mids| mids.len() == read.len())
-            .map_or_else(|| read.clone(), <[i64]>::to_vec)
-    };
-    let chosen = pairs(alternatives, span, mids);
-    let (changes, kept, tile_of) = changing_tiles(&*pictures, &canvas, chosen);
+    let mids: Vec<i64> = about.stamps.iter().map(middle).collect();
+    let (changes, kept, tile_of) = changing_tiles(&*pictures, &canvas, pairs(&mids, span));
+    let spans: Vec<(i64, i64)> = kept.iter().map(|later| (mids[later - 1], mids[*later])).collect();
     let mut trials = Vec::with_capacity(alternatives.len());
     for some in alternatives.chunks(AT_ONCE) {
-        let made = some.iter().map(|of| {
-            let mids = mids(of);
-            Trial::new(
-                &changes,
-                &kept.iter().map(|later| (mids[later - 1], mids[*later])).collect::<Vec<_>>(),
-                of.fits_offset,
-            )
-        });
-        let mut made: Vec<Trial> = made.collect();
+        let mut made: Vec<Trial> =
+            some.iter().map(|reading| Trial::new(&changes, &spans, reading.fits_offset)).collect();
         count(recording, &canvas, about, some, &mut made, &tile_of, much)?;
         trials.extend(made);
     }
@@ -411,27 +329,14 @@ fn changing_tiles(
     (changes, kept, tile_of)
 }
 
-/// The later frames of the pairs that are evaluated, rising: of every reading some, spread over the time that
-/// its events and its frames share.
-fn pairs(
-    alternatives: &[Alternative],
-    span_ns: (i64, i64),
-    mids: impl Fn(&Alternative) -> Vec<i64>,
-) -> Vec<usize> {
-    let mut chosen = BTreeSet::new();
-    for of in alternatives {
-        let mids = mids(of);
-        let (first, last) = (of.time(span_ns.0), of.time(span_ns.1));
-        let shares = |later: &usize| {
-            mids[*later] >= first && mids[later - 1] <= last && mids[*later] > mids[later - 1]
-        };
-        let shared: Vec<usize> = (1..mids.len()).filter(shares).collect();
-        chosen.extend(
-            (0..PROPOSED.min(shared.len())).map(|n| shared[n * shared.len() / PROPOSED.min(shared.len())]),
-        );
-    }
-    let chosen: Vec<usize> = chosen.into_iter().collect();
-    (0..PAIRS.min(chosen.len())).map(|n| chosen[n * chosen.len() / PAIRS.min(chosen.len())]).collect()
+/// The later frames of the pairs that are evaluated, rising: spread over the time that events and frames
+/// share.
+fn pairs(mids: &[i64], (first, last): (i64, i64)) -> Vec<usize> {
+    let shares =
+        |later: &usize| mids[*later] >= first && mids[later - 1] <= last && mids[*later] > mids[later - 1];
+    let shared: Vec<usize> = (1..mids.len()).filter(shares).collect();
+    let count = PAIRS.min(shared.len());
+    (0..count).map(|n| shared[n * shared.len() / count]).collect()
 }
 
 /// The tiles of a pair that change most, each with its part of the picture; and of each tile of the picture
@@ -493,22 +398,16 @@ fn count(
     tile_of: &[Vec<u16>],
     much: &Much,
 ) -> Result<(), FormatError> {
-    let row_times: Vec<i64> = alternatives
-        .iter()
-        .map(|of| of.row_time_ns.or(about.row_time_ns).unwrap_or(0).saturating_mul(canvas.times as i64))
-        .collect();
+    let row_time_ns = about.row_time_ns.unwrap_or(0).saturating_mul(canvas.times as i64);
     let mut put = |(x, y): (u16, u16), stamp: i64, earlier: i64, is_on: bool| {
-        for ((of, trial), row_time_ns) in alternatives.iter().zip(trials.iter_mut()).zip(&row_times) {
+        for (of, trial) in alternatives.iter().zip(trials.iter_mut()) {
             let Some((x, y)) = canvas.place(of, x, y) else { continue };
             let (column, cell) = (x / TILE, y / TILE * canvas.across() + x / TILE);
             if column >= canvas.across() {
                 continue;
             }
-            // The time from event to event scales with the stamps, up to a quarter of the frame period.
-            let most = trial.period_ns() / 4;
-            let earlier = ((earlier as f64 * of.scale) as i64).min(most);
-            let t =
-                of.time(stamp).saturating_sub(earlier).saturating_sub(row_time_ns.saturating_mul(y as i64));
+            let earlier = earlier.min(trial.period_ns() / 4);
+            let t = stamp.saturating_sub(earlier).saturating_sub(row_time_ns.saturating_mul(y as i64));
             let pixel = y % TILE * TILE + x % TILE;
             trial.event(t, is_on != of.inverted, |pair| {
                 tile_of[pair]

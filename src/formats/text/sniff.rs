@@ -8,7 +8,7 @@ use super::fields::{Separator, is_comment};
 use crate::decimal::Decimal;
 use crate::declared::{Column, TimeUnit};
 use crate::error::FormatError;
-use crate::evidence::{unit_name, unit_named};
+use crate::evidence::{unit_in_brackets, unit_name, unit_named};
 use photocurrent_core::Extent;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -148,18 +148,12 @@ fn whole_number(fields: &[Option<Decimal>], index: usize) -> Option<u32> {
 /// A name of a column: what it holds, the unit and the size that it states.
 fn name(text: &str) -> (Column, Option<TimeUnit>, Option<u32>) {
     let mut text = text.trim().trim_matches(['"', '\'']).trim().to_ascii_lowercase();
-    let mut unit = None;
     let mut size = None;
     if let Some((before, after)) = text.clone().split_once('@') {
         size = after.trim().parse().ok().filter(|size| (1..=1 << 16).contains(size));
         text = before.trim().into();
     }
-    for (open, close) in [('[', ']'), ('(', ')')] {
-        if let Some((before, after)) = text.clone().split_once(open) {
-            unit = unit_named(after.trim_end_matches(close));
-            text = before.trim().into();
-        }
-    }
+    let mut unit = unit_in_brackets(&mut text);
     if let Some((before, after)) = text.clone().rsplit_once(['_', '/', ':'])
         && let Some(stated) = unit_named(after)
     {

@@ -181,7 +181,7 @@ impl BandStore {
 }
 
 /// A file that goes away unless it is moved first.
-struct Temporary(PathBuf);
+pub(super) struct Temporary(pub(super) PathBuf);
 
 impl Drop for Temporary {
     fn drop(&mut self) {

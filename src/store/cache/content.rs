@@ -4,6 +4,7 @@
 //! the pair (checksum, data) is placed under a lock that is held only for that moment, and a reader that
 //! finds a pair that does not fit looks again under the same lock.
 
+use super::bands::Temporary;
 use super::files::{self, Identity};
 use super::folder::{Cache, lock_file};
 use super::record::StoredOutput;
@@ -106,15 +107,6 @@ fn checked_length(root: &Path, digest: &Digest) -> Result<(Sum, Identity), Store
         return Err(damaged(format!("it has {} bytes instead of {}", identity.bytes, sum.bytes)));
     }
     Ok((sum, identity))
-}
-
-/// A file that goes away unless it is moved first.
-struct Temporary(PathBuf);
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
 }
 
 /// Stores one value, band by band; dropped before [`CacheWriter::finish`], it leaves nothing behind.

@@ -8,7 +8,7 @@ use hdf5::{Dataset, Extent, Extents, SimpleExtents};
 use hdf5_sys::h5::hsize_t;
 
 /// Numbers in a chunk of a column: 512 kB of stamps.
-pub(crate) const COLUMN_CHUNK: usize = 1 << 16;
+const COLUMN_CHUNK: usize = 1 << 16;
 
 /// Chunks that a column collects before it packs them together.
 const COLUMN_BATCH: usize = 16;

@@ -164,7 +164,7 @@ impl Recording {
     }
 
     /// The true frames' numbers; `None` for real data.
-    pub fn truth_source(&self) -> Option<Arc<dyn FrameSource>> {
+    fn truth_source(&self) -> Option<Arc<dyn FrameSource>> {
         self.inner.truth.as_ref().map(|truth| truth.dn.clone() as Arc<dyn FrameSource>)
     }
 
