@@ -23,7 +23,7 @@
 //!   (their light).
 //! - [`record`]: what a sensor with effects would have recorded of a light.
 //! - [`advice`]: what to record next.
-//! - [`diagnose`]: the stages, in order.
+//! - [`mod@diagnose`]: direct tests and confirmation; [`whole`]: all stages in one call ([`diagnose()`]).
 //! - [`stages`]: what passes between them, as documents.
 //! - [`report`]: what a diagnosis says, as `diagnosis.json`.
 //! - [`page`]: the same as a page of HTML.
@@ -54,6 +54,9 @@ pub mod stages;
 pub mod targets;
 pub mod unstated;
 pub mod verdict;
+pub mod whole;
+
+pub use whole::{Options, diagnose};
 
 #[cfg(test)]
 mod testing;

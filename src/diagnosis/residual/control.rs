@@ -138,7 +138,7 @@ mod tests {
     use crate::residual::evidence::{EvidenceSetting, evidence};
     use crate::scenes::MadeUp;
     use photocurrent_core::Extent;
-    use photocurrent_scene::mosaic::{MosaicSetting, scene};
+    use photocurrent_scene::mosaic::{PatchSetting, scene};
     use photocurrent_scene::picture::PictureSetting;
 
     #[test]
@@ -164,7 +164,7 @@ mod tests {
                 &case,
                 &nominal,
                 &PictureSetting { sharpest, ..PictureSetting::default() },
-                &MosaicSetting::default(),
+                &PatchSetting::default(),
             )
             .unwrap();
             let found = evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default()).unwrap();

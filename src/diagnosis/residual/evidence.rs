@@ -14,8 +14,12 @@
 use super::components::{Ground, Part, parts, value as part_value};
 use super::control::{Behind, control};
 use super::fit::EventNoise;
-use super::located::{Located, LocatedSetting};
-use super::open::{self, Open, OpenSetting};
+use super::located::Located;
+use super::open::{self, Open};
+pub use super::setting::EvidenceSetting;
+use super::setting::{
+    DEPENDENCES, KNOWN_STEP_NS, LEAST_EVENT_NOISE, LEAST_NOISE, LEAST_SPREAD, LEAST_UNSTATED_NOISE,
+};
 use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::rhythm::strongest_period_ns;
@@ -25,102 +29,6 @@ use photocurrent_scene::gate::Gate;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::{Scene, gate};
 use serde::{Deserialize, Serialize};
-
-/// How the method works.
-#[derive(Clone, Copy, Debug)]
-pub struct EvidenceSetting {
-    /// Light is sampled this often, ns.
-    pub step_ns: i64,
-    /// And known light at least this often, ns.
-    pub known_step_ns: i64,
-    /// About so many events are looked at.
-    pub events: usize,
-    /// Of at most so many pixels.
-    pub pixels: usize,
-    /// Fewer events than this are no evidence.
-    pub least_events: usize,
-    /// Nor is a smaller share of all events.
-    pub least_share: f64,
-    /// A place is predicted when frames miss by less than this, DN, or by [`EvidenceSetting::spread`] median
-    /// absolute deviations.
-    pub least_dn: f64,
-    /// See there.
-    pub spread: f64,
-    /// Side of the blocks for held-out gains, pixels.
-    pub block: usize,
-    /// Least threshold noise, as a share of the threshold.
-    pub least_noise: f64,
-    /// Effect size of the finite differences, as a share of a usual one.
-    pub probe: f64,
-    /// So many of the best are evaluated exactly.
-    pub refined: usize,
-    /// In so many rounds for each size.
-    pub rounds: usize,
-    /// Less than this share of the best gain to first order is not worth it.
-    pub worth_refining: f64,
-    /// And of a second effect so many.
-    pub refined_second: usize,
-    /// A size that moves by less than this share stands.
-    pub still: f64,
-    /// Largest effect size of a search.
-    pub largest_effect_size: f64,
-    /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share
-    /// of the threshold.
-    pub least_event_noise: f64,
-    /// On known light, noise of thresholds below this share of them is none that a description without
-    /// `threshold_noise` contradicts.
-    pub least_unstated_noise: f64,
-    /// Least gain of a spread of delays in the comparator, nats an event.
-    pub least_spread: f64,
-    /// Events within one cell of the picture see the same of it, pixels.
-    pub cell: f64,
-    /// Where the voltage moves slower than this share of the median, an event's time says no more than there.
-    pub least_slope: f64,
-    /// The picture may be softer than the scene by this many times what the control's is.
-    pub softness: f64,
-    /// Seed of the control.
-    pub seed: u64,
-    /// When a part of the recording stands out as the one that an effect is in.
-    pub located: LocatedSetting,
-    /// How what is in no catalogue is looked for.
-    pub open: OpenSetting,
-    /// So many of it are reported.
-    pub dependences: usize,
-}
-
-impl Default for EvidenceSetting {
-    fn default() -> EvidenceSetting {
-        EvidenceSetting {
-            step_ns: 100_000,
-            known_step_ns: 25_000,
-            events: 6_000,
-            pixels: 500,
-            least_events: 500,
-            least_share: 0.05,
-            least_dn: gate::LEAST_DN,
-            spread: gate::SPREAD,
-            block: 8,
-            least_noise: 1e-3,
-            probe: 0.05,
-            refined: 6,
-            rounds: 3,
-            worth_refining: 0.3,
-            refined_second: 4,
-            still: 0.003,
-            largest_effect_size: 12.0,
-            least_event_noise: 0.015,
-            least_unstated_noise: 0.05,
-            least_spread: 0.1,
-            cell: 0.5,
-            least_slope: 0.1,
-            softness: 3.0,
-            seed: 1,
-            located: LocatedSetting::default(),
-            open: OpenSetting::default(),
-            dependences: 6,
-        }
-    }
-}
 
 /// One effect, as the events see it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -272,14 +180,14 @@ pub fn evidence(
     let (gate, counted, share) = counted_events(case, source, setting)?;
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let step_ns =
-        if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
+    let step_ns = setting.step.ns();
+    let step_ns = if source.is_known() { step_ns.min(KNOWN_STEP_NS) } else { step_ns };
     let mut seen = on_scene(case, source, setting, &scales, gate, step_ns, [pixels, more]);
     let stated = Trial::stated(nominal);
 
     let control_case = control_recording(&seen, nominal)?;
     let control_source = source.refit(&control_case, nominal)?;
-    let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
+    let control_gate = control_source.gate(&control_case, gate::LEAST_DN, gate::SPREAD);
     let pixels = [seen.pixels.clone(), seen.more.clone()];
     let control_seen =
         on_scene(&control_case, &*control_source, setting, &scales, control_gate, step_ns, pixels);
@@ -349,7 +257,7 @@ fn counted_events(
     source: &dyn Scene,
     setting: &EvidenceSetting,
 ) -> Result<(Gate, Vec<usize>, f64), String> {
-    let gate = source.gate(case, setting.least_dn, setting.spread);
+    let gate = source.gate(case, gate::LEAST_DN, gate::SPREAD);
     let all = case.events.len();
     let counted: Vec<usize> = (0..case.extent.pixels())
         .map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count())
@@ -386,7 +294,7 @@ fn on_scene<'a>(
         more,
         setting,
         scales,
-        least: setting.least_noise * scales.threshold,
+        least: LEAST_NOISE * scales.threshold,
         is_known: source.is_known(),
         source,
         by: vec![0.0; source.target().map_or(0, |target| target.free().len())],
@@ -515,7 +423,7 @@ impl Ranking<'_> {
         let (random, parts) = self.chance.beyond(table, white);
         let mut open = seen.dependences(table, &laid[0]);
         open::beyond(&mut open, self.control_dependences);
-        open.truncate(seen.setting.dependences);
+        open.truncate(DEPENDENCES);
         if let Some(best) = open.first_mut() {
             seen.locate_dependence(table, &laid[0], &places, best);
         }
@@ -567,7 +475,6 @@ impl Ranking<'_> {
 
 /// Random effects, counted from what the control finds.
 struct Chance<'a> {
-    setting: &'a EvidenceSetting,
     scales: &'a Scales,
     nominal: &'a Nominal,
     is_known: bool,
@@ -588,8 +495,8 @@ impl<'a> Chance<'a> {
         white: f64,
         slope_per_s: f64,
     ) -> Chance<'a> {
-        let Seen { case, setting, scales, is_known, .. } = *seen;
-        let least = setting.least_noise * scales.threshold;
+        let Seen { case, scales, is_known, .. } = *seen;
+        let least = LEAST_NOISE * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
             Candidate::find(id, parameter).map_or(0.0, |candidate| {
@@ -597,34 +504,21 @@ impl<'a> Chance<'a> {
             })
         });
         let rate = case.events.len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
-        let of_control = of_table(control, white, setting, scales.threshold, &noise);
-        Chance {
-            setting,
-            scales,
-            nominal,
-            is_known,
-            noise,
-            control: of_control,
-            slope_per_s,
-            rate,
-            effect_sizes,
-        }
+        let of_control = of_table(control, white, scales.threshold, &noise);
+        Chance { scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, effect_sizes }
     }
 
     /// Best first, and the parts themselves.
     fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
         let threshold = self.scales.threshold;
-        let parts = of_table(table, white, self.setting, threshold, &self.noise);
+        let parts = of_table(table, white, threshold, &self.noise);
         // What a description does not state may be there; only on known light it is seen so sharply that it
         // must be allowed for.
-        let unstated = if self.is_known && self.nominal.threshold_noise == 0.0 {
-            self.setting.least_unstated_noise
-        } else {
-            0.0
-        };
+        let unstated =
+            if self.is_known && self.nominal.threshold_noise == 0.0 { LEAST_UNSTATED_NOISE } else { 0.0 };
         let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
-            "threshold_noise" => one.value > f64::max(self.setting.least_event_noise, unstated) * threshold,
-            "timestamp_jitter" => one.value * self.slope_per_s > self.setting.least_event_noise * threshold,
+            "threshold_noise" => one.value > f64::max(LEAST_EVENT_NOISE, unstated) * threshold,
+            "timestamp_jitter" => one.value * self.slope_per_s > LEAST_EVENT_NOISE * threshold,
             _ => true,
         };
         let mut found: Vec<Ranked> = parts
@@ -654,15 +548,8 @@ impl<'a> Chance<'a> {
     }
 }
 
-fn of_table(
-    table: &Table,
-    white: f64,
-    setting: &EvidenceSetting,
-    threshold: f64,
-    noise: &EventNoise,
-) -> Vec<Part> {
-    let least = setting.least_noise * threshold;
-    let least_spread = setting.least_spread;
+fn of_table(table: &Table, white: f64, threshold: f64, noise: &EventNoise) -> Vec<Part> {
+    let least = LEAST_NOISE * threshold;
     let [scale, refractory] = table.of_pixels();
     parts(
         &Ground {
@@ -672,7 +559,7 @@ fn of_table(
             white,
             threshold,
             least,
-            least_spread,
+            least_spread: LEAST_SPREAD,
         },
         noise,
     )

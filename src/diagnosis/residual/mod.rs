@@ -24,6 +24,7 @@ pub mod located;
 pub mod open;
 mod places;
 mod prepared;
+mod setting;
 mod table;
 
 use crate::candidates::Trial;

@@ -38,4 +38,5 @@ pub mod spline;
 pub mod system;
 
 pub use estimate::{Begin, Picture, Report};
+pub(crate) use setting::FRAME_NOISE;
 pub use setting::PictureSetting;
