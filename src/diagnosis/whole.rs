@@ -88,7 +88,7 @@ pub fn diagnose(case: &Case, options: &Options) -> Result<Diagnosis, NodeError> 
             Err(why) => Seen::Nothing(why),
         }
     };
-    let nominal = amend(case, &integrity)?.nominal()?;
+    let nominal = Nominal::of(&amend(case, &integrity)?.sensor);
     confirm(case, &options.confirm, integrity, proposed(seen, &nominal, &options.decision))
 }
 
