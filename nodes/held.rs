@@ -15,16 +15,16 @@ use photocurrent_sensor::exposure::{HeldTrack, Track};
 use std::ops::Range;
 
 /// Pixels side by side: a frame's values of a tile are one cache line.
-pub const TILE: usize = 16;
+pub(crate) const TILE: usize = 16;
 
 /// Frames whose means are made in one go: with their marks they fit the fastest cache.
 const FRAMES: usize = 192;
 
 /// One number for each pixel of a tile.
-pub type Lanes = [f64; TILE];
+pub(crate) type Lanes = [f64; TILE];
 
 /// The exposures of a row's frames, in order of their starts, and a quick way from an instant to a frame.
-pub struct Exposures {
+pub(crate) struct Exposures {
     exposures: Vec<Exposure>,
     /// Of each frame, and one that is never reached.
     starts: Vec<i64>,
@@ -37,7 +37,7 @@ pub struct Exposures {
 
 impl Exposures {
     /// Of frames in order of their starts, which [`photocurrent_core::FrameTimes`] promises.
-    pub fn new(exposures: Vec<Exposure>) -> Exposures {
+    pub(crate) fn new(exposures: Vec<Exposure>) -> Exposures {
         let mut starts: Vec<i64> = exposures.iter().map(|exposure| exposure.start.0).collect();
         debug_assert!(starts.is_sorted(), "frames are in order of their starts");
         let seconds = exposures.iter().map(Exposure::seconds).collect();
@@ -48,22 +48,17 @@ impl Exposures {
     }
 
     /// Number of frames.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.exposures.len()
     }
 
-    /// No frame at all?
-    pub fn is_empty(&self) -> bool {
-        self.exposures.is_empty()
-    }
-
     /// The exposures.
-    pub fn all(&self) -> &[Exposure] {
+    pub(crate) fn all(&self) -> &[Exposure] {
         &self.exposures
     }
 
     /// `frames` in pieces for [`HeldMeans::of`].
-    pub fn pieces(frames: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+    pub(crate) fn pieces(frames: Range<usize>) -> impl Iterator<Item = Range<usize>> {
         frames.clone().step_by(FRAMES).map(move |from| from..frames.end.min(from + FRAMES))
     }
 
@@ -104,7 +99,7 @@ fn calendar(starts: &[i64]) -> (Vec<u32>, u32) {
 /// Knots of one pixel: `value[k]` holds from `t[k]` to `t[k + 1]`, the first one before it as well, the last
 /// one for ever.
 #[derive(Clone, Copy)]
-pub struct Knots<'a, P> {
+pub(crate) struct Knots<'a, P> {
     /// Instants, ns, not falling.
     pub t: &'a [i64],
     /// Values, as many.
@@ -116,7 +111,7 @@ const UNMARKED: f64 = f64::from_bits(u64::MAX);
 
 /// Means of a tile, and the room to make them in.
 #[derive(Default)]
-pub struct HeldMeans {
+pub(crate) struct HeldMeans {
     means: Vec<Lanes>,
     straddling: Vec<(usize, usize, f64)>,
 }
@@ -127,7 +122,7 @@ impl HeldMeans {
     ///
     /// # Panics
     /// As [`HeldTrack::new`], when knots go back in time.
-    pub fn of<'a, P: Copy + Into<f64> + 'a>(
+    pub(crate) fn of<'a, P: Copy + Into<f64> + 'a>(
         &mut self,
         exposures: &Exposures,
         frames: Range<usize>,

@@ -6,17 +6,19 @@
 //! (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of
 //! many frames), [`onnx`] (networks). [`show`] is what a report shows of results.
 
+#![warn(unreachable_pub)]
+
 pub mod baseline;
 pub mod catalog;
 mod command;
 pub mod compensate;
-pub mod crop;
+mod crop;
 pub mod diagnose;
 pub mod estimate;
-pub mod held;
-pub mod onnx;
+mod held;
+mod onnx;
 pub mod read;
-pub mod reconstruct;
+mod reconstruct;
 pub mod refine;
 pub mod render;
 pub mod sampling;

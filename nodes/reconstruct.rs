@@ -37,14 +37,14 @@ photocurrent_core::ports! {
 
 impl In {
     /// What is connected.
-    pub fn request(&self) -> Request<'_> {
+    pub(crate) fn request(&self) -> Request<'_> {
         Request::connected(&self.frames, Some(&self.events), &self.at, &self.sensor)
     }
 }
 
 /// What is connected to a method's sockets, as far as it is known before the data.
 #[derive(Clone, Copy)]
-pub struct Request<'a> {
+pub(crate) struct Request<'a> {
     /// At `frames`: captured ones.
     pub frames: &'a FramesMeta,
     /// At `events`, when the method has the socket.
@@ -61,7 +61,7 @@ impl<'a> Request<'a> {
     /// # Errors
     /// When nothing is connected to `frames`, or the frames' size is no whole multiple of the events', or the
     /// two have no moment in common.
-    pub fn planned(inputs: &'a PortMetas) -> Result<Request<'a>, NodeError> {
+    pub(crate) fn planned(inputs: &'a PortMetas) -> Result<Request<'a>, NodeError> {
         let request = Request {
             frames: inputs.frames("frames")?,
             events: inputs
@@ -88,7 +88,7 @@ impl<'a> Request<'a> {
     ///
     /// # Errors
     /// When they are of other pixels.
-    pub fn lie(&self) -> Result<Option<CoLocated>, NodeError> {
+    pub(crate) fn lie(&self) -> Result<Option<CoLocated>, NodeError> {
         self.events.map(|events| CoLocated::new(events, self.frames)).transpose()
     }
 
@@ -97,13 +97,13 @@ impl<'a> Request<'a> {
     ///
     /// # Errors
     /// When they are such.
-    pub fn need_plain(&self, who: &str) -> Result<(), NodeError> {
+    pub(crate) fn need_plain(&self, who: &str) -> Result<(), NodeError> {
         let frames = CoLocated { ratio: 1, colour: self.frames.colour };
         self.lie()?.unwrap_or(frames).need_plain(who)
     }
 
     /// While running.
-    pub fn connected(
+    pub(crate) fn connected(
         frames: &'a FrameSequence,
         events: Option<&'a EventStream>,
         at: &'a Option<FrameSequence>,
@@ -121,7 +121,7 @@ impl<'a> Request<'a> {
     ///
     /// # Errors
     /// When there is no captured frame, or the sampling does not fit.
-    pub fn output(&self, sampling: &Sampling) -> Result<FramesMeta, NodeError> {
+    pub(crate) fn output(&self, sampling: &Sampling) -> Result<FramesMeta, NodeError> {
         let frames = self.frames;
         if frames.scale != FrameScale::Captured {
             return Err(NodeError::usage("the method works on captured frames")
@@ -141,7 +141,7 @@ impl<'a> Request<'a> {
     ///
     /// # Errors
     /// When no threshold is known, or the description cannot be read.
-    pub fn step_rule(
+    pub(crate) fn step_rule(
         &self,
         who: &str,
         threshold: Option<f64>,
@@ -173,7 +173,7 @@ impl<'a> Request<'a> {
     ///
     /// # Errors
     /// When white is neither stated nor in the description, or lies not above black.
-    pub fn intensity(&self, who: &str, white: Option<f64>) -> Result<Intensity, NodeError> {
+    pub(crate) fn intensity(&self, who: &str, white: Option<f64>) -> Result<Intensity, NodeError> {
         let black = black_level(self.sensor);
         let Some(white) = white.or_else(|| self.sensor.and_then(|sensor| sensor.frames.saturation_dn)) else {
             return Err(NodeError::usage(format!(
@@ -208,7 +208,7 @@ fn or_state_threshold(error: NodeError) -> NodeError {
 
 /// Intensities as the public event-camera methods use them: 0 is black, 1 is white.
 #[derive(Clone, Copy, Debug)]
-pub struct Intensity {
+pub(crate) struct Intensity {
     black: f64,
     white: f64,
     /// The exposure for which 1 is white; a longer one of the same light is not brighter.
@@ -221,7 +221,7 @@ const DARKEST: f64 = -0.5;
 
 impl Intensity {
     /// Of a captured digital number.
-    pub fn of(&self, dn: f32, exposure: Exposure) -> f64 {
+    pub(crate) fn of(&self, dn: f32, exposure: Exposure) -> f64 {
         let value =
             (f64::from(dn) - self.black) / (self.white - self.black) * (self.nominal_s / exposure.seconds());
         // `max` would turn an unknown value into the bound.
@@ -229,7 +229,7 @@ impl Intensity {
     }
 
     /// Digital number of an intensity, for an exposure of `seconds`.
-    pub fn dn(&self, intensity: f64, seconds: f64) -> f32 {
+    pub(crate) fn dn(&self, intensity: f64, seconds: f64) -> f32 {
         (self.black + intensity * (self.white - self.black) * (seconds / self.nominal_s)) as f32
     }
 }
@@ -238,7 +238,7 @@ impl Intensity {
 ///
 /// # Errors
 /// When there is none.
-pub fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
+pub(crate) fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
     match table.column("contrast") {
         Some(Column::Numbers(values)) if !values.is_empty() && values.iter().all(|c| *c > 0.0) => Ok(values),
         _ => Err(NodeError::input("the table at `contrast` has no positive number in a column `contrast`")
@@ -250,7 +250,7 @@ pub fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
 ///
 /// # Errors
 /// When there is none, or one for each frame.
-pub fn one_contrast_of(table: &Table, who: &str) -> Result<f64, NodeError> {
+pub(crate) fn one_contrast_of(table: &Table, who: &str) -> Result<f64, NodeError> {
     match contrast_of(table)? {
         [one] => Ok(*one),
         values => Err(NodeError::input(format!(
@@ -262,12 +262,12 @@ pub fn one_contrast_of(table: &Table, who: &str) -> Result<f64, NodeError> {
 }
 
 /// Black level of the description; 0 when there is none.
-pub fn black_level(sensor: Option<&Sensor>) -> f64 {
+pub(crate) fn black_level(sensor: Option<&Sensor>) -> f64 {
     sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0)
 }
 
 /// Index of the captured frame whose exposure of `row` has its middle nearest to `t`; the earlier of two.
-pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
+pub(crate) fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
     let mid = |l: usize| frames.times.exposure(l, row).mid().0;
     let after = frames
         .times
@@ -285,7 +285,7 @@ pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
 ///
 /// # Errors
 /// When they are of other pixels or cannot be read.
-pub fn events_of(
+pub(crate) fn events_of(
     events: &EventStream,
     frames: &FramesMeta,
     rows: Rows,
@@ -298,7 +298,7 @@ pub fn events_of(
 ///
 /// # Errors
 /// When a call fails, or the user interrupts.
-pub fn by_rows(
+pub(crate) fn by_rows(
     cx: &Context,
     meta: FramesMeta,
     row: impl Fn(u32) -> Result<Vec<f32>, NodeError> + Sync,
@@ -318,7 +318,7 @@ pub fn by_rows(
 ///
 /// # Errors
 /// When a call fails, or the user interrupts.
-pub fn in_rows(
+pub(crate) fn in_rows(
     cx: &Context,
     meta: FramesMeta,
     row: impl Fn(u32, &mut [&mut [f32]]) -> Result<(), NodeError> + Sync,

@@ -43,6 +43,12 @@ fn a_simulated_pixel_is_estimated_closely() {
 }
 
 #[test]
+fn larger_thresholds_than_described_are_found() {
+    let printed = output("diagnose");
+    assert!(printed.contains("threshold_scale: fraction 0."), "{printed}");
+}
+
+#[test]
 fn a_node_of_ones_own_runs_in_a_pipeline() {
     let printed = output("own_node");
     let levels: Vec<f64> =

@@ -9,11 +9,11 @@ use photocurrent_core::{EventStream, Exposure, Extent, FrameSequence, testing};
 use std::fs;
 
 /// Size of the clip.
-pub const EXTENT: Extent = Extent { width: 48, height: 32 };
+pub(crate) const EXTENT: Extent = Extent { width: 48, height: 32 };
 /// Pixels of the clip.
-pub const PIXELS: usize = 48 * 32;
+pub(crate) const PIXELS: usize = 48 * 32;
 /// Threshold of the clip's events, in log(1 + I).
-pub const CONTRAST: f64 = 0.05;
+pub(crate) const CONTRAST: f64 = 0.05;
 
 fn bytes(name: &str) -> Vec<u8> {
     fs::read(format!(concat!(env!("CARGO_MANIFEST_DIR"), "/../data/baselines/{}"), name))
@@ -21,14 +21,14 @@ fn bytes(name: &str) -> Vec<u8> {
 }
 
 /// Pictures of 64-bit numbers, each as [row][column].
-pub fn pictures(name: &str) -> Vec<Vec<f64>> {
+pub(crate) fn pictures(name: &str) -> Vec<Vec<f64>> {
     let numbers: Vec<f64> =
         bytes(name).chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight bytes"))).collect();
     numbers.chunks_exact(PIXELS).map(<[f64]>::to_vec).collect()
 }
 
 /// Every pixel's events, as (time in us, sign).
-pub fn events() -> Vec<Vec<(i64, f64)>> {
+pub(crate) fn events() -> Vec<Vec<(i64, f64)>> {
     let mut words = bytes("clip_events.u32")
         .chunks_exact(4)
         .map(|b| u32::from_le_bytes(b.try_into().expect("four bytes")))
@@ -46,7 +46,7 @@ pub fn events() -> Vec<Vec<(i64, f64)>> {
 }
 
 /// The events as a stream.
-pub fn stream() -> EventStream {
+pub(crate) fn stream() -> EventStream {
     let of = |pixel: usize, (t_us, sign): (i64, f64)| Event {
         x: (pixel % 48) as u16,
         y: (pixel / 48) as u16,
@@ -65,7 +65,7 @@ pub fn stream() -> EventStream {
 }
 
 /// The eight frames: middles 20 ms + 40 ms x l, exposed 20 ms, 8 bits.
-pub fn frames() -> FrameSequence {
+pub(crate) fn frames() -> FrameSequence {
     let dn = bytes("clip_frames.u8");
     let exposures =
         (0..8).map(|l| Exposure::new(10_000_000 + l * 40_000_000, 30_000_000 + l * 40_000_000)).collect();
@@ -73,7 +73,7 @@ pub fn frames() -> FrameSequence {
 }
 
 /// Largest difference of two pictures.
-pub fn apart(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn apart(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
     a.iter().zip(b).fold(0.0, |worst, (a, b)| if (a - b).abs() <= worst { worst } else { (a - b).abs() })
 }

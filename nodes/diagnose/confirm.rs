@@ -12,39 +12,9 @@ use photocurrent_core::{
     NodeError, PortMetas, Sensor,
 };
 use photocurrent_diagnosis::diagnose::{Setting, confirm};
-use photocurrent_diagnosis::judge::Judging;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::stages::{read_integrity, read_proposals};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Parameters of `diagnose/confirm`.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the
-    /// light; without it direct tests take a second.
-    pub proof: bool,
-    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
-    #[schemars(range(min = 0.0))]
-    pub most_worse_db: f64,
-    /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it
-    /// predicts held-out frames better by more than this, dB.
-    #[schemars(range(min = 0.0))]
-    pub least_better_db: f64,
-}
-
-impl Default for Params {
-    fn default() -> Params {
-        let setting = Setting::default();
-        Params {
-            proof: true,
-            most_worse_db: setting.most_worse_db,
-            least_better_db: setting.judging.least_better_db,
-        }
-    }
-}
 
 photocurrent_core::ports! {
     /// The recording, what is stated of its sensor, and what the stages before found.
@@ -76,7 +46,7 @@ photocurrent_core::ports! {
 
 /// The node.
 pub struct DiagnoseConfirm {
-    params: Params,
+    setting: Setting,
 }
 
 impl Node for DiagnoseConfirm {
@@ -111,12 +81,12 @@ kind = "diagnose/confirm"
 in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings", proposals = "decide" }
 "#,
     };
-    type Params = Params;
+    type Params = Setting;
     type In = In;
     type Out = Out;
 
-    fn build(params: Params) -> Result<Self, NodeError> {
-        Ok(DiagnoseConfirm { params })
+    fn build(setting: Setting) -> Result<Self, NodeError> {
+        Ok(DiagnoseConfirm { setting })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -133,10 +103,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed =
             input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
-        let Params { proof, most_worse_db, least_better_db } = self.params;
-        let judging = Judging { least_better_db };
-        let setting =
-            Setting { seed: cx.seed(), without_proof: !proof, most_worse_db, judging, ..Setting::default() };
+        let setting = Setting { seed: cx.seed(), ..self.setting };
         let integrity = read_integrity(&input.integrity)?;
         let before = integrity.findings.len();
         let found = confirm(&case, &setting, integrity, proposed)?;
@@ -153,7 +120,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         for id in &found.withdrawn {
             cx.note(format!(
                 "{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB",
-                self.params.most_worse_db
+                setting.most_worse_db
             ));
         }
         cx.note(format!("{}: {}", found.report.verdict.name(), found.report.summary));

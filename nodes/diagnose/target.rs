@@ -25,7 +25,6 @@ use photocurrent_scene::case::Case;
 use photocurrent_scene::closed::ClosedScene;
 use photocurrent_scene::light::Knots;
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_scene::picture::PictureSetting;
 use photocurrent_scene::target::{Form, Target, TargetSetting};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -59,12 +58,9 @@ pub struct Params {
     /// What is fitted: names of parameters, those of the scene as `siemens_disk.speed`, each with the range
     /// that it lies in.
     pub free: BTreeMap<String, [Value; 2]>,
-    /// Frame values that are fitted, at most.
-    #[schemars(range(min = 100, max = 1_000_000))]
-    pub values: u32,
-    /// Places of the ranges at which the search begins.
-    #[schemars(range(min = 1, max = 10_000_000))]
-    pub tries: u32,
+    /// How it is fitted.
+    #[serde(flatten)]
+    pub fit: TargetSetting,
     #[serde(flatten)]
     #[allow(missing_docs)]
     pub details: Details,
@@ -80,8 +76,7 @@ impl Default for Params {
             start: Duration::new(0),
             blur: 0.0,
             free: BTreeMap::new(),
-            values: 20_000,
-            tries: 20_000,
+            fit: TargetSetting::default(),
             details: Details::default(),
         }
     }
@@ -286,18 +281,13 @@ struct Fitted {
 
 /// A target from its document, its free parameters fitted to the frames of a recording from where they were
 /// found.
-pub fn read_target(
-    document: &Diagnosis,
-    case: &Case,
-    nominal: &Nominal,
-    picture: &PictureSetting,
-) -> Result<Target, NodeError> {
+pub fn read_target(document: &Diagnosis, case: &Case, nominal: &Nominal) -> Result<Target, NodeError> {
     let Fitted { params, seed, shares } = document.read()?;
     let params: Params = serde_json::from_value(params)
         .map_err(|why| NodeError::failed(format!("a fitted target cannot be read: {why}")))?;
     let node = DiagnoseTarget::build(params)?;
     let form = Arc::new(node.family(case.extent, &case.sensor, seed));
-    Target::near(case, nominal, form, node.setting(seed), picture, &shares)
+    Target::near(case, nominal, form, node.setting(seed), &shares)
         .ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
 }
 
@@ -319,7 +309,7 @@ impl DiagnoseTarget {
     }
 
     fn setting(&self, seed: u64) -> TargetSetting {
-        TargetSetting { values: self.params.values as usize, tries: self.params.tries as usize, seed }
+        TargetSetting { seed, ..self.params.fit }
     }
 }
 
@@ -393,9 +383,8 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let case = super::case(input.events.as_ref(), Some(&input.frames), &input.sensor)?;
         let nominal = case.nominal()?;
         let family = Arc::new(self.family(case.extent, &input.sensor, cx.seed()));
-        let target =
-            Target::fit(&case, &nominal, family.clone(), self.setting(cx.seed()), &PictureSetting::default())
-                .ok_or_else(|| NodeError::failed("the target's parameters make no scene".to_owned()))?;
+        let target = Target::fit(&case, &nominal, family.clone(), self.setting(cx.seed()))
+            .ok_or_else(|| NodeError::failed("the target's parameters make no scene".to_owned()))?;
         let (shares, errors) = (target.shares(), target.errors());
         let params = family.params(shares)?;
         for (free, share) in self.free.iter().zip(shares) {

@@ -49,7 +49,7 @@ const DELAY_SHARE: f64 = 0.5;
 const SATURATED: f32 = 0.995;
 
 /// Refuses frames that are no whole multiple of the events' pixels.
-pub fn fits(events: &EventsMeta, frames: &FramesMeta) -> Result<u32, NodeError> {
+pub(crate) fn fits(events: &EventsMeta, frames: &FramesMeta) -> Result<u32, NodeError> {
     let (e, f) = (events.extent, frames.extent);
     let times = f.width / e.width.max(1);
     if times == 0 || (e.width * times, e.height * times) != (f.width, f.height) {

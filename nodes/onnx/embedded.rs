@@ -7,7 +7,7 @@ use rten_tensor::Layout;
 use std::sync::Arc;
 
 /// A network of the embedded backend.
-pub struct Embedded {
+pub(crate) struct Embedded {
     name: String,
     model: Model,
 }
@@ -17,7 +17,7 @@ impl Embedded {
     ///
     /// # Errors
     /// When it is none, or has operators that are not known here.
-    pub fn load(name: &str, content: Vec<u8>) -> Result<Embedded, NodeError> {
+    pub(crate) fn load(name: &str, content: Vec<u8>) -> Result<Embedded, NodeError> {
         let model = Model::load(content).map_err(|error| {
             NodeError::input(format!("{name} is no network that the embedded backend can run: {error}")).hint(
                 "check the file, or name an ONNX Runtime library in `runtime`, which has more operators",

@@ -9,8 +9,8 @@
 //! machines and backends to about 1e-6 of their size, not to the last bit; on one machine they do not depend
 //! on the number of threads.
 
-pub mod embedded;
-pub mod runtime;
+pub(crate) mod embedded;
+pub(crate) mod runtime;
 
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::{FileRef, NodeError};
@@ -18,7 +18,7 @@ use std::path::Path;
 
 /// Numbers with a shape, row-major.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tensor {
+pub(crate) struct Tensor {
     /// Length of each dimension.
     pub shape: Vec<usize>,
     /// The values, the last dimension fastest.
@@ -35,7 +35,7 @@ pub struct Sockets {
 }
 
 /// A network ready to run, from many threads at once.
-pub trait Network: Send + Sync {
+pub(crate) trait Network: Send + Sync {
     /// The outputs of these names, in this order, for inputs by name.
     ///
     /// # Errors
@@ -62,7 +62,7 @@ pub trait Network: Send + Sync {
 
 /// The files that a node reads which runs a network: the network, a parameter of this name, and the library
 /// at `runtime`.
-pub fn files(param: &str, network: &InputPath, runtime: Option<&InputPath>) -> Vec<FileRef> {
+pub(crate) fn files(param: &str, network: &InputPath, runtime: Option<&InputPath>) -> Vec<FileRef> {
     let file = |(param, path): (&str, &InputPath)| FileRef { param: param.into(), path: path.path().into() };
     std::iter::once((param, network)).chain(runtime.map(|path| ("runtime", path))).map(file).collect()
 }
@@ -71,7 +71,7 @@ pub fn files(param: &str, network: &InputPath, runtime: Option<&InputPath>) -> V
 ///
 /// # Errors
 /// When the parameter is missing.
-pub fn need_weights(weights: &InputPath, ours: &str) -> Result<(), NodeError> {
+pub(crate) fn need_weights(weights: &InputPath, ours: &str) -> Result<(), NodeError> {
     if weights.path().as_os_str().is_empty() {
         let hint = format!("name {ours} of this project, relative to the manifest");
         return Err(NodeError::usage("`weights` is missing: the file of the network")
@@ -86,7 +86,11 @@ pub fn need_weights(weights: &InputPath, ours: &str) -> Result<(), NodeError> {
 ///
 /// # Errors
 /// When it is no network, uses operators that the backend does not have, or the library cannot be loaded.
-pub fn load(name: &str, content: Vec<u8>, library: Option<&Path>) -> Result<Box<dyn Network>, NodeError> {
+pub(crate) fn load(
+    name: &str,
+    content: Vec<u8>,
+    library: Option<&Path>,
+) -> Result<Box<dyn Network>, NodeError> {
     match library {
         None => Ok(Box::new(embedded::Embedded::load(name, content)?)),
         Some(library) => Ok(Box::new(runtime::Runtime::load(name, content, library)?)),

@@ -15,7 +15,7 @@ use std::sync::{Mutex, PoisonError};
 static LOADED: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
 
 /// A network of ONNX Runtime.
-pub struct Runtime {
+pub(crate) struct Runtime {
     name: String,
     library: String,
     content: Vec<u8>,
@@ -63,7 +63,7 @@ impl Runtime {
     ///
     /// # Errors
     /// When the library cannot be loaded, or refuses the network.
-    pub fn load(name: &str, content: Vec<u8>, library: &Path) -> Result<Runtime, NodeError> {
+    pub(crate) fn load(name: &str, content: Vec<u8>, library: &Path) -> Result<Runtime, NodeError> {
         let environment = environment(library)?;
         let file = library.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let mut runtime = Runtime {

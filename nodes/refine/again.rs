@@ -51,13 +51,13 @@ pub(super) struct Solver {
 }
 
 impl Solver {
-    pub fn build(options: SolveOptions) -> Result<Solver, NodeError> {
+    pub(crate) fn build(options: SolveOptions) -> Result<Solver, NodeError> {
         options.check()?;
         Ok(Solver { options })
     }
 
     /// What the node's output will be.
-    pub fn plan(&self, kind: &str, inputs: &PortMetas) -> Result<TracksMeta, NodeError> {
+    pub(crate) fn plan(&self, kind: &str, inputs: &PortMetas) -> Result<TracksMeta, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         check_one_clock(events, frames, Some(inputs.sensor("sensor")?))?;
         check_covered(Some(events), frames, Some(inputs.sensor("sensor")?))?;
@@ -69,7 +69,7 @@ impl Solver {
     }
 
     /// The tracks to come; refuses tracks that are not those of these events and frames.
-    pub fn meta(
+    pub(crate) fn meta(
         &self,
         kind: &str,
         tracks: &TracksMeta,
@@ -95,7 +95,7 @@ impl Solver {
     }
 
     /// Takes a recording in, all rows of it.
-    pub fn take_in(
+    pub(crate) fn take_in(
         &self,
         meta: TracksMeta,
         events: &EventStream,
@@ -137,17 +137,17 @@ pub(super) struct Row {
 
 impl Row {
     /// First and last instant, ns.
-    pub fn span(&self) -> (i64, i64) {
+    pub(crate) fn span(&self) -> (i64, i64) {
         self.setting.span
     }
 
     /// The events of pixel x, in order of in-pixel time.
-    pub fn events_of(&self, x: usize) -> &[PixelEvent] {
+    pub(crate) fn events_of(&self, x: usize) -> &[PixelEvent] {
         self.taken.data().events_of(x)
     }
 
     /// Pixel x and what it measured, with some of its frame values.
-    pub fn measured<'a>(
+    pub(crate) fn measured<'a>(
         &'a self,
         x: usize,
         sensor: &'a Posed,
@@ -166,7 +166,7 @@ impl Row {
     }
 
     /// The frame values of pixel x.
-    pub fn frames_of(&self, x: usize) -> &[MapFrame] {
+    pub(crate) fn frames_of(&self, x: usize) -> &[MapFrame] {
         self.taken.data().frames_of(x)
     }
 }
@@ -182,14 +182,14 @@ pub(super) struct Again {
 
 impl Again {
     /// When every pixel had events.
-    pub fn fired(&self) -> Arc<Fired> {
+    pub(crate) fn fired(&self) -> Arc<Fired> {
         let width = self.meta.extent.width as usize;
         let times = |row: &Row, x: usize| row.events_of(x).iter().map(|event| event.t_in_ns).collect();
         Arc::new(Fired::new(self.rows.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))))
     }
 
     /// Where and when pixels fired with events of their neighbours.
-    pub fn activity(&self) -> Activity {
+    pub(crate) fn activity(&self) -> Activity {
         let width = self.meta.extent.width as usize;
         let events = self.rows.iter().flat_map(|row| {
             let of_pixel = move |x: usize| {
@@ -201,14 +201,14 @@ impl Again {
     }
 
     /// The sensor as the solver sees it.
-    pub fn sensor(&self) -> Posed {
+    pub(crate) fn sensor(&self) -> Posed {
         Posed { model: self.model.sensor(), added: self.model.added() }
     }
 
     /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best
     /// predict frames that were held out from them; `of_row` and `hints_of` as for [`Again::solve`], but
     /// hints must know nothing of those frames.
-    pub fn caution<L>(
+    pub(crate) fn caution<L>(
         &mut self,
         trust: &TrustParams,
         of_row: impl Fn(&Row) -> L + Sync,
@@ -233,7 +233,7 @@ impl Again {
 
     /// Widens standard deviations so far as frames that were held out show that to be needed with the same
     /// hints as will be given; they must know nothing of those frames.
-    pub fn widen<L>(
+    pub(crate) fn widen<L>(
         &mut self,
         of_row: impl Fn(&Row) -> L + Sync,
         hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
@@ -278,7 +278,7 @@ impl Again {
     /// Solves every pixel with the hints that `hints_of` gives for a row and column, from what `of_row` says
     /// of the row; its last argument but one is how exactly a pixel knows its light by itself, natural-log
     /// units. Standard deviations are found in the last round only.
-    pub fn solve<L>(
+    pub(crate) fn solve<L>(
         &mut self,
         cx: &Context,
         is_last: bool,

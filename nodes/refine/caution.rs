@@ -42,7 +42,7 @@ pub(super) struct Caution {
 
 impl Caution {
     /// Of what pixels lost that are spread over the sensor.
-    pub fn choose(extent: Extent, lost: &[Lost], params: &TrustParams) -> Caution {
+    pub(crate) fn choose(extent: Extent, lost: &[Lost], params: &TrustParams) -> Caution {
         let TrustParams { clear_gain, near, everywhere, .. } = *params;
         let mean =
             |n: usize| lost.iter().map(|lost| lost.errors[n]).sum::<f64>() / usize::max(lost.len(), 1) as f64;
@@ -71,12 +71,12 @@ impl Caution {
     }
 
     /// The caution of a pixel; infinity stands for no hints at all.
-    pub fn at(&self, x: usize, y: usize) -> f64 {
+    pub(crate) fn at(&self, x: usize, y: usize) -> f64 {
         self.of_square[(y / SQUARE as usize) * self.columns + x / SQUARE as usize]
     }
 
     /// Is any pixel given hints?
-    pub fn trusts_some(&self) -> bool {
+    pub(crate) fn trusts_some(&self) -> bool {
         self.of_square.iter().any(|caution| caution.is_finite())
     }
 }

@@ -49,7 +49,7 @@ pub(super) struct Neighbours<'a> {
 
 impl Neighbours<'_> {
     /// Do pixels without some of their frames predict those better with what neighbours say than without?
-    pub fn caution(&self, again: &mut Again) -> Caution {
+    pub(crate) fn caution(&self, again: &mut Again) -> Caution {
         again.caution(
             self.trust,
             |_| (),
@@ -59,7 +59,7 @@ impl Neighbours<'_> {
 
     /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully
     /// as `least`.
-    pub fn hints(
+    pub(crate) fn hints(
         &self,
         row: &Row,
         x: usize,

@@ -8,7 +8,7 @@
 
 mod params;
 
-pub use params::TrustParams;
+pub(crate) use params::TrustParams;
 
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Duration;
@@ -79,7 +79,7 @@ pub(super) struct Trust {
 
 impl Trust {
     /// With nothing collected.
-    pub fn new(params: &TrustParams) -> Trust {
+    pub(crate) fn new(params: &TrustParams) -> Trust {
         Trust {
             params: *params,
             said: Vec::new(),
@@ -95,7 +95,7 @@ impl Trust {
     /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` predicts; none
     /// where it has nothing to say, or the pixel's measurements disagree. Where nothing is said the pixel's
     /// own `tracks` stand.
-    pub fn hints(
+    pub(crate) fn hints(
         &mut self,
         say: impl Fn(i64) -> Option<Said>,
         tracks: &LogTracks,

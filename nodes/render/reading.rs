@@ -25,7 +25,7 @@ impl Readout {
     ///
     /// # Errors
     /// When an effect is not understood.
-    pub fn new(sensor: &Sensor, scale: FrameScale) -> Result<Option<Readout>, NodeError> {
+    pub(crate) fn new(sensor: &Sensor, scale: FrameScale) -> Result<Option<Readout>, NodeError> {
         if scale != FrameScale::Captured || sensor.effects.is_empty() {
             return Ok(None);
         }
@@ -36,14 +36,14 @@ impl Readout {
     }
 
     /// When row `y` of `height` is really exposed.
-    pub fn exposure(&self, (y, height): (u32, u32), frame: usize, exposure: Exposure) -> Exposure {
+    pub(crate) fn exposure(&self, (y, height): (u32, u32), frame: usize, exposure: Exposure) -> Exposure {
         let row = RowSite { y, height, frame, row_time_ns: self.model.row_time_ns };
         self.undo.known().iter().fold(exposure, |exposure, effect| effect.exposure(&row, exposure))
     }
 
     /// The digital number that is read where the stated sensor would read `dn`, and would have read `before`
     /// of the frame before.
-    pub fn read(&self, number: DigitalNumber, site: &Site, frame: usize, dn: f64, before: f64) -> f64 {
+    pub(crate) fn read(&self, number: DigitalNumber, site: &Site, frame: usize, dn: f64, before: f64) -> f64 {
         let charge = |dn: f64| (dn - number.black_level) / number.gain;
         let reading = Reading {
             frame,

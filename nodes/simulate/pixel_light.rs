@@ -16,7 +16,14 @@ pub(super) struct PixelLight {
 
 impl PixelLight {
     /// Takes the light of pixel (x, y) from a band that holds its row and those that `kernel` reaches.
-    pub fn take(&mut self, light: &LightBand, extent: Extent, kernel: Option<&Kernel>, x: u32, y: u32) {
+    pub(crate) fn take(
+        &mut self,
+        light: &LightBand,
+        extent: Extent,
+        kernel: Option<&Kernel>,
+        x: u32,
+        y: u32,
+    ) {
         self.own.take(light, x, y);
         self.is_mixed = kernel.is_some();
         if let Some(kernel) = kernel {
@@ -28,7 +35,7 @@ impl PixelLight {
     ///
     /// # Errors
     /// When the light is not positive everywhere.
-    pub fn seen(&self) -> Result<LinearLight<'_>, NodeError> {
+    pub(crate) fn seen(&self) -> Result<LinearLight<'_>, NodeError> {
         if self.is_mixed { self.mixed.light() } else { self.own.light() }
     }
 
@@ -36,7 +43,7 @@ impl PixelLight {
     ///
     /// # Errors
     /// When the light is not positive everywhere.
-    pub fn own(&self) -> Result<LinearLight<'_>, NodeError> {
+    pub(crate) fn own(&self) -> Result<LinearLight<'_>, NodeError> {
         self.own.light()
     }
 }

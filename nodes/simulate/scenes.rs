@@ -107,8 +107,8 @@ pub(crate) mod tests {
     use super::*;
     use photocurrent_scene::closed::{BRIGHTEST, DARKEST};
 
-    pub const EXTENT: Extent = Extent { width: 80, height: 60 };
-    pub const ALL: [Name; 9] = [
+    pub(crate) const EXTENT: Extent = Extent { width: 80, height: 60 };
+    pub(crate) const ALL: [Name; 9] = [
         Name::Basketball,
         Name::Checkerboard,
         Name::ColourWheel,

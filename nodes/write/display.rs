@@ -21,7 +21,7 @@ const STEPS: usize = 1 << 14;
 
 /// Which DN are black and white.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub(crate) struct Look {
     /// DN of black.
     pub black: f64,
     /// DN of white, more than black.
@@ -33,7 +33,7 @@ impl Look {
     ///
     /// # Errors
     /// When frames cannot be read.
-    pub fn of(
+    pub(crate) fn of(
         frames: &FrameSequence,
         sensor: Option<&Sensor>,
         white: Option<f64>,
@@ -48,7 +48,7 @@ impl Look {
     }
 
     /// A sentence that says what was done.
-    pub fn about(&self) -> String {
+    pub(crate) fn about(&self) -> String {
         format!(
             "for looking only: 8 bits, sRGB, black is {} DN, white is {} DN",
             self.black,
@@ -57,7 +57,7 @@ impl Look {
     }
 
     /// The curve from light to 8 bits.
-    pub fn curve(&self) -> Curve {
+    pub(crate) fn curve(&self) -> Curve {
         let codes = (0..=STEPS)
             .map(|step| srgb(step as f64 / STEPS as f64))
             .map(|code| (255.0 * code).round() as u8)
@@ -90,14 +90,14 @@ fn srgb(light: f64) -> f64 {
 }
 
 /// Codes for steps of light from black to white.
-pub struct Curve {
+pub(crate) struct Curve {
     look: Look,
     codes: Vec<u8>,
 }
 
 impl Curve {
     /// The code of a value; what is not known (NaN) is black.
-    pub fn of(&self, dn: f32) -> u8 {
+    pub(crate) fn of(&self, dn: f32) -> u8 {
         let share = (f64::from(dn) - self.look.black) / (self.look.white - self.look.black);
         // NaN becomes 0, and what lies outside is clipped.
         let step = (share * STEPS as f64 + 0.5) as usize;

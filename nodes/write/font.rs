@@ -2,9 +2,9 @@
 //! character displays.
 
 /// Width of a character cell in dots, with the gap to the next.
-pub const CELL_WIDTH: u32 = 6;
+pub(crate) const CELL_WIDTH: u32 = 6;
 /// Height of a character in dots, descenders included.
-pub const CELL_HEIGHT: u32 = 8;
+pub(crate) const CELL_HEIGHT: u32 = 8;
 
 /// Five columns per character from the space on; the lowest bit is the top dot.
 const GLYPHS: [[u8; 5]; 95] = [
@@ -106,13 +106,13 @@ const GLYPHS: [[u8; 5]; 95] = [
 ];
 
 /// Width of a text in dots.
-pub fn width(text: &str) -> u32 {
+pub(crate) fn width(text: &str) -> u32 {
     text.chars().count() as u32 * CELL_WIDTH
 }
 
 /// Calls `dot` with the place of every dot of a text whose top left corner is at (0, 0). What is not
 /// printable ASCII becomes `?`.
-pub fn dots(text: &str, mut dot: impl FnMut(u32, u32)) {
+pub(crate) fn dots(text: &str, mut dot: impl FnMut(u32, u32)) {
     for (i, character) in text.chars().enumerate() {
         let index = (character as usize)
             .checked_sub(0x20)

@@ -60,7 +60,7 @@ mod testing {
 
     /// Calls `work` with a context that has a folder to write to; then gives result, notes and folder to
     /// `look`.
-    pub fn exporting<T>(work: impl FnOnce(&Context) -> T, look: impl FnOnce(T, Vec<String>, &Path)) {
+    pub(crate) fn exporting<T>(work: impl FnOnce(&Context) -> T, look: impl FnOnce(T, Vec<String>, &Path)) {
         let folder = tempfile::tempdir().unwrap();
         let (wanted, cancel, notes) = (BTreeSet::new(), AtomicBool::new(false), Notes::default());
         let result = work(&Context::new(

@@ -8,7 +8,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 /// A picture to write.
-pub struct Picture<'a> {
+pub(crate) struct Picture<'a> {
     /// Values in a row are `width * channels`.
     pub width: u32,
     /// Rows.
@@ -28,18 +28,18 @@ impl Picture<'_> {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), NodeError> {
+    pub(crate) fn save(&self, path: &Path) -> Result<(), NodeError> {
         let file = File::create(path).map_err(|error| cannot_write(path, &error))?;
         self.encode(BufWriter::new(file)).map_err(|error| cannot_write(path, &error))
     }
 
     /// Encodes it with quick compression.
-    pub fn encode(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
+    pub(crate) fn encode(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
         self.encode_as(to, Compression::Fast)
     }
 
     /// Encodes it for a place where size counts.
-    pub fn encode_small(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
+    pub(crate) fn encode_small(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
         self.encode_as(to, Compression::Balanced)
     }
 
@@ -59,7 +59,7 @@ impl Picture<'_> {
 
 /// Reads a PNG back, for tests: values as they stand in the file, and its header.
 #[cfg(test)]
-pub fn load(path: &Path) -> (Vec<u16>, png::Info<'static>) {
+pub(crate) fn load(path: &Path) -> (Vec<u16>, png::Info<'static>) {
     let mut reader =
         png::Decoder::new(std::io::BufReader::new(File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];

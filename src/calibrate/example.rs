@@ -7,7 +7,7 @@ use photocurrent_diagnosis::decide::model::Facts;
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting};
 use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_scene::Scene;
-use photocurrent_scene::mosaic::{MosaicSetting, scene};
+use photocurrent_scene::mosaic::{PatchSetting, scene};
 use photocurrent_scene::picture::PictureSetting;
 use photocurrent_scene::target::{Target, TargetSetting};
 use serde::{Deserialize, Serialize};
@@ -68,12 +68,13 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let picture = PictureSetting::default();
     let evidence_on = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());
     let found = match target {
-        None => scene(&case, &nominal, &picture, &MosaicSetting::default())
+        None => scene(&case, &nominal, &picture, &PatchSetting::default())
             .and_then(|source| evidence_on(source.as_ref()))
             .ok(),
         // The search finds the same place; only the fit is of interest.
-        Some((form, shares)) => Target::near(&case, &nominal, form, FEWER, &picture, &shares)
-            .and_then(|source| evidence_on(&source).ok()),
+        Some((form, shares)) => {
+            Target::near(&case, &nominal, form, FEWER, &shares).and_then(|source| evidence_on(&source).ok())
+        }
     };
     Ok(Example::new(truth, found))
 }

@@ -7,7 +7,7 @@ use crate::heldout::{Prediction, predict};
 pub use crate::integrity::can_compare;
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Integrity, TESTED, integrity};
-use crate::judge::{Judging, judged};
+use crate::judge::judged;
 use crate::report::{BeforeAfter, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict};
 use crate::residual::located::Located;
 use crate::sample::Sample;
@@ -20,30 +20,39 @@ use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_solve::SolveOptions;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// How a diagnosis is confirmed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct Setting {
+    /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the
+    /// light; without it direct tests take a second.
+    pub proof: bool,
+    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
+    #[schemars(range(min = 0.0))]
+    pub most_worse_db: f64,
+    /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it
+    /// predicts held-out frames better by more than this, dB.
+    #[schemars(range(min = 0.0))]
+    pub least_better_db: f64,
     /// Seed of everything random.
+    #[serde(skip)]
     pub seed: u64,
     /// How the light of held-out frames is estimated: as `solve/map` does.
+    #[serde(skip)]
     pub solve: SolveOptions,
-    /// Are held-out frames not predicted?
-    pub without_proof: bool,
-    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
-    pub most_worse_db: f64,
-    /// How what pairs of frames propose is judged where no scene is evidence.
-    pub judging: Judging,
 }
 
 impl Default for Setting {
     fn default() -> Setting {
         Setting {
+            proof: true,
+            most_worse_db: 0.05,
+            least_better_db: 1.0,
             seed: 0,
             solve: SolveOptions::default(),
-            without_proof: false,
-            most_worse_db: 0.05,
-            judging: Judging::default(),
         }
     }
 }
@@ -113,11 +122,10 @@ pub fn confirm(
     let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
     let can_compare = can_compare(case, &integrity);
-    let sample = (can_compare && !setting.without_proof)
-        .then(|| Sample::of_proof(case))
-        .filter(|sample| !sample.is_empty());
+    let sample =
+        (can_compare && setting.proof).then(|| Sample::of_proof(case)).filter(|sample| !sample.is_empty());
     if proposed.decided().is_none() {
-        judged(case, &nominal, &setting.judging, &setting.solve, &mut integrity)?;
+        judged(case, &nominal, setting.least_better_db, &setting.solve, &mut integrity)?;
     }
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
     // A test that could not be made decides nothing.

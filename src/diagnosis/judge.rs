@@ -19,28 +19,16 @@ use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_solve::SolveOptions;
 
-/// How proposals are judged.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Judging {
-    /// They must predict held-out frames better by this, dB.
-    pub least_better_db: f64,
-}
-
-impl Default for Judging {
-    fn default() -> Judging {
-        Judging { least_better_db: 1.0 }
-    }
-}
-
 /// Adds to the findings what is proposed and stands: first an offset of the clock, then the best of what
-/// contrast says. Nothing that the description states.
+/// contrast says; each must predict held-out frames better by `least_better_db`. Nothing that the description
+/// states.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn judged(
     case: &Case,
     nominal: &Nominal,
-    judging: &Judging,
+    least_better_db: f64,
     options: &SolveOptions,
     integrity: &mut Integrity,
 ) -> Result<(), NodeError> {
@@ -71,7 +59,7 @@ pub fn judged(
     let mut accepted: Vec<Departure> = Vec::new();
     let Some(mut best) = psnr_db(&accepted)? else { return Ok(()) };
     for alternatives in steps {
-        let (mut least, mut better) = (best + judging.least_better_db, None);
+        let (mut least, mut better) = (best + least_better_db, None);
         for findings in alternatives {
             let with = [accepted.as_slice(), &findings].concat();
             if let Some(db) = psnr_db(&with)?.filter(|db| *db > least) {

@@ -23,7 +23,7 @@
 //!   (their light).
 //! - `record`: what a sensor with effects would have recorded of a light.
 //! - `advice`: what to record next.
-//! - [`diagnose`]: the stages, in order.
+//! - [`mod@diagnose`]: direct tests and confirmation; [`whole`]: all stages in one call ([`diagnose()`]).
 //! - [`stages`]: what passes between them, as documents.
 //! - [`report`]: what a diagnosis says, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
@@ -58,6 +58,9 @@ pub mod targets;
 pub mod units;
 pub mod unstated;
 pub mod verdict;
+pub mod whole;
+
+pub use whole::{Options, diagnose};
 
 #[cfg(test)]
 mod testing;

@@ -116,7 +116,11 @@ impl Case {
         }
         let both = frames.zip(grey).filter(|(frames, _)| !frames.is_empty());
         let frames = both
-            .map(|(frames, grey)| Ok(CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames)?)))
+            .map(|(frames, grey)| -> Result<CaseFrames, DataError> {
+                let mut read = CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames)?);
+                read.filters = grey.is_behind_filters().then_some(frames.meta.colour);
+                Ok(read)
+            })
             .transpose()?;
         let span = Case::span_of(
             events.map(|events| &*events.meta),

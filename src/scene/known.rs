@@ -3,7 +3,7 @@
 use crate::case::Case;
 use crate::light::{Knots, Light};
 use crate::nominal::Nominal;
-use crate::picture::PictureSetting;
+use crate::picture::FRAME_NOISE;
 use crate::scene::{Scene, Tolerance};
 use crate::statistics::median;
 use photocurrent_sensor::conditional::at;
@@ -16,21 +16,15 @@ pub struct KnownLight {
     light: Arc<[Knots]>,
     residual: Vec<f32>,
     misfit: f64,
-    noise: (f64, f64),
 }
 
 /// Frame values in a bin of brightness.
 const BIN: usize = 64;
 
 impl KnownLight {
-    /// Of a recording; `light` has all its pixels. Frame values count as in `setting`.
-    pub fn new(case: &Case, nominal: &Nominal, light: Arc<[Knots]>, setting: &PictureSetting) -> KnownLight {
-        let mut known = KnownLight {
-            light,
-            residual: Vec::new(),
-            misfit: 1.0,
-            noise: (setting.frame_dn, setting.frame_share),
-        };
+    /// Of a recording; `light` has all its pixels.
+    pub fn new(case: &Case, nominal: &Nominal, light: Arc<[Knots]>) -> KnownLight {
+        let mut known = KnownLight { light, residual: Vec::new(), misfit: 1.0 };
         known.compare(case, nominal);
         known
     }
@@ -57,7 +51,7 @@ impl KnownLight {
                 let mut left: Vec<f64> = bin.iter().map(|&k| f64::from(self.residual[k])).collect();
                 let middle = median(&mut left);
                 left.iter_mut().for_each(|r| *r = (*r - middle).abs());
-                median(&mut left) / (0.6745 * nominal.frame_sigma_dn(signal(bin[bin.len() / 2]), self.noise))
+                median(&mut left) / (0.6745 * nominal.frame_sigma_dn(signal(bin[bin.len() / 2]), FRAME_NOISE))
             })
             .collect();
         self.misfit = if shares.is_empty() { 1.0 } else { median(&mut shares) };
@@ -96,7 +90,7 @@ impl Scene for KnownLight {
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
-        self.misfit * nominal.frame_sigma_dn(signal, self.noise)
+        self.misfit * nominal.frame_sigma_dn(signal, FRAME_NOISE)
     }
 
     fn place(&self, _case: &Case, pixel: usize, _t_ns: i64) -> (u32, f64, f64) {
@@ -104,8 +98,7 @@ impl Scene for KnownLight {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
-        let mut known =
-            KnownLight { light: self.light.clone(), residual: Vec::new(), misfit: 1.0, noise: self.noise };
+        let mut known = KnownLight { light: self.light.clone(), residual: Vec::new(), misfit: 1.0 };
         known.compare(case, nominal);
         Ok(Box::new(known))
     }

@@ -10,69 +10,33 @@ use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::begin::images;
 use crate::picture::motion::{Map, apply, compose};
-use crate::picture::patches::{Part, Patch, PatchSetting, follow, foreground, ground};
-use crate::picture::register::register;
-use crate::picture::{Begin, Picture, PictureSetting};
+pub use crate::picture::patches::PatchSetting;
+use crate::picture::patches::{LEAST_EVENTS, MOVES, Part, Patch, TURN, follow, foreground, ground};
+use crate::picture::register::{Search, register};
+use crate::picture::{Begin, FRAME_NOISE, Picture, PictureSetting};
 use crate::scene::{Scene, Tolerance, usual_step_dn};
 use crate::statistics::median;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// When parts are fitted, and which are used.
-#[derive(Clone, Copy, Debug)]
-pub struct MosaicSetting {
-    /// How the array and the recording are cut.
-    pub patches: PatchSetting,
-    /// How the pictures of parts are fitted.
-    pub picture: PictureSetting,
-    /// The moving picture needs no help where the median of its residuals is below this, standard deviations
-    /// as first assumed.
-    pub well: f64,
-    /// So many parts are tried first, those with the most events.
-    pub probes: usize,
-    /// Fewer of them than this share that are better mean that parts do not help.
-    pub helped: f64,
-    /// More parts than this are not fitted: those with the most events are.
-    pub most_parts: usize,
-    /// A pixel's ground is what at least this share of its frames agree on.
-    pub agreed: f64,
-    /// There is a still ground where more than this share of the pixels has one.
-    pub still: f64,
-    /// A part predicts at least this share of its tile's moving values.
-    pub least_predicted: f64,
-    /// And so much more than the moving picture.
-    pub better: f64,
-    /// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many
-    /// usual residuals.
-    pub spread: f64,
-}
-
-impl Default for MosaicSetting {
-    fn default() -> MosaicSetting {
-        let picture = PictureSetting {
-            rounds: (4, 4),
-            steps: (30, 60),
-            again: 3,
-            again_steps: 40,
-            draw_steps: 30,
-            is_shaded: false,
-            ..PictureSetting::default()
-        };
-        MosaicSetting {
-            patches: PatchSetting::default(),
-            picture,
-            well: 2.0,
-            probes: 8,
-            helped: 0.4,
-            most_parts: 96,
-            agreed: 0.35,
-            still: 0.6,
-            least_predicted: 0.5,
-            better: 0.1,
-            spread: 4.5,
-        }
-    }
-}
+/// The moving picture needs no help where the median of its residuals is below this, standard deviations as
+/// first assumed.
+const WELL: f64 = 2.0;
+/// So many parts are tried first, those with the most events.
+const PROBES: usize = 8;
+/// Fewer of them than this share that are better mean that parts do not help.
+const HELPED: f64 = 0.4;
+/// A pixel's ground is what at least this share of its frames agree on.
+const AGREED: f64 = 0.35;
+/// There is a still ground where more than this share of the pixels has one.
+const STILL: f64 = 0.6;
+/// A part predicts at least this share of its tile's moving values.
+const LEAST_PREDICTED: f64 = 0.5;
+/// And so much more than the moving picture.
+const BETTER: f64 = 0.1;
+/// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many usual
+/// residuals.
+const SPREAD: f64 = 4.5;
 
 /// The moving picture, and pictures of parts where they are better.
 pub struct Mosaic {
@@ -81,7 +45,9 @@ pub struct Mosaic {
     /// The tile of each patch.
     tile: Vec<usize>,
     tiles: Vec<(Range<u32>, Range<u32>)>,
-    setting: MosaicSetting,
+    setting: PatchSetting,
+    /// How pictures of parts are fitted.
+    of_parts: PictureSetting,
     /// Which frame values belong to something that moves.
     moves: Vec<bool>,
     residual: Vec<f32>,
@@ -99,7 +65,7 @@ pub fn scene(
     case: &Case,
     nominal: &Nominal,
     whole: &PictureSetting,
-    setting: &MosaicSetting,
+    setting: &PatchSetting,
 ) -> Result<Box<dyn Scene>, String> {
     scene_where(case, nominal, whole, setting, None)
 }
@@ -112,7 +78,7 @@ pub fn scene_where(
     case: &Case,
     nominal: &Nominal,
     whole: &PictureSetting,
-    setting: &MosaicSetting,
+    setting: &PatchSetting,
     selected: Option<&[bool]>,
 ) -> Result<Box<dyn Scene>, String> {
     let of_whole = whole;
@@ -120,15 +86,14 @@ pub fn scene_where(
     if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
         return whole.map(|whole| Box::new(whole) as Box<dyn Scene>);
     }
-    let tiles = setting.patches.tiles(case.extent);
-    let noise = (setting.picture.frame_dn, setting.picture.frame_share);
-    let mut still = ground(case, nominal, noise, setting.patches.moves, setting.agreed);
+    let tiles = setting.tiles(case.extent);
+    let mut still = ground(case, nominal, FRAME_NOISE, MOVES, AGREED);
     let is_there =
-        still.iter().filter(|ground| ground.is_finite()).count() as f64 > setting.still * still.len() as f64;
+        still.iter().filter(|ground| ground.is_finite()).count() as f64 > STILL * still.len() as f64;
     if !is_there {
         still.fill(f64::NAN);
     }
-    let mut moves = foreground(case, nominal, &still, noise, setting.patches.moves);
+    let mut moves = foreground(case, nominal, &still, FRAME_NOISE, MOVES);
     if let Some(selected) = selected {
         moves.iter_mut().enumerate().for_each(|(n, moves)| *moves &= selected[n % selected.len()]);
     }
@@ -140,8 +105,8 @@ pub fn scene_where(
         })
     };
     let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
-    if let Some(ground) = ground.as_ref().filter(|_| of_one > setting.well) {
-        let before = before_ground(case, nominal, of_whole, &moves, (ground, selected), setting);
+    if let Some(ground) = ground.as_ref().filter(|_| of_one > WELL) {
+        let before = before_ground(case, nominal, of_whole, &moves, (ground, selected));
         if misses(&before) < of_one {
             whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
@@ -152,6 +117,7 @@ pub fn scene_where(
         tile: Vec::new(),
         tiles,
         setting: *setting,
+        of_parts: of_whole.of_parts(),
         moves,
         residual: Vec::new(),
         misfit: 1.0,
@@ -160,11 +126,11 @@ pub fn scene_where(
     let changes = found.moves.clone();
     let needed = found.needed(case, nominal, &changes);
     let fit = |list: &[(usize, Range<usize>)]| found.fit(case, nominal, &changes, ground.as_deref(), list);
-    let probes = setting.probes.min(needed.len());
+    let probes = PROBES.min(needed.len());
     let mut fitted = fit(&needed[..probes]);
     let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
     let helped = better(&fitted).iter().filter(|is| **is).count();
-    if helped == 0 || (helped as f64) < setting.helped * probes as f64 {
+    if helped == 0 || (helped as f64) < HELPED * probes as f64 {
         return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Scene>);
     }
     fitted.extend(fit(&needed[probes..]));
@@ -198,19 +164,18 @@ fn before_ground(
     of_picture: &PictureSetting,
     moves: &[bool],
     (ground, selected): (&[f32], Option<&[bool]>),
-    setting: &MosaicSetting,
 ) -> Picture {
     let count = case.frame_count();
     let images = images(case, nominal);
     let pairs: Vec<Map> = (1..count)
         .into_par_iter()
-        .map(|l| register(&images[l - 1], &images[l], &of_picture.search, None).0)
+        .map(|l| register(&images[l - 1], &images[l], &Search::default(), None).0)
         .collect();
     let mut chained: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
     for pair in &pairs {
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
-    let steady = follow(case, nominal, moves, &setting.patches);
+    let steady = follow(case, nominal, moves, TURN);
     Picture::fit_from(
         case,
         nominal,
@@ -224,7 +189,7 @@ impl Mosaic {
     /// Tiles and windows with events whose moving values the moving picture does not predict, those with the
     /// most events first.
     fn needed(&self, case: &Case, nominal: &Nominal, changes: &[bool]) -> Vec<(usize, Range<usize>)> {
-        let windows = self.setting.patches.windows(case.frame_count());
+        let windows = self.setting.windows(case.frame_count());
         let mut needed: Vec<(usize, usize, Range<usize>)> = Vec::new();
         let middle = |l: usize, y: u32| middle_ns(case, l, y);
         for (n, tile) in self.tiles.iter().enumerate() {
@@ -234,7 +199,7 @@ impl Mosaic {
                         of_picture(case, &whole.picture, l, x, y)
                     })
                 });
-                if misses.is_some_and(|misses| misses < self.setting.well) {
+                if misses.is_some_and(|misses| misses < WELL) {
                     continue;
                 }
                 let within = |pixel: usize| {
@@ -243,7 +208,7 @@ impl Mosaic {
                     case.events.of(pixel).iter().filter(|event| (from..to).contains(&event.t_in_ns)).count()
                 };
                 let events: usize = pixels_of(case, tile).map(within).sum();
-                if events >= self.setting.patches.least_events {
+                if events >= LEAST_EVENTS {
                     needed.push((events, n, window.clone()));
                 }
             }
@@ -262,10 +227,9 @@ impl Mosaic {
         ground: Option<&[f32]>,
         list: &[(usize, Range<usize>)],
     ) -> Vec<(usize, Patch)> {
-        let MosaicSetting { patches, picture, .. } = &self.setting;
         let one = |(tile, frames): &(usize, Range<usize>)| {
-            let part = Part::around(&self.tiles[*tile], frames.clone(), case.extent, patches);
-            Some((*tile, Patch::fit(case, nominal, changes, ground, part, patches, picture)?))
+            let part = Part::around(&self.tiles[*tile], frames.clone(), case.extent, &self.setting);
+            Some((*tile, Patch::fit(case, nominal, changes, ground, part, &self.of_parts)?))
         };
         list.par_iter().filter_map(one).collect()
     }
@@ -290,16 +254,16 @@ impl Mosaic {
         misses.sort_by(f64::total_cmp);
         // The quarter that does best has the noise alone.
         let noise = misses.get(misses.len() / 4).copied().unwrap_or(1.0);
-        let noise_dn = (self.setting.picture.frame_dn, self.setting.picture.frame_share);
         let predicted = |tile: usize, frames: &Range<usize>, of: &dyn Fn(usize, u32, u32) -> f32| -> f64 {
             let (mut good, mut all) = (0usize, 0usize);
             for_moving(case, changes, &self.tiles[tile], frames, |l, pixel, x, y| {
-                let sigma = nominal
-                    .frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), noise_dn);
+                let sigma = nominal.frame_sigma_dn(
+                    f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0),
+                    FRAME_NOISE,
+                );
                 all += 1;
                 good += usize::from(
-                    f64::from(of(l, x, y)).abs()
-                        <= f64::max(self.least_dn, self.setting.spread * noise * sigma),
+                    f64::from(of(l, x, y)).abs() <= f64::max(self.least_dn, SPREAD * noise * sigma),
                 );
             });
             good as f64 / all.max(1) as f64
@@ -311,7 +275,7 @@ impl Mosaic {
                 let other = self.whole.as_ref().map_or(0.0, |whole| {
                     predicted(*tile, &patch.part.frames, &|l, x, y| of_picture(case, &whole.picture, l, x, y))
                 });
-                own >= self.setting.least_predicted && own > other + self.setting.better
+                own >= LEAST_PREDICTED && own > other + BETTER
             })
             .collect()
     }
@@ -482,9 +446,7 @@ impl Scene for Mosaic {
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
-        self.misfit
-            * nominal
-                .frame_sigma_dn(signal, (self.setting.picture.frame_dn, self.setting.picture.frame_share))
+        self.misfit * nominal.frame_sigma_dn(signal, FRAME_NOISE)
     }
 
     fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
@@ -512,7 +474,7 @@ impl Scene for Mosaic {
             .as_ref()
             .map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
         let patches =
-            self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
+            self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.of_parts)).collect();
         Ok(Box::new(self.with(case, whole, patches)))
     }
 
@@ -527,7 +489,7 @@ impl Scene for Mosaic {
         };
         let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
         let one = |(n, patch): (usize, &Patch)| {
-            patch.posterior_sample(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64))
+            patch.posterior_sample(case, nominal, &self.of_parts, seed.wrapping_add(1 + n as u64))
         };
         let patches = self.patches.par_iter().enumerate().map(one).collect();
         Ok(Some(Box::new(self.with(case, whole, patches))))
@@ -582,6 +544,7 @@ impl Mosaic {
             tile: self.tile.clone(),
             tiles: self.tiles.clone(),
             setting: self.setting,
+            of_parts: self.of_parts,
             moves: self.moves.clone(),
             residual: Vec::new(),
             misfit: 1.0,

@@ -1,7 +1,7 @@
 //! The events and the frames of a recording in memory, shared between copies: what a copy leaves out is a
 //! mask next to them.
 
-use photocurrent_core::FrameTimes;
+use photocurrent_core::{Colour, FrameTimes};
 use photocurrent_sensor::comparator::PixelEvent;
 use std::ops::Range;
 use std::sync::Arc;
@@ -104,6 +104,8 @@ impl Gathered {
 pub struct CaseFrames {
     /// Exposures and row time.
     pub times: FrameTimes,
+    /// The mosaic of filters before the event pixels, where neighbouring ones measure other light.
+    pub filters: Option<Colour>,
     /// DN as [frame][y][x]; NaN = not known.
     all: Arc<Vec<f32>>,
     /// The first value of the first frame.
@@ -117,7 +119,14 @@ impl CaseFrames {
     /// From values as [frame][y][x].
     pub fn new(times: FrameTimes, dn: Vec<f32>) -> CaseFrames {
         let pixels = dn.len() / times.len().max(1);
-        CaseFrames { times, all: Arc::new(dn), first: 0, pixels, is_left_out: Default::default() }
+        CaseFrames {
+            times,
+            filters: None,
+            all: Arc::new(dn),
+            first: 0,
+            pixels,
+            is_left_out: Default::default(),
+        }
     }
 
     /// Number of values of all frames.
@@ -187,7 +196,8 @@ impl CaseFrames {
     /// With other values, each from its place in [`CaseFrames::values`] and its value.
     #[must_use]
     pub fn map(&self, mut of: impl FnMut(usize, f32) -> f32) -> CaseFrames {
-        CaseFrames::new(self.times.clone(), self.values().enumerate().map(|(at, dn)| of(at, dn)).collect())
+        let dn = self.values().enumerate().map(|(at, dn)| of(at, dn)).collect();
+        CaseFrames { filters: self.filters, ..CaseFrames::new(self.times.clone(), dn) }
     }
 
     /// Their times alone; every value is not known.

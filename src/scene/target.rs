@@ -12,13 +12,14 @@ use crate::closed::ClosedScene;
 use crate::known::KnownLight;
 use crate::light::{Knots, Light};
 use crate::nominal::Nominal;
-use crate::picture::PictureSetting;
 use crate::scene::{FreeParameters, Scene, Tolerance};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::random::Random;
 use photocurrent_sensor::conditional::at_each;
 use photocurrent_sensor::elementary::ln;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Scenes in closed form that differ by some free parameters.
@@ -31,13 +32,17 @@ pub trait Form: Send + Sync {
 }
 
 /// How a target is fitted.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct TargetSetting {
     /// Frame values that are fitted, at most.
+    #[schemars(range(min = 100, max = 1_000_000))]
     pub values: usize,
     /// Places of the ranges at which the search begins.
+    #[schemars(range(min = 1, max = 10_000_000))]
     pub tries: usize,
     /// Seed of these places.
+    #[serde(skip)]
     pub seed: u64,
 }
 
@@ -81,7 +86,6 @@ const ROUGH: usize = 4;
 pub struct Target {
     form: Arc<dyn Form>,
     setting: TargetSetting,
-    picture: PictureSetting,
     shares: Vec<f64>,
     /// Triangular root of the covariance that the frames leave, shares.
     root: DMatrix<f64>,
@@ -258,11 +262,10 @@ impl Target {
         nominal: &Nominal,
         form: Arc<dyn Form>,
         setting: TargetSetting,
-        picture: &PictureSetting,
     ) -> Option<Target> {
         let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
         let from = fit.search(&setting);
-        Target::from(&fit, case, nominal, &form, setting, picture, &from)
+        Target::from(&fit, case, nominal, &form, setting, &from)
     }
 
     /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make
@@ -272,11 +275,10 @@ impl Target {
         nominal: &Nominal,
         form: Arc<dyn Form>,
         setting: TargetSetting,
-        picture: &PictureSetting,
         from: &[f64],
     ) -> Option<Target> {
         let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
-        Target::from(&fit, case, nominal, &form, setting, picture, from)
+        Target::from(&fit, case, nominal, &form, setting, from)
     }
 
     fn from(
@@ -285,14 +287,13 @@ impl Target {
         nominal: &Nominal,
         form: &Arc<dyn Form>,
         setting: TargetSetting,
-        picture: &PictureSetting,
         from: &[f64],
     ) -> Option<Target> {
         let shares = if from.is_empty() { Vec::new() } else { fit.descend(from, &fit.measured).1 };
         let (root, left) = fit.open(&shares);
         let light = all_knots(&*form.at(&shares)?, case);
-        let light = KnownLight::new(case, nominal, light.into(), picture);
-        Some(Target { form: form.clone(), setting, picture: *picture, shares, root, left, light })
+        let light = KnownLight::new(case, nominal, light.into());
+        Some(Target { form: form.clone(), setting, shares, root, left, light })
     }
 
     /// The free parameters as shares of their ranges.
@@ -384,8 +385,7 @@ impl Scene for Target {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
-        let fitted =
-            Target::near(case, nominal, self.form.clone(), self.setting, &self.picture, &self.shares);
+        let fitted = Target::near(case, nominal, self.form.clone(), self.setting, &self.shares);
         Ok(Box::new(fitted.ok_or("the target's parameters make no scene")?))
     }
 
@@ -402,7 +402,7 @@ impl Scene for Target {
             self.shares.iter().zip(draw.iter()).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares).ok_or("the target's parameters make no scene")?;
         let light = all_knots(&*scene, case);
-        Ok(Some(Box::new(KnownLight::new(case, nominal, light.into(), &self.picture))))
+        Ok(Some(Box::new(KnownLight::new(case, nominal, light.into()))))
     }
 
     fn misfit(&self) -> f64 {

@@ -57,11 +57,11 @@ const MOST_ROUNDS: usize = 20;
 const TRUSTED: Choice = Choice { noise: Noise::USUAL, prior: Prior::USUAL };
 
 /// ON and OFF thresholds, natural-log units.
-pub type Pair = (f64, f64);
+pub(crate) type Pair = (f64, f64);
 
 /// When other thresholds than the description's count.
 #[derive(Clone, Copy, Debug)]
-pub struct Rule {
+pub(crate) struct Rule {
     /// Pixels that are looked at, at most.
     pub pixels: usize,
     /// Standard errors by which they must be better.
@@ -74,7 +74,7 @@ pub struct Rule {
 
 /// What the judging half says of the pair that the other half found.
 #[derive(Clone, Copy, Debug)]
-pub struct Verdict {
+pub(crate) struct Verdict {
     /// The description's.
     pub stated: Pair,
     /// What was found.
@@ -94,17 +94,17 @@ pub struct Verdict {
 
 impl Verdict {
     /// Standard errors by which what was found is better.
-    pub fn z(&self) -> f64 {
+    pub(crate) fn z(&self) -> f64 {
         z((self.gain, self.gain_sigma))
     }
 
     /// The same with what the solver would choose.
-    pub fn z_as_solved(&self) -> f64 {
+    pub(crate) fn z_as_solved(&self) -> f64 {
         z(self.as_solved)
     }
 
     /// The gain with its 95 % interval.
-    pub fn gain(&self) -> Estimate {
+    pub(crate) fn gain(&self) -> Estimate {
         let reach = 1.96 * self.gain_sigma;
         Estimate { value: self.gain, ci95: (self.gain - reach, self.gain + reach) }
     }
@@ -114,7 +114,7 @@ impl Verdict {
 ///
 /// # Errors
 /// When a stream cannot be read, or the user interrupts.
-pub fn judged(
+pub(crate) fn judged(
     input: &In,
     sensor: &Sensor,
     measured: Option<Pair>,

@@ -5,7 +5,7 @@ use photocurrent_scene::Scene;
 use photocurrent_scene::case::{Case, PixelEvents};
 use photocurrent_scene::gate::{Gate, LEAST_DN, SPREAD};
 use photocurrent_scene::light::between;
-use photocurrent_scene::mosaic::{MosaicSetting, scene_where};
+use photocurrent_scene::mosaic::{PatchSetting, scene_where};
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::picture::PictureSetting;
 
@@ -52,7 +52,7 @@ impl Pictures {
     ///
     /// # Errors
     /// With the reason of the first part, when no part has a scene.
-    pub fn fit(
+    pub(crate) fn fit(
         case: &Case,
         sensor: &Nominal,
         setting: &PictureSetting,
@@ -85,9 +85,7 @@ impl Pictures {
         };
         let fit = |from: usize, to: usize| -> Result<Part, String> {
             let mut part = case.part(from..to);
-            let parts = MosaicSetting::default();
-            let parts =
-                MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
+            let parts = PatchSetting::default();
             let source = scene_where(&part, &nominal, setting, &parts, selected(part.span)?.as_deref())?;
             let gate = source.gate(&part, LEAST_DN, SPREAD);
             part.events = PixelEvents::default();
@@ -111,7 +109,7 @@ impl Pictures {
 
     /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more
     /// than everything else together.
-    pub fn of_row(&self, row: usize, width: usize, columns: &[usize]) -> OfRow {
+    pub(crate) fn of_row(&self, row: usize, width: usize, columns: &[usize]) -> OfRow {
         let pixels: Vec<usize> = columns.iter().map(|x| row * width + x).collect();
         let mut at = vec![None; width];
         columns.iter().enumerate().for_each(|(n, x)| at[*x] = Some(n));
@@ -123,7 +121,7 @@ impl Pictures {
     }
 
     /// The prediction for pixel `x` of a row by the part whose middle is nearest to an instant.
-    pub fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
+    pub(crate) fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
         let inside = self
             .parts
             .iter()

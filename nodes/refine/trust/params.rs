@@ -4,7 +4,7 @@ use photocurrent_core::quantity::Duration;
 
 /// How far light that others predict is trusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrustParams {
+pub(crate) struct TrustParams {
     /// No prediction is taken for better than this, natural-log units.
     pub floor: f64,
     /// What is predicted may come early or late by so much: steep edges err in their place, not in their

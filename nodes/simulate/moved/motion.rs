@@ -100,10 +100,10 @@ fn wrapped(angle: f64) -> f64 {
 pub(super) mod tests {
     use super::*;
 
-    pub const SIZE: (u32, u32) = (64, 48);
+    pub(crate) const SIZE: (u32, u32) = (64, 48);
 
     /// Everything at once.
-    pub fn lively() -> Motion {
+    pub(crate) fn lively() -> Motion {
         Motion {
             centre: (20.0, 30.0),
             velocity: (150.0, -80.0),

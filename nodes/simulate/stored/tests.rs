@@ -8,7 +8,7 @@ use png::{BitDepth, ColorType};
 use std::path::PathBuf;
 
 /// Writes a PNG picture.
-pub fn save(path: &Path, width: u32, height: u32, form: (ColorType, BitDepth), bytes: &[u8]) {
+pub(crate) fn save(path: &Path, width: u32, height: u32, form: (ColorType, BitDepth), bytes: &[u8]) {
     let mut encoder = png::Encoder::new(std::fs::File::create(path).unwrap(), width, height);
     encoder.set_color(form.0);
     encoder.set_depth(form.1);
@@ -16,7 +16,7 @@ pub fn save(path: &Path, width: u32, height: u32, form: (ColorType, BitDepth), b
 }
 
 /// Bytes of 16-bit values.
-pub fn wide(values: &[u16]) -> Vec<u8> {
+pub(crate) fn wide(values: &[u16]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_be_bytes()).collect()
 }
 

@@ -8,7 +8,7 @@ const MOST_STEPS: f64 = 8.0;
 
 /// One axis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Axis {
+pub(crate) struct Axis {
     range: Range<f64>,
     is_log: bool,
     ticks: Vec<f64>,
@@ -17,7 +17,7 @@ pub struct Axis {
 impl Axis {
     /// From the least to the greatest value. On a logarithmic axis ticks stand at 1, 2 and 5 times powers of
     /// ten.
-    pub fn tight(values: impl Iterator<Item = f64>, is_log: bool) -> Axis {
+    pub(crate) fn tight(values: impl Iterator<Item = f64>, is_log: bool) -> Axis {
         let range = range_of(values);
         if is_log && range.start > 0.0 {
             let (first, last) =
@@ -33,7 +33,7 @@ impl Axis {
     }
 
     /// The same, with a twentieth to spare at both ends.
-    pub fn wide(values: impl Iterator<Item = f64>) -> Axis {
+    pub(crate) fn wide(values: impl Iterator<Item = f64>) -> Axis {
         let range = range_of(values);
         let spare = 0.05 * (range.end - range.start);
         let range = range.start - spare..range.end + spare;

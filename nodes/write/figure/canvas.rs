@@ -8,7 +8,7 @@ use plotters_backend::{
 use std::convert::Infallible;
 
 /// Pixels in red, green and blue.
-pub struct Canvas<'a> {
+pub(crate) struct Canvas<'a> {
     width: u32,
     height: u32,
     bytes: &'a mut [u8],
@@ -16,7 +16,7 @@ pub struct Canvas<'a> {
 
 impl Canvas<'_> {
     /// Draws on `3 * width * height` bytes: three a pixel, rows from the top.
-    pub fn new(width: u32, height: u32, bytes: &mut [u8]) -> Canvas<'_> {
+    pub(crate) fn new(width: u32, height: u32, bytes: &mut [u8]) -> Canvas<'_> {
         Canvas { width, height, bytes }
     }
 

@@ -14,38 +14,46 @@ use crate::residual::located::{Located, Locations};
 use crate::stages::{Decided, Proposal, Unexplained};
 use model::{Facts, KINDS, Models, Posterior, hypotheses};
 use photocurrent_scene::nominal::Nominal;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub mod model;
 
 /// From when on something is said.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+#[schemars(extend("additionalProperties" = false))]
 pub struct Decision {
-    /// The model's numbers, for each kind of scene.
-    pub models: Models,
     /// Something differs from this probability on.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub least: f64,
     /// And there is a second effect from this probability on.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub least_second: f64,
-    /// Where the control's median absolute residual over the threshold is larger, this sensor is not
-    /// modelled, and nothing is decided.
+    /// Nothing is decided where events of the stated sensor on its own scene miss their thresholds by more
+    /// than this share of them (median).
+    #[schemars(range(min = 0.0))]
     pub most_control: f64,
-    /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than
-    /// this.
+    /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
+    #[schemars(range(min = 0.0))]
     pub most_left: f64,
-    /// And finding nothing decides nothing where more than this is left.
+    /// And finding nothing decides nothing where more than this share is left.
+    #[schemars(range(min = 0.0))]
     pub most_silent: f64,
-    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to
-    /// decide.
+    /// Nor where an effect must gain more than this to be reported, nats an event: the scene errs too much.
+    #[schemars(range(min = 0.0))]
     pub most_needed: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
+    /// The model's numbers, for each kind of scene.
+    #[serde(flatten)]
+    pub models: Models,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
         Decision {
-            models: Models::default(),
             least: 0.9,
             least_second: 0.6,
             most_control: 0.3,
@@ -53,6 +61,7 @@ impl Default for Decision {
             most_silent: 0.12,
             most_needed: 10.0,
             shared_error: 0.02,
+            models: Models::default(),
         }
     }
 }

@@ -12,28 +12,32 @@
 use crate::candidates::CANDIDATES;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::open::Open;
-use serde::{Deserialize, Serialize};
+use schemars::{JsonSchema, Schema};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value};
 
-/// Numbers of the model.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// Numbers of a model; those that are left out are the built-in ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(transform = |schema: &mut Schema| drop(schema.remove("required")))]
 pub struct Model {
-    /// Log odds that something differs: constant, and weights of the logarithms of the best gain and of the
-    /// share of the events that count ([`Facts::something`]).
+    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains
+    /// and a second one in addition to it, and of the share of the events that count.
     pub something: [f64; SOMETHING],
-    /// Log odds of a second effect: constant, and weights of [`Facts::second`].
+    /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the
+    /// first's.
     pub second: [f64; SECOND],
-    /// Random effects gain where the scene errs, and so do those that change how far light swings: their
-    /// gains count less by this, in their logarithms.
+    /// Logarithms of gains count less by this of random effects, and of those that change how far light
+    /// swings from event to event: such effects gain where the scene errs.
     pub discount: [f64; 2],
-    /// A hypothesis whose gain is smaller than the best by a share is a factor e less probable: logarithm of
-    /// that share where the best gains 1 nat an event, and what it grows by with the logarithm of the best
-    /// gain. Small gains say little of which of them is right.
+    /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less
+    /// probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
     pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: f64,
-    /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the
-    /// gain of the best curve with that effect over the effect's own gain, and of the gain of the best curve
-    /// alone over that.
+    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain
+    /// with the best effect, and alone, over that effect's.
     pub unnamed: [f64; 3],
 }
 
@@ -57,14 +61,26 @@ impl Default for Model {
 }
 
 /// A model for each kind of scene, as what is left without an effect differs from kind to kind.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct Models {
-    /// Of a moving picture, and of every kind that has none of its own.
+    /// The model of a moving picture, and of every kind of scene that has none of its own.
+    #[serde(deserialize_with = "over::<_, 0>")]
     pub picture: Model,
-    /// Of a scene in parts, or before a still ground.
+    /// The model of a scene in parts, or before a still ground.
+    #[serde(deserialize_with = "over::<_, 2>")]
     pub patches: Model,
-    /// Of known light.
+    /// The model of known light.
+    #[serde(deserialize_with = "over::<_, 1>")]
     pub given: Model,
+}
+
+/// The stated numbers of a model, and the built-in ones of its kind of scene ([`KINDS`]) for the rest.
+fn over<'de, D: Deserializer<'de>, const KIND: usize>(stated: D) -> Result<Model, D::Error> {
+    let stated: Map<String, Value> = Map::deserialize(stated)?;
+    let mut numbers = serde_json::to_value(Models::default().of(KINDS[KIND])).map_err(D::Error::custom)?;
+    stated.into_iter().for_each(|(name, number)| numbers[name] = number);
+    Model::deserialize(numbers).map_err(D::Error::custom)
 }
 
 /// Kinds of scenes that have a model, by their names.

@@ -139,7 +139,7 @@ mod tests {
     use crate::residual::ranking::evidence;
     use crate::scenes::MadeUp;
     use photocurrent_core::Extent;
-    use photocurrent_scene::mosaic::{MosaicSetting, scene};
+    use photocurrent_scene::mosaic::{PatchSetting, scene};
     use photocurrent_scene::picture::PictureSetting;
 
     #[test]
@@ -165,7 +165,7 @@ mod tests {
                 &case,
                 &nominal,
                 &PictureSetting { sharpest, ..PictureSetting::default() },
-                &MosaicSetting::default(),
+                &PatchSetting::default(),
             )
             .unwrap();
             let found = evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default()).unwrap();

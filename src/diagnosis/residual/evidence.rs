@@ -1,106 +1,10 @@
 //! What the evidence of a scene for effects is, and how it is obtained ([`super::ranking`]).
 
-use super::located::{Located, LocatedSetting};
-use super::open::{Open, OpenSetting};
+use super::located::Located;
+use super::open::Open;
+pub use super::setting::EvidenceSetting;
 use crate::candidates::CANDIDATES;
-use photocurrent_scene::gate;
 use serde::{Deserialize, Serialize};
-
-/// How the method works.
-#[derive(Clone, Copy, Debug)]
-pub struct EvidenceSetting {
-    /// Light is sampled this often, ns.
-    pub step_ns: i64,
-    /// And known light at least this often, ns.
-    pub known_step_ns: i64,
-    /// About so many events are looked at.
-    pub events: usize,
-    /// Of at most so many pixels.
-    pub pixels: usize,
-    /// Fewer events than this are no evidence.
-    pub least_events: usize,
-    /// Nor is a smaller share of all events.
-    pub least_share: f64,
-    /// A place is predicted when frames miss by less than this, DN, or by [`EvidenceSetting::spread`] median
-    /// absolute deviations.
-    pub least_dn: f64,
-    /// See there.
-    pub spread: f64,
-    /// Side of the blocks for held-out gains, pixels.
-    pub block: usize,
-    /// Least threshold noise, as a share of the threshold.
-    pub least_noise: f64,
-    /// Effect size of the finite differences, as a share of a usual one.
-    pub probe: f64,
-    /// So many of the best are evaluated exactly.
-    pub refined: usize,
-    /// In so many rounds for each size.
-    pub rounds: usize,
-    /// Less than this share of the best gain to first order is not worth it.
-    pub worth_refining: f64,
-    /// And of a second effect so many.
-    pub refined_second: usize,
-    /// A size that moves by less than this share stands.
-    pub still: f64,
-    /// Largest effect size of a search.
-    pub largest_effect_size: f64,
-    /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share
-    /// of the threshold.
-    pub least_event_noise: f64,
-    /// On known light, noise of thresholds below this share of them is none that a description without
-    /// `threshold_noise` contradicts.
-    pub least_unstated_noise: f64,
-    /// Least gain of a spread of delays in the comparator, nats an event.
-    pub least_spread: f64,
-    /// Events within one cell of the picture see the same of it, pixels.
-    pub cell: f64,
-    /// Where the voltage moves slower than this share of the median, an event's time says no more than there.
-    pub least_slope: f64,
-    /// The picture may be softer than the scene by this many times what the control's is.
-    pub softness: f64,
-    /// Seed of the control.
-    pub seed: u64,
-    /// When a part of the recording stands out as the one that an effect is in.
-    pub located: LocatedSetting,
-    /// How what is in no catalogue is looked for.
-    pub open: OpenSetting,
-    /// So many of it are reported.
-    pub dependences: usize,
-}
-
-impl Default for EvidenceSetting {
-    fn default() -> EvidenceSetting {
-        EvidenceSetting {
-            step_ns: 100_000,
-            known_step_ns: 25_000,
-            events: 6_000,
-            pixels: 500,
-            least_events: 500,
-            least_share: 0.05,
-            least_dn: gate::LEAST_DN,
-            spread: gate::SPREAD,
-            block: 8,
-            least_noise: 1e-3,
-            probe: 0.05,
-            refined: 6,
-            rounds: 3,
-            worth_refining: 0.3,
-            refined_second: 4,
-            still: 0.003,
-            largest_effect_size: 12.0,
-            least_event_noise: 0.015,
-            least_unstated_noise: 0.05,
-            least_spread: 0.1,
-            cell: 0.5,
-            least_slope: 0.1,
-            softness: 3.0,
-            seed: 1,
-            located: LocatedSetting::default(),
-            open: OpenSetting::default(),
-            dependences: 6,
-        }
-    }
-}
 
 /// One effect, as the events see it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

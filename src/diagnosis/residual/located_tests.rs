@@ -56,7 +56,7 @@ fn mixed(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> C
 
 /// What events say on the light as it was.
 fn found(scene: &MadeUp, case: &Case, nominal: &Nominal) -> Evidence {
-    let source = KnownLight::new(case, nominal, scene.light().into(), &PictureSetting::default());
+    let source = KnownLight::new(case, nominal, scene.light().into());
     evidence(case, nominal, &source, &EvidenceSetting::default()).unwrap()
 }
 

@@ -26,6 +26,7 @@ pub(crate) mod open;
 mod places;
 mod prepared;
 pub mod ranking;
+mod setting;
 mod table;
 
 use crate::candidates::Trial;

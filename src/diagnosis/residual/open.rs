@@ -13,22 +13,12 @@ use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
 use serde::{Deserialize, Serialize};
 
-/// How the open set is looked at.
-#[derive(Clone, Copy, Debug)]
-pub struct OpenSetting {
-    /// Bins of a covariate that is a number on a scale.
-    pub bins: usize,
-    /// And of the phase of a rhythm or of frames, whose curves turn.
-    pub bins_of_phase: usize,
-    /// Fewer events in a bin have no size of their own.
-    pub least_in_bin: usize,
-}
-
-impl Default for OpenSetting {
-    fn default() -> OpenSetting {
-        OpenSetting { bins: 6, bins_of_phase: 8, least_in_bin: 60 }
-    }
-}
+/// Bins of a covariate that is a number on a scale.
+const BINS: usize = 6;
+/// And of the phase of a rhythm or of frames, whose curves turn.
+const BINS_OF_PHASE: usize = 8;
+/// Fewer events in a bin have no size of their own.
+const LEAST_IN_BIN: usize = 60;
 
 /// A curve over a covariate, with its held-out gain beyond one size for all, nats an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -80,7 +70,6 @@ pub(crate) fn dependences(
     laid: &[Laid],
     threshold: f64,
     least: f64,
-    setting: &OpenSetting,
 ) -> Vec<Open> {
     let mut found: Vec<Open> = laid
         .iter()
@@ -88,9 +77,7 @@ pub(crate) fn dependences(
         .flat_map(|laid| {
             [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved))
         })
-        .filter_map(|(laid, moved)| {
-            dependence(events, residual, block, laid, moved, threshold, least, setting)
-        })
+        .filter_map(|(laid, moved)| dependence(events, residual, block, laid, moved, threshold, least))
         .collect();
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     found
@@ -104,17 +91,11 @@ struct Free {
 }
 
 impl Free {
-    fn new(
-        events: &Residuals,
-        laid: &Laid,
-        moved: Moved,
-        threshold: f64,
-        setting: &OpenSetting,
-    ) -> Option<Free> {
+    fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64) -> Option<Free> {
         // Events without a value keep what they have.
         let is_phase = matches!(laid.covariate, Covariate::AcPhase | Covariate::FramePhase);
-        let most = if is_phase { setting.bins_of_phase } else { setting.bins };
-        let bins = Bins::new(&laid.at, most, setting.least_in_bin, laid.covariate.is_class());
+        let most = if is_phase { BINS_OF_PHASE } else { BINS };
+        let bins = Bins::new(&laid.at, most, LEAST_IN_BIN, laid.covariate.is_class());
         if bins.at.len() < 2 {
             return None;
         }
@@ -153,10 +134,9 @@ pub(crate) fn gains(
     dependence: &Dependence,
     threshold: f64,
     least: f64,
-    setting: &OpenSetting,
 ) -> Option<Vec<f64>> {
     let laid = laid.iter().find(|laid| laid.covariate == dependence.covariate)?;
-    let free = Free::new(events, laid, dependence.moved, threshold, setting)?;
+    let free = Free::new(events, laid, dependence.moved, threshold)?;
     let rows =
         Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
     let left = |columns: &[&Column]| -> Vec<f64> {
@@ -182,9 +162,8 @@ fn dependence(
     moved: Moved,
     threshold: f64,
     least: f64,
-    setting: &OpenSetting,
 ) -> Option<Open> {
-    let Free { bins, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
+    let Free { bins, columns, whole } = Free::new(events, laid, moved, threshold)?;
     let count = bins.at.len();
     let plain = Plain::new(
         residual,
@@ -249,7 +228,7 @@ mod tests {
             residual[k] += 2e-4 * parity[k] * (events.slope_per_s[k] - events.slope_before_per_s[k]);
         }
         let laid = [laid(parity, Covariate::RowParity), laid(row, Covariate::Row)];
-        let found = dependences(&events, &residual, &block, &laid, 0.2, 1e-4, &OpenSetting::default());
+        let found = dependences(&events, &residual, &block, &laid, 0.2, 1e-4);
         assert_eq!(
             (found[0].dependence.covariate, found[0].dependence.moved),
             (Covariate::RowParity, Moved::Stamps)
@@ -270,15 +249,7 @@ mod tests {
             .iter_mut()
             .zip(&events.polarity)
             .for_each(|(residual, polarity)| *residual += 0.02 * f64::from(*polarity));
-        let found = dependences(
-            &events,
-            &residual,
-            &block,
-            &[laid(row, Covariate::Row)],
-            0.2,
-            1e-4,
-            &OpenSetting::default(),
-        );
+        let found = dependences(&events, &residual, &block, &[laid(row, Covariate::Row)], 0.2, 1e-4);
         assert!(found.iter().all(|one| one.gain < 0.01), "{:?}", found[0]);
     }
 }

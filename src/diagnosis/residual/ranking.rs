@@ -13,16 +13,20 @@
 
 use super::components::{Ground, Part, parts, value as part_value};
 use super::control::{Behind, control};
-use super::evidence::{Evidence, EvidenceSetting, NOISE, Ranked};
+use super::evidence::{Evidence, NOISE, Ranked};
 use super::fit::EventNoise;
 use super::open::{self, Open};
+use super::setting::{
+    DEPENDENCES, EvidenceSetting, KNOWN_STEP_NS, LEAST_EVENT_NOISE, LEAST_NOISE, LEAST_SPREAD,
+    LEAST_UNSTATED_NOISE,
+};
 use super::table::{OF_PIXELS, Seen, Table, median_share};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::rhythm::strongest_period_ns;
-use photocurrent_scene::Scene;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::gate::Gate;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::{Scene, gate};
 
 /// What wider noise of events alone gains, on a scene that is known: on a fitted one, what the scene gets
 /// wrong widens residuals, and its noise is the control's.
@@ -45,14 +49,14 @@ pub fn evidence(
     let (gate, counted, share) = counted_events(case, source, setting)?;
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let step_ns =
-        if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
+    let step_ns = setting.step.ns();
+    let step_ns = if source.is_known() { step_ns.min(KNOWN_STEP_NS) } else { step_ns };
     let mut seen = on_scene(case, source, setting, &scales, gate, step_ns, [pixels, more]);
     let stated = Trial::stated(nominal);
 
     let control_case = control_recording(&seen, nominal)?;
     let control_source = source.refit(&control_case, nominal)?;
-    let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
+    let control_gate = control_source.gate(&control_case, gate::LEAST_DN, gate::SPREAD);
     let pixels = [seen.pixels.clone(), seen.more.clone()];
     let control_seen =
         on_scene(&control_case, &*control_source, setting, &scales, control_gate, step_ns, pixels);
@@ -122,7 +126,7 @@ fn counted_events(
     source: &dyn Scene,
     setting: &EvidenceSetting,
 ) -> Result<(Gate, Vec<usize>, f64), String> {
-    let gate = source.gate(case, setting.least_dn, setting.spread);
+    let gate = source.gate(case, gate::LEAST_DN, gate::SPREAD);
     let all = case.events.len();
     let counted: Vec<usize> = (0..case.extent.pixels())
         .map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count())
@@ -159,7 +163,7 @@ fn on_scene<'a>(
         more,
         setting,
         scales,
-        least: setting.least_noise * scales.threshold,
+        least: LEAST_NOISE * scales.threshold,
         is_known: source.is_known(),
         source,
         by: vec![0.0; source.target().map_or(0, |target| target.free().len())],
@@ -289,7 +293,7 @@ impl Ranking<'_> {
         let (random, parts) = self.chance.beyond(table, white);
         let mut open = seen.dependences(table, &laid[0]);
         open::beyond(&mut open, self.control_dependences);
-        open.truncate(seen.setting.dependences);
+        open.truncate(DEPENDENCES);
         if let Some(best) = open.first_mut() {
             seen.locate_dependence(table, &laid[0], &places, best);
         }
@@ -341,7 +345,6 @@ impl Ranking<'_> {
 
 /// Random effects, counted from what the control finds.
 struct Chance<'a> {
-    setting: &'a EvidenceSetting,
     scales: &'a Scales,
     nominal: &'a Nominal,
     is_known: bool,
@@ -362,8 +365,8 @@ impl<'a> Chance<'a> {
         white: f64,
         slope_per_s: f64,
     ) -> Chance<'a> {
-        let Seen { case, setting, scales, is_known, .. } = *seen;
-        let least = setting.least_noise * scales.threshold;
+        let Seen { case, scales, is_known, .. } = *seen;
+        let least = LEAST_NOISE * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
             Candidate::find(id, parameter).map_or(0.0, |candidate| {
@@ -371,34 +374,21 @@ impl<'a> Chance<'a> {
             })
         });
         let rate = case.events.len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
-        let of_control = of_table(control, white, setting, scales.threshold, &noise);
-        Chance {
-            setting,
-            scales,
-            nominal,
-            is_known,
-            noise,
-            control: of_control,
-            slope_per_s,
-            rate,
-            effect_sizes,
-        }
+        let of_control = of_table(control, white, scales.threshold, &noise);
+        Chance { scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, effect_sizes }
     }
 
     /// Best first, and the parts themselves.
     fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
         let threshold = self.scales.threshold;
-        let parts = of_table(table, white, self.setting, threshold, &self.noise);
+        let parts = of_table(table, white, threshold, &self.noise);
         // What a description does not state may be there; only on known light it is seen so sharply that it
         // must be allowed for.
-        let unstated = if self.is_known && self.nominal.threshold_noise == 0.0 {
-            self.setting.least_unstated_noise
-        } else {
-            0.0
-        };
+        let unstated =
+            if self.is_known && self.nominal.threshold_noise == 0.0 { LEAST_UNSTATED_NOISE } else { 0.0 };
         let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
-            "threshold_noise" => one.value > f64::max(self.setting.least_event_noise, unstated) * threshold,
-            "timestamp_jitter" => one.value * self.slope_per_s > self.setting.least_event_noise * threshold,
+            "threshold_noise" => one.value > f64::max(LEAST_EVENT_NOISE, unstated) * threshold,
+            "timestamp_jitter" => one.value * self.slope_per_s > LEAST_EVENT_NOISE * threshold,
             _ => true,
         };
         let mut found: Vec<Ranked> = parts
@@ -428,15 +418,8 @@ impl<'a> Chance<'a> {
     }
 }
 
-fn of_table(
-    table: &Table,
-    white: f64,
-    setting: &EvidenceSetting,
-    threshold: f64,
-    noise: &EventNoise,
-) -> Vec<Part> {
-    let least = setting.least_noise * threshold;
-    let least_spread = setting.least_spread;
+fn of_table(table: &Table, white: f64, threshold: f64, noise: &EventNoise) -> Vec<Part> {
+    let least = LEAST_NOISE * threshold;
     let [scale, refractory] = table.of_pixels();
     parts(
         &Ground {
@@ -446,7 +429,7 @@ fn of_table(
             white,
             threshold,
             least,
-            least_spread,
+            least_spread: LEAST_SPREAD,
         },
         noise,
     )

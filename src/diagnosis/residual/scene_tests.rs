@@ -9,9 +9,9 @@ use photocurrent_core::Extent;
 use photocurrent_scene::Scene;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::known::KnownLight;
-use photocurrent_scene::mosaic::{MosaicSetting, scene};
+use photocurrent_scene::mosaic::scene;
 use photocurrent_scene::moving::MovingPicture;
-use photocurrent_scene::picture::patches::{PatchSetting, follow, foreground, ground};
+use photocurrent_scene::picture::patches::{PatchSetting, TURN, follow, foreground, ground};
 use photocurrent_scene::picture::{Begin, Picture, PictureSetting};
 use photocurrent_scene::statistics::median;
 use photocurrent_sensor::conditional::at;
@@ -24,7 +24,7 @@ fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<
     });
     let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
     let case = scene.recording_through(trial.as_ref()).unwrap();
-    let source = KnownLight::new(&case, &nominal, scene.light().into(), &PictureSetting::default());
+    let source = KnownLight::new(&case, &nominal, scene.light().into());
     let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
     (evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap(), truth)
 }
@@ -90,7 +90,7 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
         .unwrap();
     let case = fan.recording().unwrap();
     let nominal = case.nominal().unwrap();
-    let found = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default()).unwrap();
+    let found = scene(&case, &nominal, &PictureSetting::default(), &PatchSetting::default()).unwrap();
     assert_eq!(found.name(), "patches");
     let one = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
     let (parts, one) = (error(found.as_ref(), &case, &fan.light()), error(&one, &case, &fan.light()));
@@ -99,7 +99,7 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
     let texture = MadeUp::new(21, 0, extent, 0.06);
     let case = texture.recording().unwrap();
     assert_eq!(
-        scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default())
+        scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &PatchSetting::default())
             .unwrap()
             .name(),
         "picture"
@@ -126,7 +126,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
             .iter()
             .map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32)
             .collect();
-        let poses = follow(&case, &nominal, &counts, &PatchSetting::default());
+        let poses = follow(&case, &nominal, &counts, TURN);
         let picture = Picture::fit_from(
             &case,
             &nominal,

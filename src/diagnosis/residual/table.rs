@@ -1,7 +1,7 @@
 //! First-order fits of every effect on a scene, and exact ones of a few together.
 
 use super::components::{SPREADS, white_share};
-use super::evidence::{EvidenceSetting, Ranked};
+use super::evidence::Ranked;
 use super::fit::{
     Column, EventNoise, Fitted, Plain, Rest, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
@@ -9,6 +9,7 @@ use super::laid::{Laid, lay};
 use super::open::{self, Open};
 use super::places::Places;
 use super::prepared::Prepared;
+use super::setting::{CELL, EvidenceSetting, LARGEST_EFFECT_SIZE, LEAST_SLOPE, PROBE, STILL, WORTH_REFINING};
 use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::covariates::{Covariate, Surroundings};
@@ -287,8 +288,8 @@ impl Seen<'_> {
         let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
         // A voltage that hardly moves says little of when an event comes; on the way to one it takes a
         // threshold within the recording.
-        let least = self.setting.least_slope
-            * f64::max(median(&mut slopes), self.scales.threshold / self.scales.duration_s);
+        let least =
+            LEAST_SLOPE * f64::max(median(&mut slopes), self.scales.threshold / self.scales.duration_s);
         let log_slope = of_trials
             .iter()
             .map(|of| {
@@ -329,8 +330,7 @@ impl Seen<'_> {
         let view = View { case: self.case, light: &self.light, pixels: self.more.clone(), is_known: false };
         let (events, _) =
             view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
-        let cell =
-            |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, self.setting.cell);
+        let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, CELL);
         let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
         Ok(white_share(&events, &events.excess, &cells))
     }
@@ -376,7 +376,6 @@ impl Seen<'_> {
             laid,
             self.scales.threshold,
             self.least,
-            &self.setting.open,
         )
     }
 
@@ -397,7 +396,6 @@ impl Seen<'_> {
             &best.dependence,
             self.scales.threshold,
             self.least,
-            &self.setting.open,
         );
         best.located = gains.map(|gains| {
             places
@@ -465,10 +463,10 @@ impl Seen<'_> {
         let kind = &CANDIDATES[candidate];
         match kind.sought.grows {
             // So little of it would hardly show.
-            Grows::WithSquare => 10.0 * self.setting.probe,
+            Grows::WithSquare => 10.0 * PROBE,
             Grows::AsItFalls => 1.0,
             Grows::Linearly if kind.signs == Signs::Switch => 1.0,
-            Grows::Linearly => self.setting.probe,
+            Grows::Linearly => PROBE,
         }
     }
 
@@ -499,7 +497,7 @@ impl Seen<'_> {
         for _ in 0..rounds {
             let is_known = known.as_ref().is_some_and(|(_, at)| self.is_near(at, &effect_size));
             let further: Vec<f64> =
-                free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
+                free.iter().map(|&i| PROBE * f64::max(0.2, effect_size[i].abs())).collect();
             let to_move = if is_known { &[][..] } else { &free[..] };
             let trials = self.moved_trials(trial, which, &effect_size, to_move, &further);
             let found = self.evaluate_on(&light, &trials, Some(table))?;
@@ -519,8 +517,7 @@ impl Seen<'_> {
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
                 let next = self.next(which[i], effect_size[i], step.size[n]);
-                is_still &= (next - effect_size[i]).abs()
-                    < self.setting.still * f64::max(effect_size[i].abs(), self.setting.probe);
+                is_still &= (next - effect_size[i]).abs() < STILL * f64::max(effect_size[i].abs(), PROBE);
                 (effect_size[i], error[i]) = (next, step.error[n]);
             }
             if let Some((moved, there)) = self.further(&by, &step.free, &trials[0]) {
@@ -580,9 +577,7 @@ impl Seen<'_> {
 
     /// Would columns that were taken at effect sizes be the same now?
     fn is_near(&self, at: &[f64], now: &[f64]) -> bool {
-        at.iter()
-            .zip(now)
-            .all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe))
+        at.iter().zip(now).all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), PROBE))
     }
 
     /// The effect size after a step of a fit, which goes no further than the size itself and 1 more.
@@ -593,7 +588,7 @@ impl Seen<'_> {
 
     /// Effect sizes that a search may reach, within physics.
     fn bounded(&self, candidate: usize, effect_size: f64) -> f64 {
-        let most = self.setting.largest_effect_size;
+        let most = LARGEST_EFFECT_SIZE;
         let least = if CANDIDATES[candidate].signs == Signs::Both { -most } else { 0.0 };
         effect_size.clamp(least, most)
     }
@@ -620,7 +615,7 @@ impl Seen<'_> {
         for one in ranked
             .iter_mut()
             .take(refined)
-            .filter(|one| one.beyond() > self.setting.worth_refining * best && one.beyond() > 0.0)
+            .filter(|one| one.beyond() > WORTH_REFINING * best && one.beyond() > 0.0)
         {
             let begin = one.effect_size + one.control_effect_size;
             let found = match first {

@@ -11,7 +11,6 @@ use photocurrent_core::Extent;
 use photocurrent_scene::FreeParameters;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_scene::picture::PictureSetting;
 use photocurrent_scene::target::{Target, TargetSetting};
 use std::sync::Arc;
 
@@ -34,9 +33,7 @@ fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f6
     let case = scene.recording_through(trial.as_ref()).unwrap();
     let (sketches, shares) = Sketches::around(&scene, 3, STAR);
     let near: Vec<f64> = shares.iter().map(|share| share + 0.01).collect();
-    let target =
-        Target::near(&case, &nominal, Arc::new(sketches), SETTING, &PictureSetting::default(), &near)
-            .unwrap();
+    let target = Target::near(&case, &nominal, Arc::new(sketches), SETTING, &near).unwrap();
     let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
     (case, nominal, target, shares, truth)
 }

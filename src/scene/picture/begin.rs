@@ -1,7 +1,7 @@
 //! How the motion of a picture begins: frames for registration, and splines through the poses that it finds.
 
 use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
-use super::setting::PictureSetting;
+use super::setting::{FRAME_NOISE, PictureSetting, ROBUST};
 use crate::case::Case;
 use crate::image::Image;
 use crate::nominal::Nominal;
@@ -44,8 +44,8 @@ pub(crate) fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f
 }
 
 /// The share of frame values that are those of the frame before, within a few standard deviations of one.
-pub(super) fn unchanged(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> f64 {
-    let changes = moving(case, nominal, (setting.frame_dn, setting.frame_share), setting.robust);
+pub(super) fn unchanged(case: &Case, nominal: &Nominal) -> f64 {
+    let changes = moving(case, nominal, FRAME_NOISE, ROBUST);
     changes.iter().filter(|changes| !**changes).count() as f64 / changes.len().max(1) as f64
 }
 
@@ -60,8 +60,8 @@ pub(crate) fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting)
     let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
     let half = 0.5 * (f64::max(width, height) - 1.0);
     let times = &case.frames.as_ref().expect("frames are there").times;
-    let period_ns = times.mean_period_ns().map_or(setting.knot_ns, |period| period as i64);
-    let knot_ns = i64::max(setting.knot_ns, period_ns * 6 / 5);
+    let period_ns = times.mean_period_ns().map_or(setting.knot.ns(), |period| period as i64);
+    let knot_ns = i64::max(setting.knot.ns(), period_ns * 6 / 5);
     let mut motion = Motion::still(case.span, knot_ns, half);
     let knots = motion.knots.len();
     let mut normal = DMatrix::<f64>::zeros(knots, knots);

@@ -3,9 +3,12 @@
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
 use super::motion::{DEGREES, Map, Motion, RIGID, apply, compose};
-use super::register::register;
+use super::register::{Search, register};
 use super::rows::{LANES, Rows};
-use super::setting::PictureSetting;
+use super::setting::{
+    FRAME_NOISE, GAIN, LEAST_MISFIT, LEAST_ROUGHNESS, LEAST_ROUNDS, MOTION_WEIGHT, POOLED, PictureSetting,
+    ROBUST, SEED, STILL, STRETCH,
+};
 use super::shading::TERMS;
 use super::spline::Grid;
 use super::system::{Smoothness, Unknowns, add, again, draw, roughness, solve};
@@ -98,7 +101,7 @@ impl Picture {
         // Registration of neighbours, chained.
         let pairs: Vec<(Map, f64)> = (1..count)
             .into_par_iter()
-            .map(|l| register(&images[l - 1], &images[l], &setting.search, None))
+            .map(|l| register(&images[l - 1], &images[l], &Search::default(), None))
             .collect();
         let mut poses: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
         for (pair, _) in &pairs {
@@ -107,8 +110,7 @@ impl Picture {
         // Where much stands still, what registration followed may be the smaller part of it.
         let still = vec![poses[0]; count];
         let motions = [&poses[..], &still[..]];
-        let tried =
-            if unchanged(case, nominal, setting) > setting.still { &motions[..] } else { &motions[..1] };
+        let tried = if unchanged(case, nominal) > STILL { &motions[..] } else { &motions[..1] };
         let mut picture =
             Picture::fit_from(case, nominal, setting, tried, Begin { selected, ..Begin::default() });
         picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
@@ -248,7 +250,7 @@ impl<'a> Fit<'a> {
             motion,
             shading: [0.0; TERMS],
             least: 1e-3 * typical,
-            report: Report { noise: (setting.frame_dn, setting.frame_share), ..Report::default() },
+            report: Report { noise: FRAME_NOISE, ..Report::default() },
             residual: Vec::new(),
             coverage: Vec::new(),
             centre,
@@ -293,7 +295,7 @@ impl<'a> Fit<'a> {
             let pixels = self.case.extent.pixels();
             let signal =
                 f64::max(self.case.dn(n / pixels, n % pixels) - self.nominal.number.black_level, 0.0);
-            let z = f64::from(*residual) / (self.setting.robust * self.sigma(signal));
+            let z = f64::from(*residual) / (ROBUST * self.sigma(signal));
             (libm::log1p(z * z), 1.0)
         };
         let (sum, count) = residual.map(of).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
@@ -333,9 +335,9 @@ impl<'a> Fit<'a> {
             let hold_motion = 1.0 / 2.0;
             smooth.rest = vec![hold_motion; knots * DEGREES];
             smooth.rest.extend([if with_shading { 2.0 } else { 0.0 }; TERMS]);
-            smooth.motion = self.setting.motion_weight;
+            smooth.motion = MOTION_WEIGHT;
             // Scale and shear are as little as frames allow: a star has no scale.
-            let stretch = 1.0 / self.setting.stretch;
+            let stretch = 1.0 / STRETCH;
             smooth.rest_size =
                 (0..knots * DEGREES).map(|n| if n % DEGREES >= RIGID { stretch } else { 0.0 }).collect();
             smooth.rest_size.extend([1.0; TERMS]);
@@ -356,14 +358,12 @@ impl<'a> Fit<'a> {
             let last = self.picture.report.misfit.last().copied();
             self.picture.report.misfit.push(misfit);
             let open = (begin > 0).then(|| {
-                let mut random = Random::new(self.setting.seed, &[round as u64]);
+                let mut random = Random::new(SEED, &[round as u64]);
                 draw(&rows, &self.picture.grid, &smooth, knots, self.setting.draw_steps, &mut random)
             });
             smooth = self.smoothness(knots, open.as_deref());
             best = self.cost(&rows, &smooth);
-            if round + 1 >= begin + self.setting.least_rounds
-                && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last)
-            {
+            if round + 1 >= begin + LEAST_ROUNDS && last.is_some_and(|last| misfit > (1.0 - GAIN) * last) {
                 break;
             }
         }
@@ -401,7 +401,7 @@ impl<'a> Fit<'a> {
     }
 
     fn cost(&self, rows: &Rows, smooth: &Smoothness) -> f64 {
-        let robust = self.setting.robust * self.scale;
+        let robust = ROBUST * self.scale;
         let misfit: f64 = (0..rows.count())
             .filter(|&r| rows.weight[r] > 0.0)
             .map(|r| {
@@ -440,7 +440,7 @@ impl<'a> Fit<'a> {
     fn smoothness(&self, knots: usize, open: Option<&[f32]>) -> Smoothness {
         let grid = &self.picture.grid;
         let (w, h) = (grid.width, grid.height);
-        let least = (self.setting.least_roughness * self.typical) as f32;
+        let least = (LEAST_ROUGHNESS * self.typical) as f32;
         let layers = self
             .picture
             .surface
@@ -471,7 +471,7 @@ impl<'a> Fit<'a> {
                             n += 1.0;
                         }
                     }
-                    1.0 / (sum / n + self.setting.pooled as f32 * overall + least * least).sqrt()
+                    1.0 / (sum / n + POOLED as f32 * overall + least * least).sqrt()
                 })
                 .collect()
         };
@@ -514,12 +514,12 @@ impl<'a> Fit<'a> {
         }
         sizes.select_nth_unstable_by(middle, f64::total_cmp);
         let misfit = sizes[middle] / 0.6745;
-        self.scale = misfit.max(self.setting.least_misfit);
+        self.scale = misfit.max(LEAST_MISFIT);
         for r in 0..rows.count() {
             if rows.weight[r] == 0.0 {
                 continue;
             }
-            let far = z[r] / (self.setting.robust * self.scale);
+            let far = z[r] / (ROBUST * self.scale);
             rows.weight[r] =
                 (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;
         }

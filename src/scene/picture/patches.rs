@@ -16,55 +16,54 @@ use super::setting::PictureSetting;
 use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// How the array and the recording are cut.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct PatchSetting {
-    /// Side of a tile, pixels.
-    pub side: u32,
-    /// A tile's picture is fitted to so many pixels around it as well.
+    /// Side of the tiles that may have a picture of their own, pixels.
+    #[schemars(range(min = 4, max = 256))]
+    pub tile: u32,
+    /// Which is fitted to so many pixels around the tile as well.
+    #[schemars(range(min = 2, max = 64))]
     pub margin: u32,
-    /// Frames of a window.
-    pub frames: usize,
-    /// Frame intervals that neighbouring windows share.
-    pub shared: usize,
-    /// Largest shift from frame to frame, pixels.
-    pub reach: i32,
-    /// Largest turn from frame to frame, radians.
-    pub turn: f64,
-    /// What a shift by one pixel must gain of the mean difference of frames, as a share.
-    pub shift_cost: f64,
-    /// A value that changes by more than so many standard deviations moves.
-    pub moves: f64,
-    /// Fewer moving values than this are not fitted.
-    pub least_values: usize,
-    /// Fewer events in a tile and window are not worth a picture.
-    pub least_events: usize,
+    /// And to so many frames.
+    #[schemars(range(min = 3, max = 64))]
+    pub window: usize,
+    /// At most so many such pictures are fitted, those of tiles with the most events.
+    #[schemars(range(max = 100_000))]
+    pub most_parts: usize,
 }
 
 impl Default for PatchSetting {
     fn default() -> PatchSetting {
-        PatchSetting {
-            side: 12,
-            margin: 6,
-            frames: 5,
-            shared: 1,
-            reach: 12,
-            turn: 0.8,
-            shift_cost: 0.01,
-            moves: 4.0,
-            least_values: 200,
-            least_events: 12,
-        }
+        PatchSetting { tile: 12, margin: 6, window: 5, most_parts: 96 }
     }
 }
+
+/// Frame intervals that neighbouring windows share.
+const SHARED: usize = 1;
+/// Largest shift from frame to frame, pixels.
+const REACH: i32 = 12;
+/// Largest turn from frame to frame of the whole array, radians.
+pub const TURN: f64 = 0.8;
+/// What a shift by one pixel must gain of the mean difference of frames, as a share.
+const SHIFT_COST: f64 = 0.01;
+/// A value that changes by more than so many standard deviations moves.
+pub(crate) const MOVES: f64 = 4.0;
+/// Fewer moving values than this are not fitted.
+const LEAST_VALUES: usize = 200;
+/// Fewer events in a tile and window are not worth a picture.
+pub(crate) const LEAST_EVENTS: usize = 12;
 
 impl PatchSetting {
     /// The tiles of an array: columns and rows.
     pub fn tiles(&self, extent: Extent) -> Vec<(Range<u32>, Range<u32>)> {
         let cut = |length: u32| -> Vec<Range<u32>> {
-            let count = u32::max(length / self.side.max(1), 1);
+            let count = u32::max(length / self.tile.max(1), 1);
             (0..count).map(|n| n * length / count..(n + 1) * length / count).collect()
         };
         cut(extent.height)
@@ -75,8 +74,8 @@ impl PatchSetting {
 
     /// The windows of so many frames.
     pub fn windows(&self, count: usize) -> Vec<Range<usize>> {
-        let length = self.frames.clamp(3, count.max(3));
-        let step = (length - 1).saturating_sub(self.shared).max(1);
+        let length = self.window.clamp(3, count.max(3));
+        let step = (length - 1).saturating_sub(SHARED).max(1);
         let last = count.saturating_sub(length);
         let mut all: Vec<Range<usize>> = (0..last).step_by(step).map(|first| first..first + length).collect();
         if count >= length {
@@ -223,7 +222,6 @@ impl Patch {
         moves: &[bool],
         ground: Option<&[f32]>,
         part: Part,
-        setting: &PatchSetting,
         of_picture: &PictureSetting,
     ) -> Option<Patch> {
         let own = part.of(case);
@@ -239,11 +237,11 @@ impl Patch {
         counts.iter_mut().enumerate().for_each(|(n, counts)| {
             *counts &= own.dn(n / own.extent.pixels(), n % own.extent.pixels()).is_finite()
         });
-        if counts.iter().filter(|counts| **counts).count() < setting.least_values {
+        if counts.iter().filter(|counts| **counts).count() < LEAST_VALUES {
             return None;
         }
         // A part is too small to turn much.
-        let poses = follow(&own, nominal, &counts, &PatchSetting { turn: 0.0, ..*setting });
+        let poses = follow(&own, nominal, &counts, 0.0);
         let ground: Option<Vec<f32>> =
             ground.map(|ground| part.pixels(case.extent.width).map(|pixel| ground[pixel]).collect());
         if ground.is_some() {
@@ -295,8 +293,8 @@ impl Patch {
 }
 
 /// The one motion from frame to frame that predicts moving values best, a shift or a turn around their
-/// middle: poses of all frames.
-pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> Vec<Map> {
+/// middle by at most `most_turn` radians: poses of all frames.
+pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], most_turn: f64) -> Vec<Map> {
     let smooth: Vec<_> = images(case, nominal).iter().map(|image| image.smoothed(1)).collect();
     let width = case.extent.width as usize;
     let pixels = case.extent.pixels();
@@ -329,13 +327,13 @@ pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSe
         if 2.0 * n < all {
             f64::INFINITY
         } else {
-            sum / n * (1.0 + setting.shift_cost * (libm::hypot(dx, dy) + turn.abs() * radius))
+            sum / n * (1.0 + SHIFT_COST * (libm::hypot(dx, dy) + turn.abs() * radius))
         }
     };
-    let reach = setting.reach;
+    let reach = REACH;
     let shifts =
         (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (f64::from(dx), f64::from(dy), 0.0)));
-    let steps = (setting.turn / TURN_STEP).floor() as i32;
+    let steps = (most_turn / TURN_STEP).floor() as i32;
     let turns = (-steps..=steps).flat_map(|n| {
         (-1..=1).flat_map(move |j| {
             (-1..=1).map(move |i| (2.0 * f64::from(i), 2.0 * f64::from(j), f64::from(n) * TURN_STEP))

@@ -11,7 +11,7 @@ use nalgebra::{SMatrix, SVector};
 
 /// What is searched.
 #[derive(Clone, Copy, Debug)]
-pub struct Search {
+pub(crate) struct Search {
     /// Largest turn between two frames, radians.
     pub turn: f64,
     /// Step of the search over turns, radians.

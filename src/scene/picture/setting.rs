@@ -1,88 +1,106 @@
 //! How a picture is fitted.
 
-use super::register::Search;
+use photocurrent_core::quantity::Duration;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Standard deviation of frame values beyond what is stated: DN, and a share of the signal.
+pub(crate) const FRAME_NOISE: (f64, f64) = (1.0, 0.005);
+/// Residuals count half at this many standard deviations.
+pub(super) const ROBUST: f64 = 4.0;
+/// Rounds of Gauss-Newton on each grid, at least.
+pub(super) const LEAST_ROUNDS: usize = 3;
+/// Frame noise may be this much smaller than it is first assumed.
+pub(super) const LEAST_MISFIT: f64 = 0.02;
+/// A further round is taken while the misfit falls by this share.
+pub(super) const GAIN: f64 = 0.05;
+/// Second differences of the picture that are always possible, as a share of its mean.
+pub(super) const LEAST_ROUGHNESS: f64 = 0.003;
+/// Share of the picture's overall roughness in the local one.
+pub(super) const POOLED: f64 = 0.1;
+/// Weight of the second differences of the motion's knots, one over pixels.
+pub(super) const MOTION_WEIGHT: f64 = 1.0;
+/// Standard deviation of scale and shear, pixels at the array's edge.
+pub(super) const STRETCH: f64 = 3.0;
+/// Where more than this share of frame values does not change, a scene that stands still is tried as well.
+pub(super) const STILL: f64 = 0.4;
+/// Seed of draws of what frames leave open.
+pub(super) const SEED: u64 = 1;
 
 /// How a picture is fitted.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct PictureSetting {
-    /// Distance of coefficients, pixels.
+    /// Distance of the picture's coefficients, pixels.
+    #[schemars(range(min = 0.3, max = 4.0))]
     pub pitch: f64,
-    /// And while motion is found, pixels.
-    pub coarse_pitch: f64,
-    /// Shortest time between knots of the motion, ns.
-    pub knot_ns: i64,
-    /// Rounds of Gauss-Newton at most: on the coarse grid, and on the fine one.
-    pub rounds: (usize, usize),
-    /// And on each at least so many.
-    pub least_rounds: usize,
-    /// Conjugate gradients in each.
-    pub steps: (usize, usize),
-    /// Standard deviation of frame values beyond what is stated, DN.
-    pub frame_dn: f64,
-    /// And as a share of the signal.
-    pub frame_share: f64,
-    /// Residuals count half at this many standard deviations.
-    pub robust: f64,
-    /// Frame noise may be this much smaller than it is first assumed.
-    pub least_misfit: f64,
-    /// A further round is taken while the misfit falls by this share.
-    pub gain: f64,
-    /// Second differences of the picture that are always possible, as a share of its mean.
-    pub least_roughness: f64,
-    /// Share of the picture's overall roughness in the local one.
-    pub pooled: f64,
-    /// Weight of the second differences of the motion's knots, one over pixels.
-    pub motion_weight: f64,
-    /// Standard deviation of scale and shear, pixels at the array's edge.
-    pub stretch: f64,
-    /// Is the array's shading fitted?
-    pub is_shaded: bool,
-    /// Where more than this share of frame values does not change, a scene that stands still is tried as
-    /// well.
-    pub still: f64,
-    /// More frame values than this are not fitted: each takes some 300 bytes.
-    pub most_values: usize,
-    /// How motion begins.
-    pub search: Search,
-    /// So many times the picture is fitted to what it leaves, from where it stands.
+    /// Shortest time between knots of the picture's motion.
+    #[schemars(extend("x-min" = "1 ms", "x-max" = "1 s"))]
+    pub knot: Duration,
+    /// The picture is fitted so many times more to what it leaves.
+    #[schemars(range(max = 50))]
     pub again: usize,
-    /// Conjugate gradients of each of these times, and of a draw.
-    pub again_steps: usize,
-    /// See there.
-    pub draw_steps: usize,
-    /// Seed of draws of what frames leave open.
-    pub seed: u64,
-    /// What a picture is sharpened over to find what its fit removes, pixels.
+    /// Of a recording with more frame values, only the neighbouring frames with the most events between them
+    /// are looked at, as many as have so many values: a fit takes some 300 bytes for each.
+    #[schemars(range(min = 1_000))]
+    pub most_values: usize,
+    /// What a picture is sharpened over for the control, to find what its fit removes, pixels.
+    #[schemars(range(min = 0.0, max = 4.0))]
     pub sharpest: f64,
+    /// Distance of coefficients while motion is found, pixels.
+    #[serde(skip)]
+    pub coarse_pitch: f64,
+    /// Rounds of Gauss-Newton at most: on the coarse grid, and on the fine one.
+    #[serde(skip)]
+    pub rounds: (usize, usize),
+    /// Conjugate gradients in each.
+    #[serde(skip)]
+    pub steps: (usize, usize),
+    /// Conjugate gradients of each of the times that the picture is fitted again.
+    #[serde(skip)]
+    pub again_steps: usize,
+    /// And of a draw of what frames leave open.
+    #[serde(skip)]
+    pub draw_steps: usize,
+    /// Is the array's shading fitted?
+    #[serde(skip)]
+    pub is_shaded: bool,
 }
 
 impl Default for PictureSetting {
     fn default() -> PictureSetting {
         PictureSetting {
             pitch: 0.55,
-            coarse_pitch: 1.3,
-            knot_ns: 10_000_000,
-            rounds: (5, 5),
-            least_rounds: 3,
-            steps: (40, 50),
-            frame_dn: 1.0,
-            frame_share: 0.005,
-            robust: 4.0,
-            least_misfit: 0.02,
-            gain: 0.05,
-            least_roughness: 0.003,
-            pooled: 0.1,
-            motion_weight: 1.0,
-            stretch: 3.0,
-            is_shaded: true,
-            still: 0.4,
-            most_values: 1_000_000,
-            search: Search::default(),
+            knot: Duration::new(10_000_000),
             again: 5,
+            most_values: 1_000_000,
+            sharpest: 0.4,
+            coarse_pitch: 1.3,
+            rounds: (5, 5),
+            steps: (40, 50),
             again_steps: 30,
             draw_steps: 25,
-            seed: 1,
-            sharpest: 0.4,
+            is_shaded: true,
+        }
+    }
+}
+
+impl PictureSetting {
+    /// How pictures of parts of the array are fitted where the whole is fitted like this.
+    #[must_use]
+    pub fn of_parts(&self) -> PictureSetting {
+        let PictureSetting { pitch, knot, sharpest, .. } = *self;
+        PictureSetting {
+            pitch,
+            knot,
+            sharpest,
+            rounds: (4, 4),
+            steps: (30, 60),
+            again: 3,
+            again_steps: 40,
+            draw_steps: 30,
+            is_shaded: false,
+            ..PictureSetting::default()
         }
     }
 }

@@ -1,0 +1,151 @@
+//! A whole diagnosis in one call ([`diagnose`]), and its stages between direct tests and confirmation one by
+//! one: the evidence on a scene that frames state ([`on_frames`]), and what it comes to ([`proposed`]).
+
+use crate::decide::{Decision, decide};
+use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
+use crate::integrity::Integrity;
+use crate::residual::evidence::{Evidence, EvidenceSetting};
+use crate::residual::ranking::evidence;
+use crate::stages::{Proposed, Seen};
+use crate::unstated::without_scene;
+use photocurrent_core::NodeError;
+use photocurrent_scene::Scene;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::mosaic::{PatchSetting, scene};
+use photocurrent_scene::moving::MovingPicture;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::PictureSetting;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Where the scene is from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Estimated {
+    /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each
+    /// where it does not predict them.
+    #[default]
+    Parts,
+    /// One moving picture.
+    Picture,
+    /// Nowhere: events are compared with no scene.
+    None,
+}
+
+/// How the scene is estimated, and events are compared with it.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct OnScene {
+    /// Where the scene is from when no light is connected.
+    pub scene: Estimated,
+    /// How a picture is fitted.
+    #[serde(flatten)]
+    pub picture: PictureSetting,
+    /// How the array is cut into parts.
+    #[serde(flatten)]
+    pub parts: PatchSetting,
+    /// How events are compared with the scene.
+    #[serde(flatten)]
+    pub evidence: EvidenceSetting,
+    /// Light that flickers by a larger share is no evidence: a picture does not flicker.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub most_flicker: f64,
+}
+
+impl Default for OnScene {
+    fn default() -> OnScene {
+        OnScene {
+            scene: Estimated::default(),
+            picture: PictureSetting::default(),
+            parts: PatchSetting::default(),
+            evidence: EvidenceSetting::default(),
+            most_flicker: 0.01,
+        }
+    }
+}
+
+/// How a recording is diagnosed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// The scene, and what events miss on it.
+    pub on_scene: OnScene,
+    /// From evidence to probabilities.
+    pub decision: Decision,
+    /// From probabilities to the verdict.
+    pub confirm: Setting,
+}
+
+/// Where a recording and its description differ: verdict, findings, fitted description.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn diagnose(case: &Case, options: &Options) -> Result<Diagnosis, NodeError> {
+    let integrity = check(case)?;
+    let seen = if options.on_scene.scene == Estimated::None {
+        Seen::NotAsked
+    } else {
+        match amended(case, &integrity)? {
+            Ok(case) => on_frames(&case, &case.nominal()?, &integrity, &options.on_scene),
+            Err(why) => Seen::Nothing(why),
+        }
+    };
+    let nominal = Nominal::of(&amend(case, &integrity)?.sensor);
+    confirm(case, &options.confirm, integrity, proposed(seen, &nominal, &options.decision))
+}
+
+/// The recording that events are compared with a scene in: with what direct tests found in its description;
+/// or why it states no scene.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String>, NodeError> {
+    if !can_compare(case, integrity) {
+        return Ok(Err("there is too little, or it is not sound enough, to estimate a scene".into()));
+    }
+    let filters = case.frames.as_ref().and_then(|frames| frames.filters).map(|filters| {
+        format!(
+            "the frames are behind a mosaic of filters ({filters}): neighbouring pixels measure other light"
+        )
+    });
+    match without_scene(&case.sensor).or(filters) {
+        Some(why) => Ok(Err(why)),
+        None => amend(case, integrity).map(Ok),
+    }
+}
+
+/// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames.
+pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
+    if let Some(flicker) = integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
+        return Seen::Nothing(format!(
+            "the light flickers at {:.0} Hz by {:.0} %",
+            flicker.frequency_hz,
+            100.0 * flicker.depth
+        ));
+    }
+    let part = case.busiest(setting.picture.most_values);
+    let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
+    let fitted = match setting.scene {
+        Estimated::Parts => scene(case, nominal, &setting.picture, &setting.parts),
+        _ => MovingPicture::fit(case, nominal, &setting.picture)
+            .map(|picture| Box::new(picture) as Box<dyn Scene>),
+    };
+    let found = fitted.and_then(|scene| evidence(case, nominal, &*scene, &setting.evidence));
+    seen(found.map(|found| Evidence { span_ns, ..found }))
+}
+
+/// Evidence, or why there is none.
+pub fn seen(found: Result<Evidence, String>) -> Seen {
+    found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found)))
+}
+
+/// What evidence comes to; `nominal`: the sensor that events were compared with.
+pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed {
+    match seen {
+        Seen::NotAsked => Proposed::NotAsked,
+        Seen::Nothing(why) => Proposed::Nothing(why),
+        Seen::Evidence(found) => match decide(&found, nominal, decision) {
+            Ok(decided) => Proposed::Decided(Box::new(decided)),
+            Err(why) => Proposed::Nothing(why),
+        },
+    }
+}
