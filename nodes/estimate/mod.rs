@@ -46,7 +46,7 @@ photocurrent_core::ports! {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over
+    /// Frames that are evaluated, at most: all of a short recording, otherwise runs of neighbours spread over
     /// it.
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
@@ -72,7 +72,7 @@ pub struct Proposals {
 }
 
 impl In {
-    /// What is looked at.
+    /// The frames that are evaluated, and the events between them.
     fn panel(&self, settings: &Settings) -> Result<estimate::Panel, NodeError> {
         panel(&self.events, &self.frames, self.sensor.as_deref(), settings)
     }

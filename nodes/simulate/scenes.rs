@@ -182,7 +182,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn nothing_crosses_a_pixel_faster_than_the_scene_says() {
+    fn nothing_crosses_a_pixel_faster_than_the_scene_states() {
         // With the mean over a pixel, a step of one pixel changes reflectance by its whole range at most;
         // twice that for slanted edges.
         let range = BRIGHTEST - DARKEST;

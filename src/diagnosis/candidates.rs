@@ -145,7 +145,7 @@ pub struct Candidate {
     pub signs: Signs,
     /// Is what happens random, so that another seed gives another recording with the same statistics?
     pub is_random: bool,
-    /// What the effect's file says of it.
+    /// How it is searched for, from the file of the effect.
     pub sought: Sought,
     decl: EffectDecl,
 }
@@ -228,8 +228,8 @@ impl Candidate {
         }
     }
 
-    /// Does a value differ from nothing by more than anybody would care about? From which size on, the
-    /// effect's file says; a switch and a limit always do.
+    /// Does a value differ from nothing by a material size? The file of the effect states from which size on;
+    /// a switch and a limit always do.
     pub fn is_material(&self, case: &Case, nominal: &Nominal, value: f64) -> bool {
         if self.signs == Signs::Switch || self.is_limit() {
             return true;

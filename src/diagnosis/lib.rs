@@ -25,7 +25,7 @@
 //! - `advice`: what to record next.
 //! - [`mod@diagnose`]: direct tests and confirmation; [`whole`]: all stages in one call ([`diagnose()`]).
 //! - [`stages`]: what passes between them, as documents.
-//! - [`report`]: what a diagnosis says, as `diagnosis.json`; [`units`]: its numbers for people.
+//! - [`report`]: the results of a diagnosis, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
 //!
 //! The crate knows no files and no graphs. It never sees true light.

@@ -21,7 +21,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 pub struct Proposal {
     /// Index into [`CANDIDATES`].
     pub candidate: usize,
-    /// How far over the probability from which something is said: 1 = just.
+    /// Probability that something differs, over the least at which it is reported.
     pub score: f64,
     /// Its probability given that there is something, 0 to 1.
     pub probability: f64,
@@ -29,7 +29,7 @@ pub struct Proposal {
     pub value: f64,
     /// Its 95 % interval.
     pub ci95: Option<[f64; 2]>,
-    /// Is enough said for it?
+    /// Is it probable enough to be reported?
     pub passed: bool,
     /// Gain in log-likelihood on held-out events beyond the control's, nats.
     pub heldout_nats: Option<f64>,
@@ -91,10 +91,10 @@ impl Unexplained {
 pub struct Decided {
     /// The scene: `picture`, `given`, ...
     pub name: String,
-    /// Share of the events that lie where the scene predicts frames: the others were not looked at.
+    /// Share of the events that lie where the scene predicts frames: the others are not evaluated.
     #[serde(default)]
     pub share: f64,
-    /// First and last instant that was looked at, ns; none where it is the whole recording.
+    /// First and last instant that was evaluated, ns; none where it is the whole recording.
     #[serde(default)]
     pub span_ns: Option<(i64, i64)>,
     /// Does the recording differ from the description at all?
@@ -121,7 +121,7 @@ pub struct Decided {
 /// What is decided on a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Proposed {
-    /// Nobody asked.
+    /// No scene was to be compared.
     #[default]
     NotAsked,
     /// The scene is no evidence, and why.

@@ -108,7 +108,7 @@ impl Part {
     }
 }
 
-/// A row that was taken in.
+/// A loaded row.
 #[derive(Default)]
 pub struct Taken {
     data: RowData,
@@ -117,7 +117,7 @@ pub struct Taken {
 }
 
 impl Taken {
-    /// What was taken in.
+    /// The loaded row.
     pub fn data(&self) -> &RowData {
         &self.data
     }
@@ -231,12 +231,12 @@ impl RowSolver {
         self.taken.data.take(model, recorded, row, setting.frame_dn)
     }
 
-    /// What is known of the events of every pixel of the row that was taken in.
+    /// What is known of the events of every pixel of the loaded row.
     pub fn give(&mut self, known: Vec<Known>) {
         self.taken.given = known;
     }
 
-    /// The row that was taken in, by itself: the solver's memory is much larger, and serves many rows.
+    /// The loaded row, by itself: the solver's memory is much larger, and serves many rows.
     pub fn hand_over(&mut self) -> Taken {
         std::mem::take(&mut self.taken)
     }
@@ -249,7 +249,7 @@ impl RowSolver {
         done
     }
 
-    /// Estimates of the pixels of the row that was taken in, without more than what was given.
+    /// Estimates of the pixels of the loaded row, without more than what was given.
     pub fn light(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta) -> RowLight {
         let width = meta.extent.width as usize;
         let lit = self.lit();
@@ -275,12 +275,12 @@ impl RowSolver {
         light
     }
 
-    /// What was taken in.
+    /// The loaded row.
     pub fn data(&self) -> &RowData {
         &self.taken.data
     }
 
-    /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
+    /// Solves the loaded row, with what is known from elsewhere for each of its pixels.
     pub fn solve(
         &mut self,
         model: &Model,
@@ -294,8 +294,8 @@ impl RowSolver {
         together(setting, meta, row, [(lit.as_slice(), &self.part)].into_iter())
     }
 
-    /// Pixels of the row that was taken in that have events and frames, spread over their number of events;
-    /// at most [`SAMPLED_PIXELS`].
+    /// Pixels of the loaded row that have events and frames, spread over their number of events; at most
+    /// [`SAMPLED_PIXELS`].
     pub fn sample(&self) -> Vec<usize> {
         let data = &self.taken.data;
         let mut pixels: Vec<usize> = (0..data.width())
@@ -330,8 +330,7 @@ impl RowSolver {
         })
     }
 
-    /// What `answer` makes of the problem of a pixel of the row that was taken in, with what is known of its
-    /// events.
+    /// What `answer` makes of the problem of a pixel of the loaded row, with what is known of its events.
     fn with_known<T>(
         &mut self,
         model: &Model,

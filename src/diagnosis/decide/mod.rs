@@ -188,7 +188,7 @@ fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
     ranked.iter().filter_map(|one| Some((one.candidate, one.located.clone()?))).collect()
 }
 
-/// One proposal for each hypothesis, best first; `score`: how far over what is said something is.
+/// One proposal for each hypothesis, best first; `score`: see [`Proposal::score`].
 fn proposals(
     found: &Evidence,
     list: &[&Ranked],

@@ -28,7 +28,7 @@ pub struct Departure {
     pub ci95: Vec<(&'static str, [f64; 2])>,
 }
 
-/// Nats that half of the array must gain from what the other half says.
+/// Nats that half of the array must gain by what is estimated on the other half.
 pub(super) const NATS: f64 = 30.0;
 
 impl Departure {

@@ -62,7 +62,7 @@ impl ColourWheel {
         (distance, (angle / TAU).rem_euclid(1.0) * self.disk.parts)
     }
 
-    /// Mean over a pixel of what `of` says of each colour.
+    /// Mean over a pixel of `of` each colour.
     fn mean(&self, x: f64, y: f64, t_ns: i64, of: impl Fn(&[f64; 3]) -> f64) -> f64 {
         let (distance, at) = self.place(x, y, t_ns);
         let inside = self.disk.inside(distance);

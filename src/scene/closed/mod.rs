@@ -47,8 +47,8 @@ pub trait ClosedScene: Send + Sync {
     /// it.
     fn speed(&self, x: f64, y: f64) -> f64;
 
-    /// The pixel's light is constant from `t_ns` to the instant given, at least; `t_ns` where nothing can be
-    /// said, `i64::MAX` for ever.
+    /// The pixel's light is constant from `t_ns` to the instant given, at least; `t_ns` where no such
+    /// instant is known, `i64::MAX` for ever.
     fn still_until(&self, _x: f64, _y: f64, t_ns: i64) -> i64 {
         t_ns
     }

@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn channels_go_apart_as_colourfulness_says() {
+    fn channels_differ_as_colourfulness_states() {
         let spread = |colourfulness: f64| {
             let texture =
                 SlidingTexture::new(&TextureParams { colourfulness, ..TextureParams::default() }, 7);

@@ -109,7 +109,7 @@ impl Rows {
         })
     }
 
-    /// Ranges of rows that sums are taken in.
+    /// Ranges of rows that are summed one by one.
     pub(super) fn parts(&self) -> Vec<Range<usize>> {
         let parts = (self.count() / LEAST_ROWS).clamp(1, PARTS);
         let length = self.count().div_ceil(parts).max(1);

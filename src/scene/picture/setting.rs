@@ -41,7 +41,7 @@ pub struct PictureSetting {
     #[schemars(range(max = 50))]
     pub again: usize,
     /// Of a recording with more frame values, only the neighbouring frames with the most events between them
-    /// are looked at, as many as have so many values: a fit takes some 300 bytes for each.
+    /// are used, as many as have so many values: a fit takes some 300 bytes for each.
     #[schemars(range(min = 1_000))]
     pub most_values: usize,
     /// What a picture is sharpened over for the control, to find what its fit removes, pixels.
