@@ -51,15 +51,7 @@ fn case(
     frames: Option<&FrameSequence>,
     sensor: &Sensor,
 ) -> Result<Case, NodeError> {
-    let begun = std::time::Instant::now();
-    let case = Case::read(events, frames, sensor)?;
-    eprintln!(
-        "CASE {:.4} s, {} events, {} frames",
-        begun.elapsed().as_secs_f64(),
-        case.events.len(),
-        case.frame_count()
-    );
-    Ok(case)
+    Ok(Case::read(events, frames, sensor)?)
 }
 
 /// Refuses, before any data, what cannot be diagnosed: no stream, frames of another form than the events, a

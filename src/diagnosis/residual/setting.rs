@@ -27,7 +27,8 @@ pub(super) const LEAST_UNSTATED_NOISE: f64 = 0.05;
 pub(super) const LEAST_SPREAD: f64 = 0.1;
 /// Events within one cell of the picture see the same of it, pixels.
 pub(super) const CELL: f64 = 0.5;
-/// Where the voltage moves slower than this share of the median, an event's time constrains no more than there.
+/// Where the voltage moves slower than this share of the median, an event's time constrains no more than
+/// there.
 pub(super) const LEAST_SLOPE: f64 = 0.1;
 /// So many curves of what is in no catalogue are reported.
 pub(super) const DEPENDENCES: usize = 6;

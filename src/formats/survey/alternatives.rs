@@ -1,9 +1,9 @@
 //! Readings of one recording held against each other: an offset, mirrored or moved places, other signs, each
 //! judged by how much of the frames' change its events explain.
 //!
-//! A shift in time can look like much, such as a picture shifted by a pixel along its motion. So nothing is concluded from one reading alone: [`compare`] counts the same
-//! events under every [`Alternative`] and measures each on pairs of frames that its thresholds and offset
-//! were not fitted on ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their
+//! A shift in time can look like much, such as a picture shifted by a pixel along its motion. So nothing is
+//! concluded from one reading alone: [`compare`] counts the same events under every [`Alternative`] and
+//! measures each on pairs of frames that its thresholds and offset were not fitted on ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their
 //! distance decide, or that nothing does ([`decided`]).
 //!
 //! ```no_run
