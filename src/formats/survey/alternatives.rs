@@ -3,8 +3,9 @@
 //!
 //! A shift in time can look like much, such as a picture shifted by a pixel along its motion. So nothing is
 //! concluded from one reading alone: [`compare`] counts the same events under every [`Alternative`] and
-//! measures each on pairs of frames that its thresholds and offset were not fitted on ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their
-//! distance decide, or that nothing does ([`decided`]).
+//! measures each on pairs of frames that its thresholds and offset were not fitted on
+//! ([`photocurrent_sensor::estimate::agreements`]). The best, the second best and their distance decide, or
+//! that nothing does ([`decided`]).
 //!
 //! ```no_run
 //! # fn f(recording: &dyn photocurrent_formats::Recording) -> Result<(), photocurrent_formats::FormatError> {
