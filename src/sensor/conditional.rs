@@ -128,6 +128,12 @@ pub struct Conditional {
     pub slope_per_s: Vec<f64>,
     /// Of each event: was the comparator watching, as the description has it?
     pub is_armed: Vec<bool>,
+    /// Of each event: when it fired, ns.
+    pub fired_ns: Vec<i64>,
+    /// Of each event: when the reference was taken that its step counts from, ns.
+    pub reference_ns: Vec<i64>,
+    /// The low-pass of the front end, with what effects change of it.
+    pub low_pass: FrontEnd,
     /// Of each frame: its value, DN.
     pub dn: Vec<f64>,
     /// Room.
@@ -259,6 +265,12 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     out.slope_per_s.resize(count, 0.0);
     out.is_armed.clear();
     out.is_armed.extend(times.iter().map(|time| time.is_armed));
+    out.fired_ns.clear();
+    out.fired_ns.extend(times.iter().map(|time| time.fired_ns));
+    out.reference_ns.clear();
+    out.reference_ns.resize(count, start_ns);
+    out.low_pass = front_end.low_pass;
+    let mut taken_ns = start_ns;
     let draw = |history: &History, t_ns: i64, random: &mut Random| {
         let mut thresholds = stated;
         for effect in effects {
@@ -280,12 +292,16 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
         walk.go_to(t_ns);
         match mark {
             Mark::Impulse(n) => walk.impulse(&impulses[n]),
-            Mark::Latch(_) => (reference, thresholds) = reset(walk.input(), t_ns, before, &history),
+            Mark::Latch(_) => {
+                (reference, thresholds) = reset(walk.input(), t_ns, before, &history);
+                taken_ns = t_ns;
+            }
             Mark::Fire(k) => {
                 let (event, time) = (&look.events[k], &times[k]);
                 let step = signed_step(event.polarity, thresholds.on, thresholds.off);
                 let value = walk.input();
                 out.excess[k] = value - reference - step;
+                out.reference_ns[k] = taken_ns;
                 out.slope_per_s[k] = walk.rate_per_s();
                 let burst_index = match history.last_event {
                     Some(last) if t_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
@@ -300,6 +316,9 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
                     // was held back.
                     let moved = if time.is_armed { value } else { reference + step };
                     (reference, thresholds) = reset(moved, t_ns, before, &history);
+                    if time.is_armed {
+                        taken_ns = t_ns;
+                    }
                 }
             }
         }

@@ -1,0 +1,308 @@
+//! Light of pixels, each free in time: a scene without one motion.
+//!
+//! Log light of each pixel is a smooth function of time of its own (a cubic B-spline). It is estimated from
+//! the pixel's frame values **and** events: so, unlike a [`crate::Scene`], it is not independent of the
+//! events, and an effect of the sensor is in part absorbed by it. How much is known: [`PixelLight::score`]
+//! subtracts from the score of every effect, and from its information, what the light would take over.
+//!
+//! - Unknowns: coefficients c of each pixel. Rows: events, e = V(t) - V_ref - p theta; frame values.
+//! - The event's time is what is measured, so that its density has the slope of the voltage as a factor:
+//!   -log(p dV/dt) for each event. Without it contrasts shrink.
+//! - Prior: second differences of c are normal with a variance of their own each, which follows the activity
+//!   of the scene (`prior`).
+//! - Noise of events: Student-t with three degrees of freedom, a share of the threshold and a part that grows
+//!   with the slope; of frame values: a constant and a part that grows with the signal.
+//!
+//! With H the normal matrix, g the gradient, B the columns of effects, W the weights and G = J'W B:
+//! score = B'W rho - G' H^-1 g, information = B'W B - G' H^-1 G, both summed over pixels.
+//! The caller predicts events and frame values, at any sensor: only derivatives are taken here.
+
+mod envelope;
+mod noise;
+mod path;
+mod prior;
+mod step;
+
+use crate::case::Case;
+use crate::light::Light;
+use crate::nominal::Nominal;
+pub use noise::{Noise, frame_noise};
+use path::Splines;
+use photocurrent_core::time::between;
+use photocurrent_sensor::front_end::FrontEnd;
+use rayon::prelude::*;
+pub use step::Score;
+use step::{Of, Step, Work};
+
+/// Standard deviation of second differences before anything is known, natural-log units.
+const FIRST_DEVIATION: f64 = 0.03;
+/// Rounds before the prior is estimated.
+const ROUNDS_BEFORE_PRIOR: usize = 2;
+/// And before the noise of events is.
+const ROUNDS_BEFORE_NOISE: usize = 4;
+
+/// A rectangle of pixels whose light is estimated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// First column.
+    pub x: usize,
+    /// First row.
+    pub y: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+/// An event as a sensor predicts it on the present light.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PredictedEvent {
+    /// When it fired, ns.
+    pub t_ns: i64,
+    /// When its reference was taken, ns.
+    pub reference_ns: i64,
+    /// +1 or -1.
+    pub polarity: f64,
+    /// Its threshold, positive, natural-log units.
+    pub threshold: f64,
+    /// Voltage less reference less signed threshold, natural-log units.
+    pub excess: f64,
+    /// How fast the voltage moved at both instants, root of the sum of squares, ln/s.
+    pub slope_per_s: f64,
+}
+
+/// A frame value as a sensor predicts it on the present light.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PredictedFrame {
+    /// Begin of the exposure, ns.
+    pub start_ns: i64,
+    /// And its end.
+    pub end_ns: i64,
+    /// Predicted less recorded, DN.
+    pub residual_dn: f64,
+    /// About how bright it is, DN above black.
+    pub signal_dn: f64,
+}
+
+/// What a sensor predicts of one pixel.
+#[derive(Clone, Debug, Default)]
+pub struct Predicted {
+    /// The low-pass, for derivatives.
+    pub low_pass: FrontEnd,
+    /// DN of a photocurrent of 1 over a second.
+    pub gain: f64,
+    /// Frame values that are known and not saturated.
+    pub frames: Vec<PredictedFrame>,
+    /// Events whose reference is known.
+    pub events: Vec<PredictedEvent>,
+}
+
+/// The light of some pixels.
+#[derive(Clone, Debug)]
+pub struct PixelLight {
+    splines: Splines,
+    blocks: Vec<Block>,
+    /// Pixels (`y * width + x` of the array), block after block, row by row.
+    pixels: Vec<u32>,
+    /// Of each pixel, one after another.
+    coefficients: Vec<f64>,
+    /// Of second differences, likewise.
+    variance: Vec<f64>,
+    /// Of the measurements.
+    pub noise: Noise,
+    rounds: usize,
+    /// Of the last round: leverages of events, pixel by pixel.
+    leverage: Vec<Vec<f64>>,
+}
+
+impl PixelLight {
+    /// Begins with the logarithms of the frame values, straight lines between. `step_ns`: instants of
+    /// predicted light; `per_knot`: so many of them from knot to knot. Blocks do not overlap.
+    ///
+    /// # Panics
+    /// Without frames, or for blocks outside of the array.
+    pub fn begin(
+        case: &Case,
+        nominal: &Nominal,
+        blocks: Vec<Block>,
+        (step_ns, per_knot): (i64, usize),
+        noise: Noise,
+    ) -> PixelLight {
+        let instants = Light::instants(case, step_ns).count();
+        let splines = Splines::new(case.span.0, step_ns, instants, per_knot);
+        let width = case.extent.width as usize;
+        let of_block = |block: &Block| {
+            let Block { x, y, width: w, height: h } = *block;
+            (y..y + h).flat_map(move |y| (x..x + w).map(move |x| (y * width + x) as u32))
+        };
+        let pixels: Vec<u32> = blocks.iter().flat_map(of_block).collect();
+        let begin = |pixel: &u32| of_frames(case, nominal, &splines, *pixel as usize);
+        let coefficients: Vec<f64> = pixels.par_iter().flat_map_iter(begin).collect();
+        let seconds = pixels.len() * (splines.coefficients() - 2);
+        PixelLight {
+            splines,
+            blocks,
+            pixels,
+            coefficients,
+            variance: vec![FIRST_DEVIATION * FIRST_DEVIATION; seconds],
+            noise,
+            rounds: 0,
+            leverage: Vec::new(),
+        }
+    }
+
+    /// Its pixels (`y * width + x` of the array), in the order of everything that is predicted.
+    pub fn pixels(&self) -> &[u32] {
+        &self.pixels
+    }
+
+    /// The light, empty elsewhere.
+    pub fn light(&self, case: &Case) -> Light {
+        let mut light = Light::blank(case, self.splines.step_ns);
+        let values: Vec<Vec<f32>> = self
+            .coefficients
+            .par_chunks(self.splines.coefficients())
+            .map_init(Vec::new, |room, c| {
+                self.splines.values(c, room);
+                room.iter().map(|u| *u as f32).collect()
+            })
+            .collect();
+        self.pixels.iter().zip(values).for_each(|(pixel, log)| light.log[*pixel as usize] = log);
+        light
+    }
+
+    fn of<'a>(&'a self, place: usize, predicted: &'a Predicted) -> Of<'a> {
+        let count = self.splines.coefficients();
+        Of {
+            splines: &self.splines,
+            coefficients: &self.coefficients[place * count..(place + 1) * count],
+            variance: &self.variance[place * (count - 2)..(place + 1) * (count - 2)],
+            noise: &self.noise,
+            predicted,
+        }
+    }
+
+    /// One round: a Newton step of every pixel, then prior and noise. `predicted`: of each pixel, on the
+    /// light as it stands.
+    pub fn round(&mut self, predicted: &[Predicted]) {
+        let steps = self.newton(predicted, true);
+        let (mut square, mut decided) = (Vec::new(), Vec::new());
+        let differences = self.splines.coefficients() - 2;
+        let mut left = Vec::new();
+        self.leverage.clear();
+        for (step, predicted) in steps.into_iter().zip(predicted) {
+            // A pixel whose equations are singular decides nothing.
+            let step = step.unwrap_or_else(|| Step {
+                square: vec![0.0; differences],
+                decided: vec![0.0; differences],
+                event_variance: vec![0.0; predicted.events.len()],
+                leverage: vec![0.0; predicted.events.len()],
+                ..Step::default()
+            });
+            square.extend(step.square);
+            decided.extend(step.decided);
+            left.push(step.event_variance);
+            self.leverage.push(step.leverage);
+        }
+        if self.rounds >= ROUNDS_BEFORE_PRIOR {
+            self.estimate_prior(&square, &decided);
+        }
+        if self.rounds >= ROUNDS_BEFORE_NOISE {
+            self.noise.estimate_of_events(predicted, &left);
+        }
+        self.rounds += 1;
+    }
+
+    /// A Newton step of every pixel; prior and noise stay.
+    pub fn settle(&mut self, predicted: &[Predicted]) {
+        self.newton(predicted, false);
+    }
+
+    fn newton(&mut self, predicted: &[Predicted], is_measured: bool) -> Vec<Option<Step>> {
+        let steps: Vec<Option<Step>> = predicted
+            .par_iter()
+            .enumerate()
+            .map_init(Work::default, |work, (place, predicted)| {
+                work.step(&self.of(place, predicted), is_measured)
+            })
+            .collect();
+        let of_pixel = self.coefficients.chunks_mut(self.splines.coefficients());
+        for (to, step) in of_pixel.zip(&steps) {
+            step.iter().for_each(|step| to.copy_from_slice(&step.coefficients));
+        }
+        steps
+    }
+
+    fn estimate_prior(&mut self, square: &[f64], decided: &[f64]) {
+        let differences = self.splines.coefficients() - 2;
+        let all = prior::overall(square, decided);
+        let mut begin = 0;
+        for block in &self.blocks {
+            let of = begin..begin + block.width * block.height * differences;
+            let sums = prior::Block {
+                width: block.width,
+                height: block.height,
+                square: &square[of.clone()],
+                decided: &decided[of.clone()],
+            };
+            self.variance[of.clone()].copy_from_slice(&sums.variances(all));
+            begin = of.end;
+        }
+    }
+
+    /// Efficient score of effects from each pixel; none where that pixel's light cannot be estimated.
+    /// `columns`: for each pixel what an effect size of 1 changes of its frame values, its events' excesses,
+    /// and the logarithms of the slopes at its events, `effects` values for each.
+    pub fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
+        predicted
+            .par_iter()
+            .enumerate()
+            .map_init(Work::default, |work, (place, predicted)| {
+                work.score(&self.of(place, predicted), &columns[place], effects)
+            })
+            .collect()
+    }
+
+    /// Of each event the log density of its excess when the light is estimated from everything else, nats:
+    /// from the last round, without refitting. `predicted`: on the light as it stands.
+    ///
+    /// Source: leave-one-out residuals e / (1 - h), h the event's leverage (Cook and Weisberg, Residuals and
+    /// Influence in Regression, 1982).
+    pub fn left_out(&self, predicted: &[Predicted]) -> Vec<Vec<f64>> {
+        let of = |(predicted, leverages): (&Predicted, &Vec<f64>)| {
+            predicted
+                .events
+                .iter()
+                .zip(leverages)
+                .map(|(event, leverage)| self.noise.log_density_left_out(event, *leverage))
+                .collect()
+        };
+        predicted.iter().zip(&self.leverage).map(of).collect()
+    }
+}
+
+/// Coefficients that follow the frame values of a pixel.
+fn of_frames(case: &Case, nominal: &Nominal, splines: &Splines, pixel: usize) -> Vec<f64> {
+    let frames = case.frames.as_ref().expect("frames are there");
+    let row = case.place(pixel).1;
+    let known = (0..frames.times.len()).filter_map(|l| {
+        let (dn, exposure) = (case.dn(l, pixel), frames.times.exposure(l, row));
+        let seconds = (exposure.end.0 - exposure.start.0) as f64 * 1e-9;
+        let light = f64::max(dn - nominal.number.black_level, 1.0) / (nominal.number.gain * seconds);
+        let middle_ns = i64::midpoint(exposure.start.0, exposure.end.0);
+        dn.is_finite().then_some((middle_ns, libm::log(light)))
+    });
+    let (t_ns, log): (Vec<i64>, Vec<f64>) = known.unzip();
+    if t_ns.is_empty() {
+        return vec![0.0; splines.coefficients()];
+    }
+    let at = |k: usize| {
+        let instant = splines.start_ns + splines.middle_ns(k);
+        let after = t_ns.partition_point(|t| *t <= instant);
+        between(&t_ns, after, instant, |l| log[l], |a, b, share| a + (b - a) * share).unwrap_or(0.0)
+    };
+    (0..splines.coefficients()).map(at).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,194 @@
+//! Noise of the measurements of pixels whose light is free: of events, and of frame values.
+
+use super::{Predicted, PredictedEvent};
+use crate::case::Case;
+use crate::nominal::Nominal;
+use rayon::prelude::*;
+
+/// Degrees of freedom of the events' Student-t distribution.
+const NU: f64 = 3.0;
+/// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
+const FIRST_SHARE: f64 = 0.02;
+const SHARES: (f64, f64) = (0.003, 0.3);
+/// Always there, as a share of the threshold.
+const LEAST_SHARE: f64 = 0.01;
+/// Noise of stamps, seconds.
+const STAMP_S: f64 = 20e-6;
+/// The light is estimated without an event that decides more than this of itself as if it decided this.
+const MOST_LEVERAGE: f64 = 0.999;
+/// Frame values are whole or nearly: DN; and gains differ by a share.
+const LEAST_DN: f64 = 0.3;
+const LEAST_SIGNAL_SHARE: f64 = 0.002;
+
+/// Noise of events and of frame values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Of thresholds, as a share of them.
+    pub threshold_share: f64,
+    /// Of stamps, seconds.
+    pub stamp_s: f64,
+    /// Variance of a dark frame value, DN^2.
+    pub dark_dn2: f64,
+    /// What a signal of one DN adds to it, DN.
+    pub shot_dn: f64,
+}
+
+impl Noise {
+    /// With frame noise ([`frame_noise`]).
+    pub fn new((dark_dn2, shot_dn): (f64, f64)) -> Noise {
+        Noise { threshold_share: FIRST_SHARE, stamp_s: STAMP_S, dark_dn2, shot_dn }
+    }
+
+    /// Variance of an event's excess.
+    pub(super) fn event_variance(&self, event: &PredictedEvent) -> f64 {
+        let threshold = self.threshold_share * event.threshold;
+        let stamp = self.stamp_s * event.slope_per_s;
+        let least = LEAST_SHARE * event.threshold;
+        threshold * threshold + stamp * stamp + least * least
+    }
+
+    /// Variance of a frame value, DN^2.
+    pub(super) fn frame_variance(&self, signal_dn: f64) -> f64 {
+        let share = LEAST_SIGNAL_SHARE * signal_dn;
+        self.dark_dn2 + self.shot_dn * signal_dn.max(0.0) + LEAST_DN * LEAST_DN + share * share
+    }
+
+    /// Scales the noise of thresholds to the excesses and what the light leaves open of them.
+    pub(super) fn estimate_of_events(&mut self, predicted: &[Predicted], left: &[Vec<f64>]) {
+        let events = predicted.iter().zip(left).flat_map(|(of, left)| of.events.iter().zip(left));
+        let relative: Vec<f64> = events
+            .map(|(event, left)| (event.excess * event.excess + left) / self.event_variance(event))
+            .collect();
+        if relative.is_empty() {
+            return;
+        }
+        // Expectation maximisation of a Student-t distribution's scale.
+        let mut scale = 1.0;
+        for _ in 0..10 {
+            let weighted = |z: &f64| (NU + 1.0) * z / (NU + z / scale);
+            scale = relative.iter().map(weighted).sum::<f64>() / relative.len() as f64;
+        }
+        self.threshold_share = (self.threshold_share * scale.sqrt()).clamp(SHARES.0, SHARES.1);
+    }
+
+    /// Log density of an event's excess, nats, when the light was estimated with it and the event has a
+    /// `leverage` on it.
+    pub(super) fn log_density_left_out(&self, event: &PredictedEvent, leverage: f64) -> f64 {
+        let left = 1.0 - leverage.clamp(0.0, MOST_LEVERAGE);
+        let (excess, variance) = (event.excess / left, self.event_variance(event) / left);
+        -0.5 * libm::log(variance) - 0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
+    }
+}
+
+/// Levels of frame values that noise is estimated in.
+const LEVELS: usize = 12;
+/// At least so many differences in each.
+const FEWEST: usize = 100;
+/// The quantile of absolute differences that counts, and that of a normal distribution: what structure of the
+/// scene remains makes some differences larger than noise does.
+const QUANTILE: (f64, f64) = (0.2, 0.253_347);
+/// Frame values at most, of those that are evenly spread.
+const MOST_VALUES: usize = 300_000;
+
+/// Variance of frame values, DN^2, as that of a dark one and what a signal of one DN adds, DN; at least what
+/// the description states.
+///
+/// From differences that remove most of the scene: second differences along x of second differences along y,
+/// the same of the change from frame to frame, and second differences in time. Of each level of brightness
+/// the kind that leaves least counts, by a low quantile, as edges are in the minority.
+///
+/// Source: Immerkaer, Fast noise variance estimation, Computer Vision and Image Understanding 64 (1996), for
+/// the first kind.
+pub fn frame_noise(case: &Case, nominal: &Nominal) -> (f64, f64) {
+    let stated = (nominal.read_noise_dn * nominal.read_noise_dn, nominal.dn_per_electron);
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    if case.frame_count() < 3 || width < 3 || height < 3 {
+        return stated;
+    }
+    let step = (case.frame_count() * width * height / MOST_VALUES).max(1);
+    let of_frame = |l: usize| -> Vec<Differences> {
+        let inner = (1..height - 1).flat_map(|y| (1..width - 1).map(move |x| (x, y)));
+        inner
+            .enumerate()
+            .filter(|(n, _)| (n + l).is_multiple_of(step))
+            .filter_map(|(_, (x, y))| Differences::at(case, nominal, l, (x, y)))
+            .collect()
+    };
+    let mut found: Vec<Differences> =
+        (1..case.frame_count() - 1).into_par_iter().flat_map_iter(of_frame).collect();
+    found.sort_by(|a, b| a.signal_dn.total_cmp(&b.signal_dn));
+    let size = (found.len() / LEVELS).max(FEWEST);
+    let level = |level: &[Differences]| {
+        let least = (0..KINDS.len()).map(|kind| {
+            let mut sizes: Vec<f64> = level.iter().map(|one| one.sizes[kind]).collect();
+            let at = (QUANTILE.0 * sizes.len() as f64) as usize;
+            let (_, size, _) = sizes.select_nth_unstable_by(at, f64::total_cmp);
+            let deviation = *size / QUANTILE.1;
+            deviation * deviation / KINDS[kind]
+        });
+        (level[level.len() / 2].signal_dn, least.fold(f64::INFINITY, f64::min))
+    };
+    let levels: Vec<(f64, f64)> = found.chunks_exact(size).map(level).collect();
+    let (dark, shot) = line(&levels);
+    (dark.max(stated.0), shot.max(stated.1))
+}
+
+/// Variances of the differences of independent values of variance 1.
+const KINDS: [f64; 3] = [36.0, 54.0, 1.5];
+
+/// Absolute differences around a value, in the order of [`KINDS`].
+struct Differences {
+    /// Mean of 3 x 3 values, DN above black.
+    signal_dn: f64,
+    sizes: [f64; 3],
+}
+
+impl Differences {
+    /// None where a value is unknown or saturated.
+    fn at(case: &Case, nominal: &Nominal, frame: usize, (x, y): (usize, usize)) -> Option<Differences> {
+        const ALONG: [f64; 3] = [1.0, -2.0, 1.0];
+        let width = case.extent.width as usize;
+        let value = |frame: usize, x: usize, y: usize| {
+            let dn = case.dn(frame, y * width + x);
+            (dn < nominal.saturation_dn).then_some(dn)
+        };
+        let (mut sum, mut across, mut changing) = (0.0, 0.0, 0.0);
+        for (dy, of_y) in ALONG.iter().enumerate() {
+            for (dx, of_x) in ALONG.iter().enumerate() {
+                let (x, y) = (x + dx - 1, y + dy - 1);
+                let (here, around) =
+                    (value(frame, x, y)?, 0.5 * (value(frame - 1, x, y)? + value(frame + 1, x, y)?));
+                sum += here;
+                across += of_x * of_y * here;
+                changing += of_x * of_y * (here - around);
+            }
+        }
+        let in_time = value(frame, x, y)? - 0.5 * (value(frame - 1, x, y)? + value(frame + 1, x, y)?);
+        Some(Differences {
+            signal_dn: f64::max(sum / 9.0 - nominal.number.black_level, 0.0),
+            sizes: [across.abs(), changing.abs(), in_time.abs()],
+        })
+    }
+}
+
+/// The line through variances at levels whose errors are shares of themselves, neither number negative.
+fn line(levels: &[(f64, f64)]) -> (f64, f64) {
+    let Some(least) = levels.iter().map(|level| level.1).min_by(f64::total_cmp) else { return (0.0, 0.0) };
+    let (mut dark, mut shot) = (least, 0.0);
+    for _ in 0..20 {
+        let (mut s, mut sx, mut sxx, mut sy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (x, y) in levels {
+            let variance = f64::max(dark + shot * x, 1e-6);
+            let w = 1.0 / (variance * variance);
+            (s, sx, sxx, sy, sxy) = (s + w, sx + w * x, sxx + w * x * x, sy + w * y, sxy + w * x * y);
+        }
+        let determinant = s * sxx - sx * sx;
+        let slope = if determinant > 1e-12 * s * sxx { (s * sxy - sx * sy) / determinant } else { 0.0 };
+        shot = slope.max(0.0);
+        dark = (sy - shot * sx) / s;
+        if dark < 0.0 {
+            (dark, shot) = (0.0, sxy / sxx);
+        }
+    }
+    (dark, shot)
+}

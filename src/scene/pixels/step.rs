@@ -1,0 +1,280 @@
+//! One pixel: a Newton step of its light, and what its measurements score for effects when the light may
+//! change with them.
+
+use super::envelope::{Envelope, dot};
+use super::path::{Path, Rows, Splines};
+use super::{Noise, Predicted};
+
+/// Degrees of freedom of the events' Student-t noise.
+const NU: f64 = 3.0;
+/// Frame values count half at this many standard deviations.
+const ROBUST: f64 = 4.0;
+/// The voltage rises by at least this share of a threshold over an instant before an event.
+const LEAST_RISE: f64 = 0.01;
+/// No coefficient moves by more in a step, natural-log units.
+const LONGEST_STEP: f64 = 0.6;
+/// Added to every diagonal element: natural-log units to the power of -2.
+const RIDGE: f64 = 1e-6;
+
+/// What a step of one pixel gives.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Step {
+    /// The new coefficients.
+    pub coefficients: Vec<f64>,
+    /// Squares of their second differences.
+    pub square: Vec<f64>,
+    /// Share of each of these that measurements decide, 0 to 1.
+    pub decided: Vec<f64>,
+    /// Variance of the voltage difference of each event that the measurements leave.
+    pub event_variance: Vec<f64>,
+    /// The share of each event's information that it has about itself: its leverage, 0 to 1.
+    pub leverage: Vec<f64>,
+}
+
+/// Efficient score of some effects from one pixel, and its covariance.
+#[derive(Clone, Debug, Default)]
+pub struct Score {
+    /// Of each effect: derivative of half the weighted squares by its size, the light adapted.
+    pub score: Vec<f64>,
+    /// Its information on all effects: K x K, the light adapted.
+    pub information: Vec<f64>,
+    /// The diagonal when the light is known.
+    pub known: Vec<f64>,
+}
+
+/// Room for the work on one pixel after another.
+#[derive(Default)]
+pub(super) struct Work {
+    path: Path,
+    frames: Rows,
+    events: Rows,
+    rises: Rows,
+    weight: Vec<f64>,
+    rise: Vec<f64>,
+    first: Vec<usize>,
+    envelope: Envelope,
+    gradient: Vec<f64>,
+    column: Vec<f64>,
+}
+
+/// Light of a pixel as it stands: coefficients, and variances of their second differences.
+#[derive(Clone, Copy)]
+pub(super) struct Of<'a> {
+    pub splines: &'a Splines,
+    pub coefficients: &'a [f64],
+    pub variance: &'a [f64],
+    pub noise: &'a Noise,
+    pub predicted: &'a Predicted,
+}
+
+impl Work {
+    /// Rows, weights, gradient and the factor of the normal equations.
+    fn enter(&mut self, of: &Of<'_>) -> bool {
+        let Of { splines, coefficients, predicted, .. } = *of;
+        splines.values(coefficients, &mut self.path.log);
+        self.path.enter(splines, predicted.low_pass);
+        for rows in [&mut self.frames, &mut self.events, &mut self.rises] {
+            rows.clear();
+        }
+        for frame in &predicted.frames {
+            self.path.push_exposure(
+                splines,
+                [frame.start_ns, frame.end_ns],
+                predicted.gain,
+                &mut self.frames,
+            );
+        }
+        for event in &predicted.events {
+            self.path.push_difference(splines, [event.t_ns, event.reference_ns], &mut self.events);
+            self.path.push_difference(splines, [event.t_ns, event.t_ns - splines.step_ns], &mut self.rises);
+        }
+        self.weigh(of);
+        self.assemble(of);
+        self.envelope.factor()
+    }
+
+    /// Weights of frame values, then of events; the rise of the voltage before each event.
+    fn weigh(&mut self, of: &Of<'_>) {
+        let Of { coefficients, noise, predicted, .. } = *of;
+        self.weight.clear();
+        self.weight.extend(predicted.frames.iter().map(|frame| {
+            let variance = noise.frame_variance(frame.signal_dn);
+            let far = frame.residual_dn * frame.residual_dn / variance / (ROBUST * ROBUST);
+            1.0 / variance / (1.0 + far)
+        }));
+        self.weight.extend(predicted.events.iter().map(|event| {
+            let variance = noise.event_variance(event);
+            (NU + 1.0) / variance / (NU + event.excess * event.excess / variance)
+        }));
+        self.rise.clear();
+        for (k, event) in predicted.events.iter().enumerate() {
+            let (from, row) = (self.rises.from[k], self.rises.row(k));
+            let rise = event.polarity * dot(row, &coefficients[from..from + row.len()]);
+            self.rise.push(event.polarity * f64::max(rise, LEAST_RISE * event.threshold));
+        }
+    }
+
+    fn assemble(&mut self, of: &Of<'_>) {
+        let Of { coefficients, variance, predicted, .. } = *of;
+        let count = coefficients.len();
+        self.first.clear();
+        // Second differences reach two unknowns back.
+        self.first.extend((0..count).map(|k: usize| k.saturating_sub(2)));
+        for rows in [&self.frames, &self.events, &self.rises] {
+            for r in 0..rows.len() {
+                let from = rows.from[r];
+                for k in rows.row(r).iter().enumerate().filter(|(_, v)| **v != 0.0).map(|(k, _)| from + k) {
+                    self.first[k] = self.first[k].min(from);
+                }
+            }
+        }
+        self.envelope.reset(&self.first);
+        self.gradient.clear();
+        self.gradient.resize(count, 0.0);
+        let residual = |r: usize| match r.checked_sub(predicted.frames.len()) {
+            None => predicted.frames[r].residual_dn,
+            Some(event) => predicted.events[event].excess,
+        };
+        let mut put = |from: usize, row: &[f64], weight: f64, residual: f64| {
+            self.envelope.add_square(from, row, weight);
+            let to = &mut self.gradient[from..from + row.len()];
+            to.iter_mut().zip(row).for_each(|(to, v)| *to += weight * residual * v);
+        };
+        for r in 0..self.frames.len() {
+            put(self.frames.from[r], self.frames.row(r), self.weight[r], residual(r));
+        }
+        let frames = self.frames.len();
+        for k in 0..self.events.len() {
+            put(self.events.from[k], self.events.row(k), self.weight[frames + k], residual(frames + k));
+            // An event's time is what is measured: its density has the slope of the voltage as a factor,
+            // whose logarithm is subtracted.
+            let rise = self.rise[k];
+            put(self.rises.from[k], self.rises.row(k), 1.0 / (rise * rise), -rise);
+        }
+        for (k, variance) in variance.iter().enumerate() {
+            let second = coefficients[k] - 2.0 * coefficients[k + 1] + coefficients[k + 2];
+            put(k, &[1.0, -2.0, 1.0], 1.0 / variance, second);
+        }
+        (0..count).for_each(|k| self.envelope.add(k, k, RIDGE));
+    }
+
+    /// All rows in the order of an effect's column: the first coefficient, derivatives, weight and residual.
+    #[cfg(test)]
+    pub(super) fn rows(&mut self, of: &Of<'_>) -> Vec<(usize, Vec<f64>, f64, f64)> {
+        assert!(self.enter(of), "the equations can be solved");
+        let of_frame = |r: usize| {
+            let residual = of.predicted.frames[r].residual_dn;
+            (self.frames.from[r], self.frames.row(r).to_vec(), self.weight[r], residual)
+        };
+        let of_event = |k: usize| {
+            let residual = of.predicted.events[k].excess;
+            (self.events.from[k], self.events.row(k).to_vec(), self.weight[self.frames.len() + k], residual)
+        };
+        let of_rise = |k: usize| {
+            let row = self.rises.row(k).iter().map(|v| v / self.rise[k]).collect();
+            (self.rises.from[k], row, 1.0, -1.0)
+        };
+        let events = 0..self.events.len();
+        let frames = (0..self.frames.len()).map(of_frame);
+        frames.chain(events.clone().map(of_event)).chain(events.map(of_rise)).collect()
+    }
+
+    /// Variance that the factor leaves of a row.
+    fn left_of(&mut self, from: usize, row: &[f64]) -> f64 {
+        let column = &mut self.column;
+        column.clear();
+        column.resize(self.envelope.len(), 0.0);
+        column[from..from + row.len()].copy_from_slice(row);
+        self.envelope.forward(column, from);
+        dot(&column[from..], &column[from..])
+    }
+
+    /// A Newton step; none where the normal equations are singular. Variances are computed where `is_measured`,
+    /// and empty otherwise.
+    pub(super) fn step(&mut self, of: &Of<'_>, is_measured: bool) -> Option<Step> {
+        if !self.enter(of) {
+            return None;
+        }
+        let mut step = Step { coefficients: of.coefficients.to_vec(), ..Step::default() };
+        let mut by = self.gradient.clone();
+        self.envelope.forward(&mut by, 0);
+        self.envelope.backward(&mut by);
+        step.coefficients.iter_mut().zip(&by).for_each(|(c, by)| *c -= by.clamp(-LONGEST_STEP, LONGEST_STEP));
+        if !is_measured {
+            return Some(step);
+        }
+        for (k, variance) in of.variance.iter().enumerate() {
+            let second = step.coefficients[k] - 2.0 * step.coefficients[k + 1] + step.coefficients[k + 2];
+            step.square.push(second * second);
+            step.decided.push((1.0 - self.left_of(k, &[1.0, -2.0, 1.0]) / variance).clamp(0.0, 1.0));
+        }
+        let events = std::mem::take(&mut self.events);
+        step.event_variance =
+            (0..events.len()).map(|k| self.left_of(events.from[k], events.row(k))).collect();
+        let weights = &self.weight[of.predicted.frames.len()..];
+        step.leverage = step.event_variance.iter().zip(weights).map(|(left, weight)| left * weight).collect();
+        self.events = events;
+        Some(step)
+    }
+
+    /// Score of effects; `columns`: what each changes of frame values, of events' excesses and of the
+    /// logarithms of the rises before events, K for each. None where the normal equations are singular.
+    pub(super) fn score(&mut self, of: &Of<'_>, columns: &[f32], effects: usize) -> Option<Score> {
+        if !self.enter(of) {
+            return None;
+        }
+        let (count, frames, events) = (self.envelope.len(), self.frames.len(), self.events.len());
+        // Behind the effects the gradient: all are solved for together.
+        let mut through = vec![vec![0.0; count]; effects + 1];
+        through[effects].copy_from_slice(&self.gradient);
+        let mut found = Score {
+            score: vec![0.0; effects],
+            information: vec![0.0; effects * effects],
+            known: vec![0.0; effects],
+        };
+        for r in 0..frames + 2 * events {
+            let (from, row, weight, residual) = match r.checked_sub(frames) {
+                None => {
+                    let residual = of.predicted.frames[r].residual_dn;
+                    (self.frames.from[r], self.frames.row(r), self.weight[r], residual)
+                }
+                Some(k) if k < events => {
+                    let residual = of.predicted.events[k].excess;
+                    (self.events.from[k], self.events.row(k), self.weight[r], residual)
+                }
+                // Of the logarithm of the rise.
+                Some(k) => {
+                    let (k, rise) = (k - events, self.rise[k - events]);
+                    (self.rises.from[k], self.rises.row(k), 1.0 / rise, -1.0)
+                }
+            };
+            let is_rise = r >= frames + events;
+            for (k, column) in columns[r * effects..(r + 1) * effects].iter().enumerate() {
+                let by = f64::from(*column);
+                if by == 0.0 {
+                    continue;
+                }
+                // A rise's row is of the rise itself: its logarithm changes by the row over the rise.
+                let of_effect = if is_rise { by } else { by * weight };
+                found.score[k] += of_effect * residual;
+                let to = &mut through[k][from..from + row.len()];
+                let scale = by * weight;
+                to.iter_mut().zip(row).for_each(|(to, v)| *to += scale * v);
+                let others = &columns[r * effects..r * effects + k + 1];
+                let to = &mut found.information[k * effects..k * effects + k + 1];
+                to.iter_mut().zip(others).for_each(|(to, other)| *to += of_effect * f64::from(*other));
+            }
+        }
+        (0..effects).for_each(|k| found.known[k] = found.information[k * effects + k]);
+        through.iter_mut().for_each(|column| self.envelope.forward(column, 0));
+        for k in 0..effects {
+            found.score[k] -= dot(&through[k], &through[effects]);
+            for other in 0..=k {
+                let shared = dot(&through[k], &through[other]);
+                found.information[k * effects + other] -= shared;
+                found.information[other * effects + k] = found.information[k * effects + other];
+            }
+        }
+        Some(found)
+    }
+}

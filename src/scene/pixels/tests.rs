@@ -1,0 +1,247 @@
+use super::path::{Path, Rows};
+use super::*;
+use crate::testing;
+use photocurrent_core::Extent;
+use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+
+const STEP_NS: i64 = 100_000;
+
+fn splines() -> Splines {
+    Splines::new(0, STEP_NS, 301, 10)
+}
+
+/// Coefficients of light that rises and falls.
+fn coefficients(splines: &Splines) -> Vec<f64> {
+    (0..splines.coefficients()).map(|k| 4.0 + 0.5 * libm::sin(0.7 * k as f64)).collect()
+}
+
+/// The voltage at an instant by small Euler steps, log light straight between the instants.
+fn voltage(log: &[f64], low_pass: FrontEnd, t_ns: i64) -> f64 {
+    let (mut v, fine_ns) = (log[0], 200.0);
+    let at = |t: f64| {
+        let place = (t / STEP_NS as f64).min(log.len() as f64 - 1.001);
+        let k = place as usize;
+        log[k] + (log[k + 1] - log[k]) * (place - k as f64)
+    };
+    let mut t = 0.0;
+    while t + fine_ns <= t_ns as f64 {
+        let u = at(t + 0.5 * fine_ns);
+        v += (u - v) * fine_ns * 1e-9 / (low_pass.tau_0_s + low_pass.alpha_s * libm::exp(-u));
+        t += fine_ns;
+    }
+    v
+}
+
+#[test]
+fn a_voltages_row_times_the_coefficients_is_the_voltage() {
+    let (splines, low_pass) = (splines(), FrontEnd { tau_0_s: 30e-6, alpha_s: 0.02 });
+    let c = coefficients(&splines);
+    let mut path = Path::default();
+    splines.values(&c, &mut path.log);
+    path.enter(&splines, low_pass);
+    let mut rows = Rows::default();
+    let instants = [[12_345_600, 9_876_600], [20_000_000, 2_000_000], [29_999_000, 29_912_000]];
+    instants.iter().for_each(|pair| path.push_difference(&splines, *pair, &mut rows));
+    for (r, [t, before]) in instants.into_iter().enumerate() {
+        let expected = voltage(&path.log, low_pass, t) - voltage(&path.log, low_pass, before);
+        let (from, row) = (rows.from[r], rows.row(r));
+        let found: f64 = row.iter().zip(&c[from..]).map(|(v, c)| v * c).sum();
+        // Steps of 0.2 us of a time constant of 0.3 ms, and of the middle of each instant's step.
+        assert!((found - expected).abs() < 3e-4, "{found} is {expected}");
+    }
+}
+
+#[test]
+fn rows_are_numerical_derivatives() {
+    let splines = splines();
+    let c = coefficients(&splines);
+    // Where the time constant does not depend on the light nothing is held.
+    let low_pass = FrontEnd { tau_0_s: 400e-6, alpha_s: 0.0 };
+    let event = [17_654_300, 11_111_100];
+    let exposure = [3_210_000, 9_876_000];
+    let both = |c: &[f64]| {
+        let mut log = Vec::new();
+        splines.values(c, &mut log);
+        let instants: Vec<i64> = (0..splines.instants as i64).map(|k| k * STEP_NS).collect();
+        let track = Track::new(&instants, &log, STEP_NS);
+        let exposure = photocurrent_core::Exposure::new(exposure[0], exposure[1]);
+        (
+            voltage(&log, low_pass, event[0]) - voltage(&log, low_pass, event[1]),
+            1000.0 * track.collected_in(exposure),
+        )
+    };
+    let mut path = Path::default();
+    splines.values(&c, &mut path.log);
+    path.enter(&splines, low_pass);
+    let mut rows = Rows::default();
+    path.push_difference(&splines, event, &mut rows);
+    path.push_exposure(&splines, exposure, 1000.0, &mut rows);
+    for k in 0..c.len() {
+        let at = |r: usize| {
+            let row = rows.row(r);
+            k.checked_sub(rows.from[r]).and_then(|k| row.get(k)).copied().unwrap_or(0.0)
+        };
+        let moved = |by: f64| {
+            let mut moved = c.clone();
+            moved[k] += by;
+            both(&moved)
+        };
+        let (up, down) = (moved(1e-4), moved(-1e-4));
+        let (event, frame) = ((up.0 - down.0) / 2e-4, (up.1 - down.1) / 2e-4);
+        assert!((at(0) - event).abs() < 1e-3, "event by {k}: {} is {event}", at(0));
+        // Light between instants is log-linear, and taken as linear here.
+        assert!((at(1) - frame).abs() < 2e-3 * 500.0, "frame by {k}: {} is {frame}", at(1));
+    }
+}
+
+/// What the described sensor predicts of every pixel.
+fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> Vec<Predicted> {
+    let times = &case.frames.as_ref().unwrap().times;
+    let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
+    let of = |pixel: &u32| {
+        let pixel = *pixel as usize;
+        let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+        let track = Track::new(&instants, &log, light.step_ns);
+        let events = case.events.of(pixel);
+        let look = Look { site: case.site(pixel, 0), track: &track, seen: None, events, frames: &[] };
+        let mut out = Conditional::default();
+        conditional(nominal, &[], &look, &mut out);
+        let event = |k: usize| PredictedEvent {
+            t_ns: out.fired_ns[k],
+            reference_ns: out.reference_ns[k],
+            polarity: f64::from(events[k].polarity),
+            threshold: 0.2,
+            excess: out.excess[k],
+            slope_per_s: libm::hypot(out.slope_per_s[k], out.slope_per_s[k - 1]),
+        };
+        let row = case.place(pixel).1;
+        let frame = |l: usize| {
+            let exposure = times.exposure(l, row);
+            let dn = nominal.number.of(track.collected_in(exposure));
+            PredictedFrame {
+                start_ns: exposure.start.0,
+                end_ns: exposure.end.0,
+                residual_dn: dn - case.dn(l, pixel),
+                signal_dn: case.dn(l, pixel),
+            }
+        };
+        Predicted {
+            low_pass: nominal.pixel.front_end,
+            gain: nominal.number.gain,
+            frames: (0..case.frame_count()).map(frame).collect(),
+            events: (1..events.len()).map(event).collect(),
+        }
+    };
+    pixels.iter().map(of).collect()
+}
+
+#[test]
+fn light_is_estimated_from_frames_and_events_together() {
+    let case = testing::texture(Extent { width: 10, height: 8 }, 6);
+    let mut nominal = case.nominal().unwrap();
+    // The recording is of an ideal front end, compared every 0.1 ms: thresholds are passed by up to a step.
+    nominal.pixel.front_end = FrontEnd::IDEAL;
+    let block = Block { x: 1, y: 1, width: 8, height: 6 };
+    let mut light = PixelLight::begin(&case, &nominal, vec![block], (STEP_NS, 10), Noise::new((0.0, 0.0)));
+    let off = |light: &PixelLight| {
+        let found = light.light(&case);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for &pixel in light.pixels() {
+            let (x, y) = case.place(pixel as usize);
+            for t_ns in (8_000_000..40_000_000).step_by(1_000_000) {
+                let truth = testing::log_light(x.into(), y.into(), t_ns);
+                sum += (found.at(pixel as usize, t_ns).unwrap() - truth).abs();
+                count += 1.0;
+            }
+        }
+        sum / count
+    };
+    let begin = off(&light);
+    for _ in 0..9 {
+        let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
+        light.round(&now);
+    }
+    let end = off(&light);
+    assert!(end < 0.002 && end < 0.5 * begin, "{begin} to {end}");
+}
+
+#[test]
+fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
+    use nalgebra::{DMatrix, DVector};
+    let case = testing::texture(Extent { width: 6, height: 5 }, 6);
+    let mut nominal = case.nominal().unwrap();
+    nominal.pixel.front_end = FrontEnd { tau_0_s: 200e-6, alpha_s: 0.0 };
+    let block = Block { x: 2, y: 2, width: 1, height: 1 };
+    let mut light = PixelLight::begin(&case, &nominal, vec![block], (STEP_NS, 10), Noise::new((4.0, 0.1)));
+    for _ in 0..4 {
+        let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
+        light.round(&now);
+    }
+    let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
+    let (frames, events) = (now[0].frames.len(), now[0].events.len());
+    assert!(frames == 6 && events > 3);
+    // Two effects that change everything a little.
+    let columns: Vec<f32> =
+        (0..2 * (frames + 2 * events)).map(|k| libm::sin(1.0 + 2.3 * k as f64) as f32).collect();
+    let found = light.score(&now, std::slice::from_ref(&columns), 2).pop().unwrap().unwrap();
+
+    // All rows in one dense matrix: those of the measurements, of the prior, and the effects' columns beside
+    // the light's.
+    let mut work = Work::default();
+    let rows = work.rows(&light.of(0, &now[0]));
+    let count = light.splines.coefficients();
+    let mut normal = DMatrix::<f64>::zeros(count + 2, count + 2);
+    let mut gradient = DVector::<f64>::zeros(count + 2);
+    for (r, (from, row, weight, residual)) in rows.iter().enumerate() {
+        let mut whole = DVector::zeros(count + 2);
+        row.iter().enumerate().for_each(|(k, v)| whole[from + k] = *v);
+        (0..2).for_each(|k| whole[count + k] = f64::from(columns[2 * r + k]));
+        normal += *weight * &whole * whole.transpose();
+        gradient += *weight * *residual * whole;
+    }
+    for k in 0..count - 2 {
+        let second = [1.0, -2.0, 1.0];
+        let c = &light.coefficients[k..k + 3];
+        let value: f64 = second.iter().zip(c).map(|(a, b)| a * b).sum();
+        for i in 0..3 {
+            gradient[k + i] += second[i] * value / light.variance[k];
+            for j in 0..3 {
+                normal[(k + i, k + j)] += second[i] * second[j] / light.variance[k];
+            }
+        }
+    }
+    (0..count).for_each(|k| normal[(k, k)] += 1e-6);
+    let scale = normal[(count, count)];
+    // A block of the inverse is the inverse of the Schur complement, which is the information.
+    let inverse = normal.clone().try_inverse().unwrap();
+    let information = inverse.view((count, count), (2, 2)).into_owned().try_inverse().unwrap();
+    let whole = normal.lu().solve(&gradient).unwrap();
+    let score = &information * whole.rows(count, 2);
+    for k in 0..2 {
+        assert!((found.score[k] - score[k]).abs() < 1e-6 * scale.max(score[k].abs()), "{found:?} {score}");
+        for other in 0..2 {
+            let (a, b) = (found.information[2 * k + other], information[(k, other)]);
+            assert!((a - b).abs() < 1e-6 * scale, "{a} is {b}");
+        }
+    }
+}
+
+#[test]
+fn noise_of_frames_is_found_on_a_texture_that_moves() {
+    let case = testing::texture(Extent { width: 48, height: 40 }, 8);
+    let nominal = case.nominal().unwrap();
+    let noise_at = |signal: f64, (dark, shot): (f64, f64)| dark + shot * signal;
+    let clean = frame_noise(&case, &nominal);
+    // Signals are some 220 DN, and second differences of its waves some hundredths of that.
+    assert!(noise_at(220.0, clean) < 6.0, "{clean:?}");
+    let mut random = photocurrent_core::random::Random::new(5, &[]);
+    let frames = case.frames.as_ref().unwrap().map(|_, dn| {
+        let variance = 4.0 + f64::from(dn) / 5.0;
+        (f64::from(dn) + variance.sqrt() * random.normal()) as f32
+    });
+    let noisy = Case { frames: Some(frames), ..case };
+    let found = frame_noise(&noisy, &nominal);
+    let (found, truth) = (noise_at(220.0, found), noise_at(220.0, (4.0, 0.2)));
+    // Of each level the smallest of three estimates counts, each good to some 5 %.
+    assert!((found / truth - 1.0).abs() < 0.2, "{found} is {truth}");
+}
