@@ -32,11 +32,12 @@ lint: setup
 figures: setup
 	cargo test --release --locked --test photocurrent -- figures commands --include-ignored
 
-# The numbers of the diagnosis' decision from nothing: data/diagnosis/README.md. Two and a half hours on two cores.
+# The numbers of the diagnosis' decision from nothing: data/diagnosis/README.md. Some three hours on two cores.
 calibrate: setup
 	cargo run --release --locked -p photocurrent-calibrate -- --scene picture --recordings 641 -o out/picture
 	cargo run --release --locked -p photocurrent-calibrate -- --scene parts --recordings 250 -o out/parts
 	cargo run --release --locked -p photocurrent-calibrate -- --scene given --recordings 110 -o out/given
+	cargo run --release --locked -p photocurrent-calibrate -- --scene pixels --recordings 148 -o out/pixels
 
 # The refinement network from nothing, with its two ablations, and the learned interpolator: nodes/refine/training/README.md. For a GPU, and 3 GB of packages; the README says what two cores can train.
 TRAINING := nodes/refine/training

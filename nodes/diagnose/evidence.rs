@@ -8,11 +8,14 @@
 //! scene with the noise that was found, goes the same way, and all gains and sizes count from there. What
 //! direct tests found is in the description before.
 //!
+//! Where that scene leaves too much, the light of each pixel is estimated from frames and events, and every
+//! effect is scored against what that light would take over.
+//!
 //! With `target`, `light` or `tracks` the scene is known, and no picture is fitted: events are held against
 //! it, and frame values too, with a column of each effect of frames.
 //!
-//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single
-//! motion, no texture, too few frames) there is no evidence, and the document says why.
+//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another and
+//! edges pass pixels within a millisecond there is no evidence, and the document says why.
 
 use super::Amend;
 use super::target::read_target;
@@ -146,7 +149,7 @@ impl Node for DiagnoseEvidence {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their \
                 thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 7,
+        revision: 8,
         grain: Grain::Whole,
         draws: true,
         exports: false,

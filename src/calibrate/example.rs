@@ -1,10 +1,11 @@
 //! One training example of the decision: a simulated recording's truth with the evidence that the diagnosis
 //! found.
 
-use crate::simulated::{Fault, Made, MadeSetting, made};
+use crate::simulated::{Fault, Kind, Made, MadeSetting, made};
 use photocurrent_diagnosis::candidates::{Candidate, Scales};
 use photocurrent_diagnosis::decide::model::Facts;
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting};
+use photocurrent_diagnosis::residual::pixels;
 use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_scene::Scene;
 use photocurrent_scene::mosaic::{PatchSetting, scene};
@@ -68,6 +69,7 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let picture = PictureSetting::default();
     let evidence_on = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());
     let found = match target {
+        None if setting.kind == Kind::Pixels => pixels::evidence(&case, &nominal).ok(),
         None => scene(&case, &nominal, &picture, &PatchSetting::default())
             .and_then(|source| evidence_on(source.as_ref()))
             .ok(),

@@ -7,7 +7,7 @@
 use crate::example::Example;
 use nalgebra::{SMatrix, SVector};
 use photocurrent_diagnosis::decide::Decision;
-use photocurrent_diagnosis::decide::model::{Facts, Model, SECOND, SOMETHING, logistic};
+use photocurrent_diagnosis::decide::model::{Facts, Model, Models, SECOND, SOMETHING, logistic};
 use photocurrent_diagnosis::verdict::IN_SET_SHARE as IN_SET;
 use serde::{Deserialize, Serialize};
 
@@ -57,9 +57,13 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
     // A second one counts where the first is right.
     let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
+    let nothing =
+        seen.first().map_or(Model::default(), |(_, facts)| *Models::default().of(&facts.scene)).nothing;
     let logistics = |discount: [f64; 2]| {
-        let something: Vec<([f64; SOMETHING], bool)> =
-            seen.iter().map(|(one, facts)| (facts.something(discount), one.is_something())).collect();
+        let something: Vec<([f64; SOMETHING], bool)> = seen
+            .iter()
+            .map(|(one, facts)| (facts.something(discount, nothing), one.is_something()))
+            .collect();
         let second: Vec<([f64; SECOND], bool)> = seen
             .iter()
             .filter(|(one, facts)| is_right(one, facts))
@@ -75,6 +79,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
                 softness: USUAL_SOFTNESS,
                 random: 0.0,
                 unnamed: [0.0; 3],
+                nothing,
             },
         )
     };
@@ -257,7 +262,7 @@ mod tests {
     use super::*;
     use crate::simulated::Fault;
     use photocurrent_core::random::Random;
-    use photocurrent_diagnosis::decide::model::{Gains, KINDS, Models};
+    use photocurrent_diagnosis::decide::model::{Gains, KINDS};
 
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
@@ -297,6 +302,7 @@ mod tests {
             include_str!("../../data/diagnosis/examples.jsonl"),
             include_str!("../../data/diagnosis/examples-parts.jsonl"),
             include_str!("../../data/diagnosis/examples-given.jsonl"),
+            include_str!("../../data/diagnosis/examples-pixels.jsonl"),
         ];
         sets.iter().flat_map(|text| text.lines()).map(|line| serde_json::from_str(line).unwrap()).collect()
     }
@@ -310,7 +316,7 @@ mod tests {
     fn cross_validation_is_what_the_docs_say() {
         let examples = training();
         let without = examples.iter().filter(|one| one.facts.is_none()).count();
-        assert_eq!((examples.len(), without), (1000, 167));
+        assert_eq!((examples.len(), without), (1148, 181));
         // Nothing wrong, claimed; one effect, claimed, first, in the set; two, both; in no catalogue,
         // unnamed, named: the table of docs/diagnosis.md.
         let named = |kind: &str| {
@@ -321,14 +327,15 @@ mod tests {
         assert_eq!(named("picture"), ((214, 6), (241, 101, 80, 92), (75, 11), (45, 15, 5)));
         assert_eq!(named("patches"), ((54, 1), (70, 9, 8, 9), (18, 0), (16, 0, 1)));
         assert_eq!(named("given"), ((36, 0), (46, 36, 31, 31), (9, 2), (9, 6, 1)));
+        assert_eq!(named("pixels"), ((42, 0), (66, 10, 9, 9), (16, 0), (10, 0, 0)));
     }
 
     #[test]
     fn the_built_in_numbers_are_those_of_the_training_sets() {
         let examples = training();
         let numbers = |model: Model| -> Vec<f64> {
-            let Model { something, second, discount, softness, random, unnamed } = model;
-            [&something[..], &second, &discount, &softness, &[random], &unnamed].concat()
+            let Model { something, second, discount, softness, random, unnamed, nothing } = model;
+            [&something[..], &second, &discount, &softness, &[random], &unnamed, &[nothing]].concat()
         };
         for kind in KINDS {
             let (found, built_in) =

@@ -59,6 +59,8 @@ enum SceneKind {
     Parts,
     /// Light that is known but for a few numbers
     Given,
+    /// Any scene, the light of each pixel free in time
+    Pixels,
 }
 
 impl SceneKind {
@@ -67,6 +69,7 @@ impl SceneKind {
             SceneKind::Picture => "picture",
             SceneKind::Parts => "parts",
             SceneKind::Given => "given",
+            SceneKind::Pixels => "pixels",
         }
     }
 
@@ -75,6 +78,7 @@ impl SceneKind {
             SceneKind::Picture => Kind::Picture,
             SceneKind::Parts => Kind::Parts,
             SceneKind::Given => Kind::Given,
+            SceneKind::Pixels => Kind::Pixels,
         });
         MadeSetting { extent: size.unwrap_or(usual.extent), ..usual }
     }

@@ -49,6 +49,8 @@ pub enum Kind {
     Parts,
     /// All but a few numbers: known targets.
     Given,
+    /// Nothing, whether they move as one or not: the light of each pixel is free.
+    Pixels,
 }
 
 /// How recordings are made.
@@ -76,6 +78,7 @@ impl MadeSetting {
         match kind {
             Kind::Picture => usual,
             Kind::Parts => MadeSetting { effect_sizes: (0.2, 2.0), ..usual },
+            Kind::Pixels => MadeSetting { effect_sizes: (0.1, 1.5), ..usual },
             Kind::Given => MadeSetting { extent: Extent { width: 40, height: 30 }, duration_s: 0.1, ..usual },
         }
     }
@@ -108,6 +111,9 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
         }
         Kind::Parts => {
             (MadeUp::in_parts(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
+        }
+        Kind::Pixels => {
+            (MadeUp::of_any(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
         }
         Kind::Given => {
             let scene = MadeUp::target(seed, index, setting.extent, setting.duration_s);

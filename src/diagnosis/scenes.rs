@@ -229,6 +229,11 @@ impl MadeUp {
         MadeUp::of(seed, index, extent, duration_s, [0.0, 0.0, 0.0, 0.3, 0.6, 0.8, 1.0])
     }
 
+    /// The same of any kind.
+    pub fn of_any(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        MadeUp::of(seed, index, extent, duration_s, [0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0])
+    }
+
     #[cfg(test)]
     /// The same of a photograph that shakes, zooms and turns.
     pub fn photograph(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {

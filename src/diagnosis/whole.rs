@@ -5,6 +5,7 @@ use crate::decide::{Decision, decide};
 use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
 use crate::integrity::Integrity;
 use crate::residual::evidence::{Evidence, EvidenceSetting};
+use crate::residual::pixels;
 use crate::residual::ranking::evidence;
 use crate::stages::{Proposed, Seen};
 use crate::unstated::without_scene;
@@ -23,11 +24,13 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum Estimated {
     /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each
-    /// where it does not predict them.
+    /// where it does not predict them; and where these leave too much, the light of each pixel.
     #[default]
     Parts,
     /// One moving picture.
     Picture,
+    /// The light of each pixel, free in time: of frames and events together.
+    Pixels,
     /// Nowhere: events are compared with no scene.
     None,
 }
@@ -113,10 +116,42 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
     }
 }
 
-/// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames.
+/// On a scene that was fitted to frames, more than this share of the thresholds is left where it does not
+/// decide alone.
+const LEFT_TO_PIXELS: f64 = 0.12;
+
+/// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames, or on the light
+/// of each pixel.
 pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
+    if setting.scene == Estimated::Pixels {
+        return seen(pixels::evidence(case, nominal));
+    }
+    let found = match on_picture(case, nominal, integrity, setting) {
+        Ok(found) if setting.scene == Estimated::Picture || decides_alone(&found) => Ok(found),
+        Err(why) if setting.scene == Estimated::Picture => Err(why),
+        Ok(found) => {
+            let on_pixels = pixels::evidence(case, nominal).ok().map(Box::new);
+            Ok(Evidence { on_pixels, ..found })
+        }
+        Err(why) => pixels::evidence(case, nominal).map_err(|other| format!("{why}; {other}")),
+    };
+    seen(found)
+}
+
+/// Does a scene explain what it leaves well enough to decide without another one?
+fn decides_alone(found: &Evidence) -> bool {
+    f64::max(found.control_median, found.left[0]) < LEFT_TO_PIXELS
+}
+
+/// The same on a scene that is fitted to the frames alone.
+fn on_picture(
+    case: &Case,
+    nominal: &Nominal,
+    integrity: &Integrity,
+    setting: &OnScene,
+) -> Result<Evidence, String> {
     if let Some(flicker) = integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
-        return Seen::Nothing(format!(
+        return Err(format!(
             "the light flickers at {:.0} Hz by {:.0} %",
             flicker.frequency_hz,
             100.0 * flicker.depth
@@ -130,7 +165,7 @@ pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting:
             .map(|picture| Box::new(picture) as Box<dyn Scene>),
     };
     let found = fitted.and_then(|scene| evidence(case, nominal, &*scene, &setting.evidence));
-    seen(found.map(|found| Evidence { span_ns, ..found }))
+    found.map(|found| Evidence { span_ns, ..found })
 }
 
 /// Evidence, or why there is none.
@@ -143,9 +178,16 @@ pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed 
     match seen {
         Seen::NotAsked => Proposed::NotAsked,
         Seen::Nothing(why) => Proposed::Nothing(why),
-        Seen::Evidence(found) => match decide(&found, nominal, decision) {
-            Ok(decided) => Proposed::Decided(Box::new(decided)),
-            Err(why) => Proposed::Nothing(why),
-        },
+        Seen::Evidence(found) => {
+            let alone = decide(&found, nominal, decision);
+            let other = |why: String| match &found.on_pixels {
+                Some(other) => decide(other, nominal, decision).map_err(|other| format!("{why}; {other}")),
+                None => Err(why),
+            };
+            match alone.or_else(other) {
+                Ok(decided) => Proposed::Decided(Box::new(decided)),
+                Err(why) => Proposed::Nothing(why),
+            }
+        }
     }
 }

@@ -106,7 +106,7 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
 /// The gain from which on something is said, nats an event.
 fn needed_gain(found: &Evidence, decision: &Decision) -> f64 {
     let log_odds = libm::log(decision.least / (1.0 - decision.least));
-    decision.models.of(&found.scene).needed_gain(log_odds, libm::log(found.share.max(1e-3)))
+    decision.models.of(&found.scene).needed_gain(log_odds, libm::log(found.covered().max(1e-3)))
 }
 
 fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {

@@ -10,6 +10,7 @@
 //! Its numbers are calibrated on simulated recordings (the crate `photocurrent-calibrate`).
 
 use crate::candidates::CANDIDATES;
+pub use crate::residual::evidence::KINDS;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::open::Open;
 use schemars::{JsonSchema, Schema};
@@ -39,6 +40,10 @@ pub struct Model {
     /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain
     /// with the best effect, and alone, over that effect's.
     pub unnamed: [f64; 3],
+    /// What gains less than this is no sign that something differs, nats an event: sound recordings gain as
+    /// much.
+    #[schemars(range(min = 0.0))]
+    pub nothing: f64,
 }
 
 /// Numbers of [`Model::something`].
@@ -56,6 +61,7 @@ impl Default for Model {
             softness: [-2.664, -0.988],
             random: 0.132,
             unnamed: [-0.492, 0.647, 0.662],
+            nothing: LEAST_GAIN,
         }
     }
 }
@@ -73,6 +79,9 @@ pub struct Models {
     /// The model of known light.
     #[serde(deserialize_with = "over::<_, 1>")]
     pub given: Model,
+    /// The model of the light of pixels, free in time.
+    #[serde(deserialize_with = "over::<_, 3>")]
+    pub pixels: Model,
 }
 
 /// The stated numbers of a model, and the built-in ones of its kind of scene ([`KINDS`]) for the rest.
@@ -83,15 +92,13 @@ fn over<'de, D: Deserializer<'de>, const KIND: usize>(stated: D) -> Result<Model
     Model::deserialize(numbers).map_err(D::Error::custom)
 }
 
-/// Kinds of scenes that have a model, by their names.
-pub const KINDS: [&str; 3] = ["picture", "given", "patches"];
-
 impl Models {
     /// Of a kind of scene ([`Evidence::scene`]).
     pub fn of(&self, scene: &str) -> &Model {
         match KINDS.iter().position(|kind| *kind == scene) {
             Some(1) => &self.given,
             Some(2) => &self.patches,
+            Some(3) => &self.pixels,
             _ => &self.picture,
         }
     }
@@ -100,7 +107,12 @@ impl Models {
 impl Default for Models {
     /// `photocurrent-calibrate`, docs/diagnosis.md.
     fn default() -> Models {
-        Models { picture: Model::default(), patches: Model::of_patches(), given: Model::of_given_light() }
+        Models {
+            picture: Model::default(),
+            patches: Model::of_patches(),
+            given: Model::of_given_light(),
+            pixels: Model::of_pixels(),
+        }
     }
 }
 
@@ -114,6 +126,20 @@ impl Model {
             softness: [-1.652, -0.433],
             random: 2.368,
             unnamed: [0.429, 0.892, -0.015],
+            nothing: LEAST_GAIN,
+        }
+    }
+
+    /// The built-in numbers for the light of pixels: `photocurrent-calibrate --scene pixels`.
+    pub fn of_pixels() -> Model {
+        Model {
+            something: [3.614, 1.052, 0.021],
+            second: [-1.073, -0.340, 0.623],
+            discount: [3.0, 2.0],
+            softness: [-2.25, -0.594],
+            random: 0.0,
+            unnamed: [3.375, 1.0, 0.0],
+            nothing: 0.05,
         }
     }
 
@@ -126,6 +152,7 @@ impl Model {
             softness: [-3.468, 0.098],
             random: -2.325,
             unnamed: [1.435, 1.756, 0.742],
+            nothing: LEAST_GAIN,
         }
     }
 }
@@ -226,7 +253,7 @@ impl Facts {
             first: named(&first, found.noise[0]),
             second: named(&second, found.noise[1]),
             open: [curve(&found.open_second, second_small) - best, curve(&found.open, small) - best],
-            share: libm::log(found.share.clamp(LEAST_GAIN, 1.0)),
+            share: libm::log(found.covered().clamp(LEAST_GAIN, 1.0)),
             scene: found.scene.clone(),
         }
     }
@@ -251,10 +278,11 @@ impl Facts {
     }
 
     /// 1, the logarithm of what the best effect gains and another in addition to it, as some only show
-    /// together, and that of the share of the events that count.
-    pub fn something(&self, discount: [f64; 2]) -> [f64; SOMETHING] {
+    /// together, at least `nothing`, and that of the share of the events that count.
+    pub fn something(&self, discount: [f64; 2], nothing: f64) -> [f64; SOMETHING] {
         let second = self.second_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
-        [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + second), self.share]
+        let gain = libm::exp(self.gains.discounted(discount)) + second;
+        [1.0, libm::log(gain.max(nothing)), self.share]
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
@@ -318,7 +346,7 @@ impl Model {
     pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
         self.posterior(
-            dot(&self.something, &facts.something(self.discount)),
+            dot(&self.something, &facts.something(self.discount, self.nothing)),
             facts.gains.best(),
             &facts.first,
             Some(odds),

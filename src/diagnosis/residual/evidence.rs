@@ -6,6 +6,9 @@ pub use super::setting::EvidenceSetting;
 use crate::candidates::CANDIDATES;
 use serde::{Deserialize, Serialize};
 
+/// Kinds of scenes that decisions have a model for, by their names.
+pub const KINDS: [&str; 4] = ["picture", "given", "patches", "pixels"];
+
 /// One effect, as the events see it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ranked {
@@ -86,6 +89,14 @@ pub(super) const NOISE: [&str; 2] = ["threshold_noise", "timestamp_jitter"];
 /// An effect that gains less than this on noisy events is their noise, nats per event.
 const OVER_NOISE: f64 = 0.03;
 
+impl Evidence {
+    /// How much of the recording the scene explains, a share: where it is small, the scene may err in that as
+    /// well.
+    pub fn covered(&self) -> f64 {
+        if self.scene == KINDS[3] { self.explained } else { self.share }
+    }
+}
+
 /// What the method found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
@@ -100,6 +111,10 @@ pub struct Evidence {
     pub nats_per_event: f64,
     /// Share of the events that counts.
     pub share: f64,
+    /// On the light of pixels: share of the evaluated events that miss their threshold by no more than 2 % of
+    /// it once the best effect is applied. 0 on other scenes.
+    #[serde(default)]
+    pub explained: f64,
     /// Events looked at.
     pub events: usize,
     /// Median absolute residual over the threshold.
@@ -138,4 +153,7 @@ pub struct Evidence {
     pub open: Vec<Open>,
     /// And with [`Evidence::first`] applied.
     pub open_second: Vec<Open>,
+    /// On the light of pixels, where this scene leaves too much: it decides where this one cannot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_pixels: Option<Box<Evidence>>,
 }

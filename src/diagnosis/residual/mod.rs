@@ -13,6 +13,7 @@
 //! - `open`: what no effect of the catalogue has.
 //! - `control`: what is found where nothing is.
 //! - `located`: where the gain of an effect is.
+//! - [`pixels`]: the light of pixels free in time, where nothing moves as one.
 //! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
 
 mod axis;
@@ -23,6 +24,7 @@ mod fit;
 mod laid;
 pub(crate) mod located;
 pub(crate) mod open;
+pub mod pixels;
 mod places;
 mod prepared;
 pub mod ranking;
@@ -395,6 +397,11 @@ fn frames_of(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<MapFrame> {
         })
     };
     (0..case.frame_count()).filter_map(frame).collect()
+}
+
+/// The median; 0 of nothing.
+fn median_of(values: &mut [f64]) -> f64 {
+    if values.is_empty() { 0.0 } else { photocurrent_scene::statistics::median(values) }
 }
 
 /// Light of a pixel's neighbours, kept from trial to trial.

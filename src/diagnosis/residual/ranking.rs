@@ -99,6 +99,7 @@ pub fn evidence(
         span_ns: None,
         nats_per_event: table.nats_per_event,
         share,
+        explained: 0.0,
         events: table.residual().len(),
         median: base_median,
         control_median: left_of(&seen, &control_table),
@@ -116,6 +117,7 @@ pub fn evidence(
         random_second,
         open: base.open,
         open_second: after.open,
+        on_pixels: None,
     })
 }
 

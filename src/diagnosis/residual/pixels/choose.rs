@@ -1,0 +1,62 @@
+//! Where and when light is estimated pixel by pixel.
+
+use photocurrent_scene::case::Case;
+use photocurrent_scene::pixels::Block;
+
+/// Side of the blocks, pixels.
+const WIDTH: usize = 12;
+const HEIGHT: usize = 10;
+/// Blocks are from so many parts of the array along each side.
+const PARTS: usize = 2;
+/// And at most so many in all.
+const MOST: usize = 4;
+/// A block with less than this share of the busiest one's activity is left out.
+const LEAST_ACTIVITY: f64 = 0.2;
+/// More events of one pixel than this count no more.
+const ENOUGH_EVENTS: f64 = 60.0;
+/// Longest stretch of time, ns.
+const LONGEST_NS: i64 = 150_000_000;
+
+/// The busiest frames of a recording that is longer than necessary.
+pub(super) fn window(case: &Case) -> Option<Case> {
+    let period_ns = case.frames.as_ref()?.times.mean_period_ns()?;
+    if case.span.1 - case.span.0 <= LONGEST_NS * 4 / 3 {
+        return None;
+    }
+    let frames = ((LONGEST_NS as f64 / period_ns) as usize).max(4);
+    case.busiest(frames * case.extent.pixels())
+}
+
+/// Busy blocks, spread over the array.
+pub(super) fn blocks(case: &Case) -> Vec<Block> {
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    let (w, h) = (WIDTH.min(width), HEIGHT.min(height));
+    let activity = |block: &Block| -> f64 {
+        let rows = block.y..block.y + block.height;
+        let pixels = rows.flat_map(|y| (block.x..block.x + block.width).map(move |x| y * width + x));
+        pixels.map(|pixel| (case.events.of(pixel).len() as f64).min(ENOUGH_EVENTS).sqrt()).sum()
+    };
+    let mut all: Vec<(f64, Block)> = Vec::new();
+    for y in (0..=height - h).step_by(h) {
+        for x in (0..=width - w).step_by(w) {
+            let block = Block { x, y, width: w, height: h };
+            all.push((activity(&block), block));
+        }
+    }
+    all.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1.y, a.1.x).cmp(&(b.1.y, b.1.x))));
+    let part = |block: &Block| ((block.x + w / 2) * PARTS / width, (block.y + h / 2) * PARTS / height);
+    // The busiest of each part first, then whichever are busiest.
+    let mut chosen: Vec<Block> = Vec::new();
+    let least = LEAST_ACTIVITY * all.first().map_or(0.0, |best| best.0);
+    let busy: Vec<Block> = all.iter().filter(|one| one.0 >= least).map(|one| one.1).collect();
+    for block in &busy {
+        if chosen.iter().all(|other| part(other) != part(block)) {
+            chosen.push(*block);
+        }
+    }
+    let rest: Vec<Block> = busy.into_iter().filter(|block| !chosen.contains(block)).collect();
+    chosen.extend(rest);
+    chosen.truncate(MOST);
+    chosen.sort_by_key(|block| (block.y, block.x));
+    chosen
+}

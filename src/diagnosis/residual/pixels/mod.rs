@@ -1,0 +1,203 @@
+//! Which effects explain a recording where nothing moves as one: the light of each pixel is free in time
+//! ([`photocurrent_scene::pixels`]), and every effect is scored against what that light would take over.
+//!
+//! 1. Blocks of pixels with many events, spread over the array, and the busiest 0.15 s (`choose`).
+//! 2. Light, its prior and the noise with the description as it is (`fit`).
+//! 3. Score and information of every effect, summed over pixels: a first size and gain for each (`score`).
+//! 4. The best are fitted exactly: light and size in turn, and the description for as many rounds; the gain is
+//!    that of each event's density when the light is estimated from everything else.
+//! 5. With the best one applied, score and information of all others with its own size free.
+
+mod choose;
+mod fit;
+mod score;
+
+use super::evidence::{Evidence, KINDS, Ranked};
+use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use fit::{Exact, Fit, Ground};
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
+use score::Scored;
+
+/// Rounds with the description as it is, before effects are scored.
+const ROUNDS: usize = 11;
+/// Rounds of light between corrections of a size, and such corrections.
+const ROUNDS_EACH: usize = 3;
+const CORRECTIONS: usize = 3;
+/// The same of a second effect.
+const CORRECTIONS_OF_SECOND: usize = 2;
+/// So many effects are fitted exactly by their gain, and so many by the agreement of places.
+const BY_GAIN: usize = 5;
+const BY_AGREEMENT: usize = 2;
+/// And so many second ones.
+const SECOND: usize = 2;
+/// Standard errors are this much larger than the information has them: what sound recordings show.
+const ERRORS: f64 = 3.0;
+/// Fewer events than this are no evidence.
+const FEWEST_EVENTS: usize = 300;
+/// An event is explained when it misses its threshold by no more than this share of it.
+const EXPLAINED: f64 = 0.02;
+/// Effects that change how far light swings between events and frames: where edges are sharper than the
+/// spline, its contrast errs and they gain.
+const OF_CONTRAST: [&str; 7] = [
+    "threshold_scale",
+    "threshold_drift",
+    "threshold_gradient",
+    "black_level",
+    "frame_nonlinearity",
+    "dark_current",
+    "large_signal_front_end",
+];
+/// So much of what they gain is taken for that: sound recordings of the training set (`photocurrent-calibrate
+/// --scene pixels`) gain up to 0.7 nats an event by them, and up to 0.25 by others.
+const ERRING_CONTRAST: f64 = 0.75;
+/// The median of the absolute value of Student's t with three degrees of freedom.
+const MEDIAN_T: f64 = 0.765;
+
+/// Evidence on the light of pixels.
+///
+/// # Errors
+/// When there are no frames or too few events, or stated effects cannot be combined.
+pub fn evidence(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
+    let part = choose::window(case);
+    let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
+    let scales = Scales::of(case, nominal);
+    let ground = Ground::new(case, nominal, &scales, choose::blocks(case))?;
+    let events = ground.events();
+    if events < FEWEST_EVENTS {
+        return Err(format!(
+            "{events} events follow another one in the pixels whose light is estimated; {FEWEST_EVENTS} are \
+             needed"
+        ));
+    }
+    let mut base = Fit::begin(&ground, &Trial::stated(nominal));
+    base.rounds(ROUNDS)?;
+    let all: Vec<usize> = (0..CANDIDATES.len()).filter(|n| !CANDIDATES[*n].is_random).collect();
+    let scored = base.score(&all, None)?;
+    let mut list = ranked(&scored, &ground);
+    let mut nothing = base.clone();
+    nothing.settled(CORRECTIONS)?;
+    let level = nothing.left_out()?;
+    let mut exact = Vec::new();
+    for candidate in worth_fitting(&list, &scored) {
+        exact.extend(scored.size(candidate).and_then(|begin| base.exact(candidate, begin, CORRECTIONS).ok()));
+    }
+    put(&exact, &mut list, &level, &ground);
+    let first = list.iter().find(|one| one.is_exact && one.beyond() > 0.0).cloned();
+    let with = first.as_ref().and_then(|one| exact.iter().find(|fit| fit.candidate == one.candidate));
+    let second = with.map_or_else(|| Ok(Vec::new()), |with| second(with, &ground))?;
+    let median = |fit: &Fit<'_>| MEDIAN_T * fit.light.noise.threshold_share;
+    let left = with.map_or(median(&nothing), |with| median(&with.fit));
+    Ok(Evidence {
+        scene: KINDS[3].to_owned(),
+        span_ns,
+        nats_per_event: mean(&level),
+        share: events as f64 / case.events.len() as f64,
+        explained: explained(left / MEDIAN_T),
+        events,
+        median: median(&nothing),
+        left: [left; 2],
+        slope_per_s: ground.slope_per_s(&nothing)?,
+        white: 1.0,
+        misfit: 1.0,
+        ranked: list,
+        first,
+        second,
+        ..Evidence::default()
+    })
+}
+
+/// Share of the events that are explained when what they miss their thresholds by has Student's distribution
+/// with three degrees of freedom and a scale of `share` of the threshold.
+fn explained(share: f64) -> f64 {
+    let s = EXPLAINED / share / libm::sqrt(3.0);
+    2.0 / std::f64::consts::PI * (s / (1.0 + s * s) + libm::atan(s))
+}
+
+/// Exact fits in the places of first sizes and gains, best first; `level`: densities of events without them.
+fn put(exact: &[Exact<'_>], list: &mut [Ranked], level: &[Vec<f64>], ground: &Ground<'_>) {
+    for found in exact {
+        list.iter_mut()
+            .filter(|one| one.candidate == found.candidate)
+            .for_each(|one| found.put(one, level, ground));
+    }
+    for one in list.iter_mut() {
+        let candidate = &CANDIDATES[one.candidate];
+        one.is_material = candidate.is_material(ground.case, ground.nominal, one.value);
+        if OF_CONTRAST.contains(&candidate.id) {
+            one.control_gain = ERRING_CONTRAST * one.gain.max(0.0);
+        }
+    }
+    list.sort_by(Ranked::by_gain);
+}
+
+/// All other effects with one applied.
+fn second(with: &Exact<'_>, ground: &Ground<'_>) -> Result<Vec<Ranked>, String> {
+    let others: Vec<usize> = (0..CANDIDATES.len())
+        .filter(|n| !CANDIDATES[*n].is_random && CANDIDATES[*n].id != CANDIDATES[with.candidate].id)
+        .collect();
+    let scored = with.fit.score(&others, Some(with.candidate))?;
+    let mut list = ranked(&scored, ground);
+    let mut alone = with.fit.clone();
+    alone.settled(CORRECTIONS_OF_SECOND)?;
+    let level = alone.left_out()?;
+    let mut exact = Vec::new();
+    for one in list.iter().filter(|one| one.gain > 0.0).take(SECOND) {
+        exact.extend(with.fit.exact(one.candidate, one.effect_size, CORRECTIONS_OF_SECOND).ok());
+    }
+    put(&exact, &mut list, &level, ground);
+    list.iter_mut().filter(|one| one.is_exact).for_each(|one| one.of_first = Some(with.effect_size));
+    Ok(list)
+}
+
+/// First sizes and gains, best first.
+fn ranked(scored: &Scored, ground: &Ground<'_>) -> Vec<Ranked> {
+    let (scales, nominal, events) = (ground.scales, ground.nominal, ground.events());
+    let one = |n: usize| -> Option<Ranked> {
+        let candidate = scored.candidates[n];
+        let kind = &CANDIDATES[candidate];
+        let (size, information) = (scored.sizes[n]?, scored.information[n]);
+        let is_physics = kind.signs == Signs::Both || size > 0.0;
+        Some(Ranked {
+            candidate,
+            effect_size: size,
+            error: ERRORS / information.sqrt(),
+            value: kind.value(size, scales, nominal),
+            gain: if is_physics { 0.5 * size * size * information / events as f64 } else { 0.0 },
+            information: information / (ERRORS * ERRORS * events as f64),
+            unit: kind.value(1.0, scales, nominal) - kind.nominal_value(nominal),
+            ..Ranked::default()
+        })
+    };
+    let mut list: Vec<Ranked> = (0..scored.candidates.len()).filter_map(one).collect();
+    list.sort_by(Ranked::by_gain);
+    list
+}
+
+/// The best by gain, and by how well places agree.
+fn worth_fitting(ranked: &[Ranked], scored: &Scored) -> Vec<usize> {
+    let is_something = |one: &&Ranked| one.gain > 0.0;
+    let mut chosen: Vec<usize> =
+        ranked.iter().filter(is_something).take(BY_GAIN).map(|one| one.candidate).collect();
+    let mut by_agreement: Vec<(f64, usize)> = ranked
+        .iter()
+        .filter(is_something)
+        .filter_map(|one| Some((scored.agreement(one.candidate)?, one.candidate)))
+        .collect();
+    by_agreement.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    for (_, candidate) in by_agreement.into_iter().take(BY_AGREEMENT) {
+        if !chosen.contains(&candidate) {
+            chosen.push(candidate);
+        }
+    }
+    chosen
+}
+
+fn mean(values: &[Vec<f64>]) -> f64 {
+    let (sum, count) =
+        values.iter().flatten().fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+    sum / f64::max(count, 1.0)
+}
+
+#[cfg(test)]
+mod tests;

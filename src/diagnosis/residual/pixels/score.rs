@@ -1,0 +1,161 @@
+//! Efficient scores of effects, summed over pixels.
+
+use super::super::setting::PROBE;
+use super::fit::{FEWEST_OF_PIXEL, Fit, Seen};
+use crate::candidates::{CANDIDATES, Signs};
+use photocurrent_sensor::effects::sought::Grows;
+use std::collections::BTreeMap;
+
+/// Side of the blocks whose scores are compared, pixels.
+const SIDE: u32 = 4;
+/// A slope below this share of a threshold over an instant constrains no more, as in the fit.
+const LEAST_RISE: f64 = 0.01;
+const INSTANT_S: f64 = 1e-4;
+/// An effect that the light takes over but for this share is not seen.
+const ABSORBED: f64 = 1e-9;
+
+/// Scores of some effects.
+pub(super) struct Scored {
+    /// Numbers in [`CANDIDATES`].
+    pub candidates: Vec<usize>,
+    /// Best size beyond that which is applied; none where the light takes the effect over.
+    pub sizes: Vec<Option<f64>>,
+    /// Information on it, the light (and an effect that is free beside it) adapted.
+    pub information: Vec<f64>,
+    /// Best size over the standard error that differences between places show.
+    agreement: Vec<f64>,
+}
+
+impl Scored {
+    fn place(&self, candidate: usize) -> Option<usize> {
+        self.candidates.iter().position(|n| *n == candidate)
+    }
+
+    /// Best size of an effect.
+    pub(super) fn size(&self, candidate: usize) -> Option<f64> {
+        self.sizes[self.place(candidate)?]
+    }
+
+    /// How well places agree on it, standard errors.
+    pub(super) fn agreement(&self, candidate: usize) -> Option<f64> {
+        Some(self.agreement[self.place(candidate)?])
+    }
+}
+
+/// The step of the finite differences of an effect.
+fn probe(candidate: usize) -> f64 {
+    let kind = &CANDIDATES[candidate];
+    match kind.sought.grows {
+        Grows::WithSquare => 10.0 * PROBE,
+        Grows::AsItFalls => 1.0,
+        Grows::Linearly if kind.signs == Signs::Switch => 1.0,
+        Grows::Linearly => PROBE,
+    }
+}
+
+impl Fit<'_> {
+    /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with each.
+    pub(super) fn score(&self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
+        let light = self.light.light(self.ground.case);
+        let base = self.seen(&self.trial, Some(&light))?;
+        let mut wanted: Vec<usize> = candidates.to_vec();
+        wanted.extend(free);
+        let mut kept = Vec::new();
+        let mut moved: Vec<(Vec<Seen>, f64)> = Vec::new();
+        for candidate in wanted {
+            let (step, from) = (probe(candidate), self.size_of(candidate));
+            // One that cannot be combined with what is there is no candidate.
+            if let Ok(seen) = self.seen(&self.with(candidate, from + step), Some(&light)) {
+                kept.push(candidate);
+                moved.push((seen, step));
+            }
+        }
+        let effects = kept.len();
+        let threshold = self.ground.scales.threshold;
+        let least = LEAST_RISE * threshold / INSTANT_S;
+        let log_slope = |slope: f64| libm::log(f64::max(slope, least));
+        let of_pixel = |place: usize| -> Vec<f32> {
+            let plain = &base[place];
+            let (frames, events) = (plain.dn.len(), plain.excess.len());
+            let mut columns = vec![0.0; (frames + 2 * events) * effects];
+            for (k, (seen, step)) in moved.iter().enumerate() {
+                let with = &seen[place];
+                let mut put = |row: usize, change: f64| columns[row * effects + k] = (change / step) as f32;
+                (0..frames).for_each(|l| put(l, with.dn[l] - plain.dn[l]));
+                for e in 0..events {
+                    put(frames + e, with.excess[e] - plain.excess[e]);
+                    put(
+                        frames + events + e,
+                        log_slope(with.slope_per_s[e]) - log_slope(plain.slope_per_s[e]),
+                    );
+                }
+            }
+            columns
+        };
+        let columns: Vec<Vec<f32>> = (0..base.len()).map(of_pixel).collect();
+        let scores = self.light.score(&self.predicted()?, &columns, effects);
+        Ok(self.summed(kept, free.is_some(), &scores))
+    }
+
+    fn summed(
+        &self,
+        candidates: Vec<usize>,
+        is_beside: bool,
+        scores: &[Option<photocurrent_scene::pixels::Score>],
+    ) -> Scored {
+        let effects = candidates.len();
+        let (mut score, mut information, mut known) =
+            (vec![0.0; effects], vec![0.0; effects * effects], vec![0.0; effects]);
+        let mut of_places: BTreeMap<(u32, u32), (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+        let width = self.ground.case.extent.width;
+        for (place, found) in scores.iter().enumerate() {
+            let Some(found) = found else { continue };
+            if self.ground.events[place].len() < FEWEST_OF_PIXEL {
+                continue;
+            }
+            let pixel = self.light.pixels()[place];
+            let (x, y) = (pixel % width / SIDE, pixel / width / SIDE);
+            let of_place = of_places.entry((y, x)).or_insert((vec![0.0; effects], vec![0.0; effects]));
+            for k in 0..effects {
+                score[k] += found.score[k];
+                known[k] += found.known[k];
+                of_place.0[k] += found.score[k];
+                of_place.1[k] += found.information[k * effects + k];
+            }
+            information.iter_mut().zip(&found.information).for_each(|(to, v)| *to += v);
+        }
+        // The Schur complement on what is free beside each.
+        let beside = is_beside.then(|| effects - 1);
+        let (mut sizes, mut informations, mut agreement) = (Vec::new(), Vec::new(), Vec::new());
+        for k in 0..effects {
+            let (mut s, mut i) = (score[k], information[k * effects + k]);
+            if let Some(other) =
+                beside.filter(|other| *other != k && information[other * effects + other] > 0.0)
+            {
+                let ratio = information[k * effects + other] / information[other * effects + other];
+                s -= ratio * score[other];
+                i -= ratio * information[k * effects + other];
+            }
+            let is_seen = i > ABSORBED * known[k] && i > 0.0;
+            let size = -s / i;
+            sizes.push((is_seen && size.is_finite()).then_some(size));
+            informations.push(i.max(0.0));
+            let scatter: f64 = of_places
+                .values()
+                .map(|(score, information)| {
+                    let left = score[k] + information[k] * size;
+                    left * left
+                })
+                .sum();
+            agreement.push(if is_seen { size.abs() * i / scatter.sqrt().max(1e-300) } else { 0.0 });
+        }
+        let (mut candidates, mut scored) = (candidates, (sizes, informations, agreement));
+        if is_beside {
+            candidates.pop();
+            scored.0.pop();
+            scored.1.pop();
+            scored.2.pop();
+        }
+        Scored { candidates, sizes: scored.0, information: scored.1, agreement: scored.2 }
+    }
+}
