@@ -2,10 +2,12 @@
 //! recording's own seed.
 
 use crate::array::Timing;
-use crate::effect::{self, Setting, whole_ns};
+use crate::effect::{self, Setting, Size, whole_ns};
+use crate::field::{self, Plain};
 use crate::frames::Numbers;
 use crate::law::Law;
 use crate::light::NODE;
+use crate::limit::Kept;
 use crate::plan::{Entry, Kind, Plan};
 use crate::random::Random;
 use crate::scene::{Family, Grid, Scene};
@@ -37,14 +39,14 @@ pub struct Draft {
 }
 
 /// What is seen.
-struct Picture {
-    scene: Scene,
+pub struct Picture {
+    pub scene: Scene,
     /// Typical photocurrent.
-    light: f64,
+    pub light: f64,
     /// Events that are to be expected.
-    events: f64,
-    answer: Value,
-    target: Option<Target>,
+    pub events: f64,
+    pub answer: Value,
+    pub target: Option<Target>,
 }
 
 /// Draws recording `index` of a plan.
@@ -56,14 +58,17 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     let mut random = Random::named(&plan.seed(seed, index));
     let size = size(plan, &mut random);
     let mut nominal = sensor(index, entry, &mut random);
-    if plan == Plan::Target {
-        noise_of_frames(&mut nominal, index.is_multiple_of(2), &mut random);
+    match plan {
+        Plan::Target => noise_of_frames(&mut nominal, index.is_multiple_of(2), &mut random),
+        Plan::Field => field::noise(&mut nominal, index, entry, &mut random),
+        Plan::Short | Plan::Long => {}
     }
     let (timing, exposure, rate_hz) = timing(plan, &mut random);
     let duration = timing.end - timing.start;
     let picture = match plan {
         Plan::Short | Plan::Long => moving(plan, index, entry, &nominal, &timing, size, &mut random),
         Plan::Target => target(&nominal, &timing, size, &mut random),
+        Plan::Field => field::picture(index, entry, &nominal, &timing, size, &mut random)?,
     };
     let Picture { scene, light, events, answer: seen, target } = picture;
 
@@ -93,22 +98,23 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
         rate: events / duration,
     };
     let (mut effects, mut at_limit) = (Vec::new(), None);
-    for id in entry.effects {
-        let concealed = effect::conceal(id, &mut physics, &setting, &mut random)?;
-        effects.push(concealed.answer);
-        at_limit = concealed.at_limit.filter(|_| entry.kind == Kind::Single);
+    // Limits go with how stamps and numbers are kept, which the other plans draw after the effects.
+    let form = (plan == Plan::Field).then(|| Form::draw(entry, &mut random));
+    if let Some(Form { numbers, resolution, has_t_in }) = form {
+        let kept = Kept { step: resolution as f64 * 1e-9, numbers };
+        let plain =
+            Plain { index, entry, scene: &scene, timing: &timing, size, setting: &setting, kept, has_t_in };
+        effects = field::conceal_all(&plain, &mut physics, &mut random)?;
+    } else {
+        for id in entry.effects {
+            let concealed = effect::conceal(id, &mut physics, &setting, &mut random, &mut Size::default())?;
+            effects.push(concealed.answer);
+            at_limit = concealed.at_limit.filter(|_| entry.kind == Kind::Single);
+        }
     }
     physics.law = entry.law.map(|name| law(name, &setting, &mut random)).transpose()?;
-
-    let numbers = if random.chance(0.15) { Numbers::Whole } else { Numbers::Sixteenths };
-    let needs_fine_stamps =
-        entry.effects.iter().any(|id| id.starts_with("timestamp")) || entry.condition == "shown_queue";
-    let resolution = match random.unit() {
-        u if u < 0.14 && !needs_fine_stamps => 20_000,
-        u if u < 0.3 => 1,
-        _ => 1000,
-    };
-    let has_t_in = !random.chance(0.15) || entry.condition == "shown_queue";
+    let form = form.unwrap_or_else(|| Form::draw(entry, &mut random));
+    let Form { numbers, resolution, has_t_in } = form;
     let answer = json!({
         "kind": entry.kind.name(),
         "condition": entry.condition,
@@ -141,16 +147,46 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     })
 }
 
+/// How a recording is written.
+#[derive(Clone, Copy)]
+struct Form {
+    numbers: Numbers,
+    /// Step of the stamps, ns.
+    resolution: i64,
+    has_t_in: bool,
+}
+
+impl Form {
+    fn draw(entry: &Entry, random: &mut Random) -> Self {
+        let numbers = if random.chance(0.15) { Numbers::Whole } else { Numbers::Sixteenths };
+        let needs_fine_stamps =
+            entry.effects.iter().any(|id| id.starts_with("timestamp")) || entry.condition == "shown_queue";
+        let resolution = match random.unit() {
+            u if u < 0.14 && !needs_fine_stamps => 20_000,
+            u if u < 0.3 => 1,
+            _ => 1000,
+        };
+        let has_t_in = !random.chance(0.15) || entry.condition == "shown_queue";
+        Self { numbers, resolution, has_t_in }
+    }
+}
+
+/// Does what it conceals show in a scene of a wide range of light?
+pub fn aims_at_light(entry: &Entry) -> bool {
+    let ids = ["dark_current", "parasitic_leak", "refractory_light", "black_level"];
+    entry.effects.iter().any(|id| ids.contains(id)) || entry.law == Some("light")
+}
+
 /// Columns and rows.
 fn size(plan: Plan, random: &mut Random) -> [usize; 2] {
     match plan {
-        Plan::Short => [72, 54],
+        Plan::Short | Plan::Field => [72, 54],
         Plan::Long => [96, 72],
         Plan::Target => [[64, 48], [72, 54], [80, 60], [96, 72]][random.below(4)],
     }
 }
 
-fn threshold(nominal: &Sensor) -> f64 {
+pub fn threshold(nominal: &Sensor) -> f64 {
     0.5 * (nominal.on + nominal.off)
 }
 
@@ -177,12 +213,7 @@ fn moving(
         "wide_range" => 1.5,
         _ => random.between(0.5, 0.95),
     };
-    let wants_light_range = entry
-        .effects
-        .iter()
-        .any(|id| ["dark_current", "parasitic_leak", "refractory_light", "black_level"].contains(id))
-        || entry.law == Some("light");
-    let contrast = if wants_light_range { contrast.max(0.85) } else { contrast };
+    let contrast = if aims_at_light(entry) { contrast.max(0.85) } else { contrast };
     // Half a threshold from trough to crest: it moves events, and does not fire the whole array by itself.
     let depth = 0.5 * (nominal.on + nominal.off) * random.between(0.2, 0.35);
     let flicker = (entry.condition == "flicker")
@@ -226,7 +257,7 @@ fn noise_of_frames(nominal: &mut Sensor, noisy: bool, random: &mut Random) {
 }
 
 /// The described sensor, but for its gain and `alpha`, which belong to the light.
-fn sensor(index: usize, entry: &Entry, random: &mut Random) -> Sensor {
+pub fn sensor(index: usize, entry: &Entry, random: &mut Random) -> Sensor {
     let on = random.between(0.13, 0.3);
     let off = on * (1.0 + random.sign() * random.between(0.015, 0.08));
     let round = |v: f64| (v * 1e4).round() / 1e4;
@@ -288,13 +319,13 @@ fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
     let exposure = (random.between(3e-3, 5e-3) * 1e6).round() / 1e6;
     let start = 2e-3;
     let duration = match plan {
-        Plan::Short => random.between(0.12, 0.15),
+        Plan::Short | Plan::Field => random.between(0.12, 0.15),
         Plan::Long => 1.0,
         Plan::Target => random.between(0.15, 0.3),
     };
     let first = whole_ns(start + random.between(0.2e-3, 1.5e-3));
     // The last row of the last frame is exposed by the end: 54 rows take 2.2 ms at most, 72 rows 2.9 ms.
-    let rows = if plan == Plan::Short { 2.3e-3 } else { 3.1e-3 };
+    let rows = if matches!(plan, Plan::Short | Plan::Field) { 2.3e-3 } else { 3.1e-3 };
     let count = ((duration - (first - start) - exposure - rows) / period).floor() as usize + 1;
     let exposures = (0..count).map(|l| first + l as f64 * period).map(|t| [t, t + exposure]).collect();
     let reset_at_start = random.chance(0.8);
@@ -315,7 +346,7 @@ fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
 }
 
 /// How often the light itself moves by a threshold, over all pixels, and the brightest light.
-fn survey(scene: &Scene, timing: &Timing, threshold: f64, [width, height]: [usize; 2]) -> (f64, f64) {
+pub fn survey(scene: &Scene, timing: &Timing, threshold: f64, [width, height]: [usize; 2]) -> (f64, f64) {
     let grid = Grid { left: 0.0, top: 0.0, columns: width, rows: height };
     let (mut reference, mut now) = (vec![0.0; width * height], vec![0.0; width * height]);
     let (mut count, mut brightest) = (0.0, f64::NEG_INFINITY);
@@ -424,7 +455,8 @@ mod tests {
             let mut physics = Physics::of(Sensor { alpha: 1e-3, ..sensor(0, entry, &mut random) });
             for id in entry.effects {
                 let concealed =
-                    effect::conceal(id, &mut physics, &setting, &mut random).expect("an effect of the plan");
+                    effect::conceal(id, &mut physics, &setting, &mut random, &mut Size::default())
+                        .expect("an effect of the plan");
                 assert_eq!(
                     concealed.at_limit.is_none(),
                     ["large_signal_front_end", "refractory:law"].contains(id),

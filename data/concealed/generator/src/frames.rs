@@ -11,6 +11,32 @@ pub enum Numbers {
     Sixteenths,
 }
 
+/// How bright each pixel is behind the optics' falloff.
+fn shades(physics: &Physics, width: usize, height: usize) -> Vec<f64> {
+    let (cx, cy) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
+    let shade = |p: usize| {
+        let (dx, dy) = ((p % width) as f64 - cx, (p / width) as f64 - cy);
+        let r2 = (dx * dx + dy * dy) / (cx * cx + cy * cy);
+        let root = 1.0 + r2 * (libm::pow(1.0 - physics.falloff, -0.5) - 1.0);
+        1.0 / (root * root)
+    };
+    (0..width * height).map(shade).collect()
+}
+
+/// Digital numbers of all frames without anything random, rounding or steps of the gain.
+pub fn expected(charge: &[Vec<f64>], physics: &Physics, width: usize) -> Vec<Vec<f64>> {
+    let sensor = &physics.sensor;
+    let full = sensor.saturation - sensor.black;
+    let shades = shades(physics, width, charge.first().map_or(1, |frame| frame.len() / width));
+    let number = |l: usize, p: usize| {
+        let signal = sensor.gain * shades[p] * (charge[l][p] + physics.lag * charge[l.max(1) - 1][p]);
+        let x = signal / full;
+        let dn = sensor.black + signal + 4.0 * physics.nonlinearity * x * (1.0 - x) * full;
+        dn.clamp(0.0, sensor.saturation)
+    };
+    (0..charge.len()).map(|l| (0..shades.len()).map(|p| number(l, p)).collect()).collect()
+}
+
 /// Digital numbers of all frames from their charges (photocurrent x s).
 pub fn digitise(
     charge: &[Vec<f64>],
@@ -21,14 +47,7 @@ pub fn digitise(
 ) -> Vec<Vec<f64>> {
     let sensor = &physics.sensor;
     let height = charge.first().map_or(1, |frame| frame.len() / width);
-    let (cx, cy) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
-    let shade = |p: usize| {
-        let (dx, dy) = ((p % width) as f64 - cx, (p / width) as f64 - cy);
-        let r2 = (dx * dx + dy * dy) / (cx * cx + cy * cy);
-        let root = 1.0 + r2 * (libm::pow(1.0 - physics.falloff, -0.5) - 1.0);
-        1.0 / (root * root)
-    };
-    let shades: Vec<f64> = (0..width * height).map(shade).collect();
+    let shades = shades(physics, width, height);
     let full = sensor.saturation - sensor.black;
     let mut factor = 1.0;
     let mut frames = Vec::with_capacity(charge.len());
