@@ -33,7 +33,7 @@ pub fn noise(sensor: &mut Sensor, index: usize, entry: &Entry, random: &mut Rand
     sensor.states_frame_noise = noisy && (round_of_families / 2).is_multiple_of(2);
 }
 
-/// One of the ten families, at a pace between 0.4 and 2.5 that comes near the events that are wanted.
+/// One of the ten families, at a pace between 0.4 and 4 that comes near the events that are wanted.
 pub fn picture(
     index: usize,
     entry: &Entry,
@@ -61,7 +61,7 @@ pub fn picture(
         if (0.95..1.05).contains(&factor) {
             break;
         }
-        scene.pace = (scene.pace * factor.clamp(0.4, 2.5)).clamp(0.4, 2.5);
+        scene.pace = (scene.pace * factor.clamp(0.3, 4.0)).clamp(0.4, 4.0);
     }
     let answer = json!({
         "family": name, "light_middle": light, "contrast_ln": contrast, "pace": scene.pace, "edge_px": sigma,

@@ -214,3 +214,6 @@ fn reach(start: f64, most: f64, mut gain: impl FnMut(f64) -> Result<f64, String>
     }
     Ok(size)
 }
+
+#[cfg(test)]
+mod tests;

@@ -44,7 +44,7 @@ impl Layers {
                     velocity: [speed * libm::cos(angle), speed * libm::sin(angle)],
                     skin: texture(random),
                     level: random.sign() * random.between(0.2, 0.7),
-                    shapes: (0..6).map(|_| shape(random)).collect(),
+                    shapes: (0..8).map(|_| shape(random)).collect(),
                 }
             })
             .collect();
@@ -128,14 +128,14 @@ impl Crowd {
     const BEYOND: f64 = 30.0;
 
     pub fn draw(random: &mut Random, [width, height]: [f64; 2], sigma: f64) -> Self {
-        let mut people: Vec<Person> = (0..24 + random.below(13))
+        let mut people: Vec<Person> = (0..28 + random.below(15))
             .map(|_| {
                 let tall = height * random.log_between(0.15, 0.62);
-                let speed = random.sign() * tall * random.between(3.0, 9.0);
+                let speed = random.sign() * tall * random.between(4.0, 11.0);
                 // A stride carries as far as the person is tall, or a little less.
                 let stride = speed.abs() / (tall * random.between(0.75, 0.95));
-                let dressed = random.between(-0.9, 0.9);
-                let legs = random.between(-0.95, 0.5);
+                let dressed = random.sign() * random.between(0.2, 1.0);
+                let legs = random.between(-1.0, 0.4);
                 Person {
                     tall,
                     feet: [
@@ -155,7 +155,7 @@ impl Crowd {
 
     pub fn pattern(&self, t: f64, grid: &Grid, out: &mut [f64]) {
         let shift = 0.3 * self.pan * t;
-        each(grid, out, |x, y| 0.1 + 0.45 * bounded(self.ground.at(x + shift, y)));
+        each(grid, out, |x, y| 0.1 + 0.6 * bounded(self.ground.at(x + shift, y)));
         let tallest = self.people.last().map_or(1.0, |person| person.tall);
         for person in &self.people {
             let span = self.width + 2.0 * Self::BEYOND;
