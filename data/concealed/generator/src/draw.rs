@@ -441,11 +441,17 @@ mod tests {
     fn every_entry_of_the_plan_can_be_drawn() {
         // The survey of a scene is what takes time: one entry in eight, and every effect and law below.
         for plan in Plan::ALL {
-            for (index, entry) in plan.entries().iter().enumerate().step_by(8) {
+            // Limits take longer still: three of the plan `field`.
+            let every = if plan == Plan::Field { 47 } else { 8 };
+            for (index, entry) in plan.entries().iter().enumerate().step_by(every) {
                 let draft = draw(plan, index, "test").expect("an entry of the plan");
                 assert_eq!(draft.answer["effects"].as_array().map(Vec::len), Some(entry.effects.len()));
                 assert_eq!(draft.answer["off_catalogue"].is_null(), entry.kind != Kind::OffCatalogue);
                 assert_eq!(draft.target.is_some(), plan == Plan::Target);
+                for effect in draft.answer["effects"].as_array().into_iter().flatten() {
+                    let stated = ["limit", "times"].map(|key| effect[key].as_f64().is_some_and(|v| v > 0.0));
+                    assert_eq!(stated, [plan == Plan::Field; 2], "{effect}");
+                }
             }
         }
         let setting =

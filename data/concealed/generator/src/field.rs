@@ -129,8 +129,8 @@ fn ordinal(index: usize, k: usize) -> usize {
     Plan::Field.entries()[..index].iter().map(|entry| entry.effects.len()).sum::<usize>() + k
 }
 
-/// The multiple of the limit: one of three by turns, or the next of 2, 5, 10, 20, 50 ... that makes the effect
-/// material, or the one before that is no larger than `most`; where there is none, what makes it `most`, or
+/// The multiple of the limit: one of three by turns, or the next of 2, 5, 10, 20, 50 ... that makes the
+/// effect material, or the one before that is no larger than `most`; where there is none, what makes it `most`, or
 /// material.
 fn times(ordinal: usize, limit: f64, material: f64, most: f64) -> f64 {
     let series = (0..12).map(|k| [1.0, 2.0, 5.0][k % 3] * libm::pow(10.0, (k / 3) as f64)).skip(1);

@@ -77,3 +77,41 @@ pub fn digitise(
     }
     frames
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::sensor;
+    use crate::field::noise;
+    use crate::plan::Plan;
+
+    #[test]
+    fn noisy_frames_of_the_plan_field_have_the_stated_variance() {
+        let entries = Plan::Field.entries();
+        for (index, entry) in entries.iter().enumerate().step_by(9) {
+            let mut random = Random::named(&format!("variance {index}"));
+            let mut sensor = sensor(index, entry, &mut random);
+            noise(&mut sensor, index, entry, &mut random);
+            sensor.gain = 1000.0;
+            // 60 x 50 values at 4 % and at 60 % of full scale.
+            for share in [0.04, 0.6] {
+                let full = sensor.saturation - sensor.black;
+                let signal = share * full;
+                let physics = Physics::of(sensor.clone());
+                let charge = vec![vec![signal / sensor.gain; 3000]];
+                let dn = digitise(&charge, &physics, 60, Numbers::Sixteenths, &mut random)[0].clone();
+                let mean = dn.iter().sum::<f64>() / 3000.0;
+                let variance = dn.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / 3000.0;
+                let shot = if sensor.full_well > 0.0 { signal / (sensor.full_well / full) } else { 0.0 };
+                let stated = shot + sensor.read_noise * sensor.read_noise;
+                // Rounding to sixteenths of noise, or of a constant; five standard errors of a variance.
+                let rounding = if stated > 0.0 { 1.0 / (256.0 * 12.0) } else { 0.0 };
+                let most = 5.0 * (2.0 / 3000.0f64).sqrt() * (stated + rounding) + 1e-9;
+                assert!((variance - stated - rounding).abs() < most, "{index}: {variance} for {stated}");
+                assert!((mean - sensor.black - signal).abs() < 0.04 + 5.0 * (stated / 3000.0).sqrt());
+                let plain = expected(&charge, &physics, 60);
+                assert!((plain[0][7] - sensor.black - signal).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -43,6 +43,8 @@ struct Pixel {
     is_known: bool,
     /// When the reference is renewed next.
     renewed: f64,
+    /// When the next event fired.
+    fires: f64,
 }
 
 struct Replay<'a> {
@@ -50,6 +52,8 @@ struct Replay<'a> {
     physics: &'a Physics,
     front: FrontEnd,
     pixels: Vec<Pixel>,
+    /// When something happens next in each pixel.
+    next: Vec<f64>,
     waits: Vec<f64>,
     step: [f64; 2],
     seen: Seen,
@@ -69,12 +73,14 @@ pub fn observe(known: &Known, physics: &Physics) -> Seen {
     }
     let mut replay = Replay::new(known, physics, FrontEnd::settled(&nodes[1], physics, width));
     let mut charge = vec![vec![0.0; width * height]; timing.exposures.len()];
-    let h = spacing / timing.steps as f64;
+    // Steps twice as long as those of a recording: what counts is the difference of two sensors.
+    let steps = (timing.steps / 2).max(1);
+    let h = spacing / steps as f64;
     for node in first..last {
         let begin = node as f64 * spacing;
         collect(&mut charge, &nodes, begin, physics, timing, width);
-        for k in 0..timing.steps {
-            let [from, to] = [k, k + 1].map(|k| k as f64 / timing.steps as f64);
+        for k in 0..steps {
+            let [from, to] = [k, k + 1].map(|k| k as f64 / steps as f64);
             replay.step = [begin + from * spacing, begin + to * spacing];
             replay.couple();
             replay.front.step(&nodes, from, to, h, physics);
@@ -89,14 +95,25 @@ pub fn observe(known: &Known, physics: &Physics) -> Seen {
 impl<'a> Replay<'a> {
     fn new(known: &'a Known<'a>, physics: &'a Physics, front: FrontEnd) -> Self {
         let renewed = if known.timing.reset_at_start { known.timing.start } else { f64::INFINITY };
-        let pixel = Pixel { events: [].into(), reference: 0.0, is_known: false, renewed };
+        let pixel =
+            Pixel { events: [].into(), reference: 0.0, is_known: false, renewed, fires: f64::INFINITY };
         let mut pixels = vec![pixel; known.size[0] * known.size[1]];
         for (number, event) in known.events.iter().enumerate() {
             pixels[event.pixel].events.push_back(number);
         }
+        let next = vec![f64::NEG_INFINITY; pixels.len()];
         let n = known.events.len();
         let seen = Seen { residuals: vec![f64::NAN; n], slopes: vec![0.0; n], frames: Vec::new() };
-        Self { known, physics, front, pixels, waits: waits(known, physics), step: [0.0; 2], seen }
+        let waits = waits(known, physics);
+        let mut replay = Self { known, physics, front, pixels, next, waits, step: [0.0; 2], seen };
+        (0..replay.pixels.len()).for_each(|p| replay.await_event(p));
+        replay
+    }
+
+    /// Notes when the pixel's next event fired.
+    fn await_event(&mut self, p: usize) {
+        let number = self.pixels[p].events.front();
+        self.pixels[p].fires = number.map_or(f64::INFINITY, |n| self.fired(&self.known.events[*n]));
     }
 
     /// When what is stamped `t` happened, of the row of `pixel`.
@@ -125,23 +142,21 @@ impl<'a> Replay<'a> {
     /// All that happens during the step.
     fn advance(&mut self) {
         let [begin, end] = self.step;
+        let (leak, parasitic) = (self.physics.leak * self.physics.sensor.on, self.physics.parasitic);
         for p in 0..self.pixels.len() {
-            let leak =
-                self.physics.leak * self.physics.sensor.on + self.physics.parasitic * self.front.light[p];
-            loop {
-                let pixel = &self.pixels[p];
-                let number = pixel.events.front().copied();
-                let fires = number.map_or(f64::INFINITY, |n| self.fired(&self.known.events[n]));
-                let renewed = pixel.renewed;
+            let leak = leak + parasitic * self.front.light[p];
+            while self.next[p] <= end {
+                let Pixel { renewed, fires, .. } = self.pixels[p];
                 if renewed <= fires && renewed <= end {
                     self.renew(p, renewed.max(begin), leak);
-                } else if let Some(number) = number.filter(|_| fires <= end) {
-                    self.meet(p, number, fires.max(begin), leak);
-                } else {
-                    break;
+                } else if fires <= end {
+                    self.meet(p, fires.max(begin), leak);
                 }
+                self.next[p] = f64::min(self.pixels[p].renewed, self.pixels[p].fires);
             }
-            self.pixels[p].reference -= leak * (end - begin);
+            if leak != 0.0 {
+                self.pixels[p].reference -= leak * (end - begin);
+            }
         }
     }
 
@@ -161,8 +176,10 @@ impl<'a> Replay<'a> {
     }
 
     /// Notes how far an event is from its threshold.
-    fn meet(&mut self, p: usize, number: usize, t: f64, leak: f64) {
+    fn meet(&mut self, p: usize, t: f64, leak: f64) {
         let (known, physics) = (self.known, self.physics);
+        let Some(number) = self.pixels[p].events.pop_front() else { return };
+        self.await_event(p);
         let event = &known.events[number];
         let v = self.voltage(p, t);
         let [begin, end] = self.step;
@@ -177,7 +194,6 @@ impl<'a> Replay<'a> {
             let moved = v - (pixel.reference - leak * (t - begin));
             self.seen.residuals[number] = sign * moved - threshold * factor;
         }
-        pixel.events.pop_front();
         if physics.sensor.reset == Reset::Resample {
             let blind = physics.sensor.refractory / (1.0 + physics.refractory_light * self.front.light[p]);
             self.pixels[p].renewed = self.instant(event.t_off, p) + blind + self.waits[number];

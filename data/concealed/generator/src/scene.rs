@@ -3,8 +3,8 @@
 //!
 //! A family gives a pattern `s(x, y, t)` of about -1 to 1; the light is
 //! `ln i = mean + contrast s + ln(1 + depth sin(2 pi f t))`. Time inside a family runs `pace` times as fast
-//! as the clock, which is how a scene is made to fire as many events as wanted. The families of the plan `field`
-//! are in `views`.
+//! as the clock, which is how a scene is made to fire as many events as wanted. The families of the plan
+//! `field` are in `views`.
 
 use crate::random::Random;
 use crate::star::Star;
