@@ -72,17 +72,8 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     };
     let Picture { scene, light, events, answer: seen, target } = picture;
 
-    // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor`
-    // says at the mean light.
     let brightest = survey(&scene, &timing, threshold(&nominal), size).1;
-    let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
-    nominal.gain = (share * (nominal.saturation - nominal.black) / (brightest * exposure)).round();
-    let slow = if entry.condition == "dim" {
-        random.between(500e-6, 900e-6)
-    } else {
-        random.between(120e-6, 250e-6)
-    };
-    nominal.alpha = whole_ns(slow * light);
+    suit_light(&mut nominal, entry, brightest * exposure, light, &mut random);
     nominal.per_lux = target.as_ref().map_or(0.0, |target| target.per_lux);
 
     let mut physics = Physics::of(nominal.clone());
@@ -145,6 +136,20 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
         at_limit,
         target,
     })
+}
+
+/// Sets gain and `alpha` by the largest charge of a pixel and the mean light.
+fn suit_light(nominal: &mut Sensor, entry: &Entry, brightest: f64, light: f64, random: &mut Random) {
+    // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor`
+    // says at the mean light.
+    let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
+    nominal.gain = (share * (nominal.saturation - nominal.black) / brightest).round();
+    let slow = if entry.condition == "dim" {
+        random.between(500e-6, 900e-6)
+    } else {
+        random.between(120e-6, 250e-6)
+    };
+    nominal.alpha = whole_ns(slow * light);
 }
 
 /// How a recording is written.
