@@ -42,6 +42,11 @@ def truth_of(answer, card):
     return "nothing" if answer["kind"] == "null" else "nothing: " + (answer.get("condition") or answer["kind"])
 
 
+def size_of(answer):
+    """Effect size of a recording with one effect: over the least that is drawn, or in the plan `field` over the detection limit."""
+    return answer.get("at_limit") or (answer["effects"][0].get("times") if answer["kind"] == "single" else None)
+
+
 def said_of(card):
     verdict, said = card["verdict"], card["said"]
     if said in ("none", "-", ""):
@@ -54,7 +59,7 @@ def lists(recordings):
         rows = []
         for name, answer, metrics in recordings:
             if answer["kind"] in kinds:
-                size = f"{answer['at_limit']:.1f}" if answer.get("at_limit") else ""
+                size = f"{size_of(answer):.1f}" if size_of(answer) else ""
                 error = f"{metrics['parameter_error']:.1f}" if metrics.get("parameter_error") is not None else ""
                 rows.append((truth_of(answer, metrics["card"]), name, size, said_of(metrics["card"]), error))
         if rows:
@@ -67,7 +72,7 @@ def sums(recordings):
     total = lambda some, metric: round(sum(metrics.get(metric) or 0 for *_, metrics in some), 2)
     verdict = lambda some, verdicts: sum(metrics["card"]["verdict"] in verdicts for *_, metrics in some)
     none, single, pair, off = (of(kinds) for kinds in (KINDS[3][1], ("single",), ("pair",), ("off_catalogue",)))
-    strong = [one for one in single if (one[1].get("at_limit") or 0) >= 3]
+    strong = [one for one in single if (size_of(one[1]) or 0) >= 3]
     named = [one for one in recordings if one[2]["card"]["verdict"] == "named"]
     true = lambda one: set(one[2]["card"]["said"].split("+")) <= set(one[2]["card"]["truth"].split("+"))
     errors = [metrics["parameter_error"] for *_, metrics in recordings if metrics.get("parameter_error") is not None]

@@ -130,7 +130,7 @@ pub fn run(
 }
 
 /// Adds the light between the nodes 1 and 2 to every frame that is exposed then.
-fn collect(
+pub fn collect(
     charge: &mut [Vec<f64>],
     nodes: &[Node; 4],
     begin: f64,

@@ -2,10 +2,12 @@
 //! recording's own seed.
 
 use crate::array::Timing;
-use crate::effect::{self, Setting, whole_ns};
+use crate::effect::{self, Setting, Size, whole_ns};
+use crate::field::{self, Plain};
 use crate::frames::Numbers;
 use crate::law::Law;
 use crate::light::NODE;
+use crate::limit::Kept;
 use crate::plan::{Entry, Kind, Plan};
 use crate::random::Random;
 use crate::scene::{Family, Grid, Scene};
@@ -37,14 +39,14 @@ pub struct Draft {
 }
 
 /// What is seen.
-struct Picture {
-    scene: Scene,
+pub struct Picture {
+    pub scene: Scene,
     /// Typical photocurrent.
-    light: f64,
+    pub light: f64,
     /// Events that are to be expected.
-    events: f64,
-    answer: Value,
-    target: Option<Target>,
+    pub events: f64,
+    pub answer: Value,
+    pub target: Option<Target>,
 }
 
 /// Draws recording `index` of a plan.
@@ -56,28 +58,22 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     let mut random = Random::named(&plan.seed(seed, index));
     let size = size(plan, &mut random);
     let mut nominal = sensor(index, entry, &mut random);
-    if plan == Plan::Target {
-        noise_of_frames(&mut nominal, index.is_multiple_of(2), &mut random);
+    match plan {
+        Plan::Target => noise_of_frames(&mut nominal, index.is_multiple_of(2), &mut random),
+        Plan::Field => field::noise(&mut nominal, index, entry, &mut random),
+        Plan::Short | Plan::Long => {}
     }
     let (timing, exposure, rate_hz) = timing(plan, &mut random);
     let duration = timing.end - timing.start;
     let picture = match plan {
         Plan::Short | Plan::Long => moving(plan, index, entry, &nominal, &timing, size, &mut random),
         Plan::Target => target(&nominal, &timing, size, &mut random),
+        Plan::Field => field::picture(index, entry, &nominal, &timing, size, &mut random)?,
     };
     let Picture { scene, light, events, answer: seen, target } = picture;
 
-    // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor`
-    // says at the mean light.
     let brightest = survey(&scene, &timing, threshold(&nominal), size).1;
-    let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
-    nominal.gain = (share * (nominal.saturation - nominal.black) / (brightest * exposure)).round();
-    let slow = if entry.condition == "dim" {
-        random.between(500e-6, 900e-6)
-    } else {
-        random.between(120e-6, 250e-6)
-    };
-    nominal.alpha = whole_ns(slow * light);
+    suit_light(&mut nominal, entry, brightest * exposure, light, &mut random);
     nominal.per_lux = target.as_ref().map_or(0.0, |target| target.per_lux);
 
     let mut physics = Physics::of(nominal.clone());
@@ -93,22 +89,23 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
         rate: events / duration,
     };
     let (mut effects, mut at_limit) = (Vec::new(), None);
-    for id in entry.effects {
-        let concealed = effect::conceal(id, &mut physics, &setting, &mut random)?;
-        effects.push(concealed.answer);
-        at_limit = concealed.at_limit.filter(|_| entry.kind == Kind::Single);
+    // Limits go with how stamps and numbers are kept, which the other plans draw after the effects.
+    let form = (plan == Plan::Field).then(|| Form::draw(entry, &mut random));
+    if let Some(Form { numbers, resolution, has_t_in }) = form {
+        let kept = Kept { step: resolution as f64 * 1e-9, numbers };
+        let plain =
+            Plain { index, entry, scene: &scene, timing: &timing, size, setting: &setting, kept, has_t_in };
+        effects = field::conceal_all(&plain, &mut physics, &mut random)?;
+    } else {
+        for id in entry.effects {
+            let concealed = effect::conceal(id, &mut physics, &setting, &mut random, &mut Size::default())?;
+            effects.push(concealed.answer);
+            at_limit = concealed.at_limit.filter(|_| entry.kind == Kind::Single);
+        }
     }
     physics.law = entry.law.map(|name| law(name, &setting, &mut random)).transpose()?;
-
-    let numbers = if random.chance(0.15) { Numbers::Whole } else { Numbers::Sixteenths };
-    let needs_fine_stamps =
-        entry.effects.iter().any(|id| id.starts_with("timestamp")) || entry.condition == "shown_queue";
-    let resolution = match random.unit() {
-        u if u < 0.14 && !needs_fine_stamps => 20_000,
-        u if u < 0.3 => 1,
-        _ => 1000,
-    };
-    let has_t_in = !random.chance(0.15) || entry.condition == "shown_queue";
+    let form = form.unwrap_or_else(|| Form::draw(entry, &mut random));
+    let Form { numbers, resolution, has_t_in } = form;
     let answer = json!({
         "kind": entry.kind.name(),
         "condition": entry.condition,
@@ -141,16 +138,60 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     })
 }
 
+/// Sets gain and `alpha` by the largest charge of a pixel and the mean light.
+fn suit_light(nominal: &mut Sensor, entry: &Entry, brightest: f64, light: f64, random: &mut Random) {
+    // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor`
+    // says at the mean light.
+    let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
+    nominal.gain = (share * (nominal.saturation - nominal.black) / brightest).round();
+    let slow = if entry.condition == "dim" {
+        random.between(500e-6, 900e-6)
+    } else {
+        random.between(120e-6, 250e-6)
+    };
+    nominal.alpha = whole_ns(slow * light);
+}
+
+/// How a recording is written.
+#[derive(Clone, Copy)]
+struct Form {
+    numbers: Numbers,
+    /// Step of the stamps, ns.
+    resolution: i64,
+    has_t_in: bool,
+}
+
+impl Form {
+    fn draw(entry: &Entry, random: &mut Random) -> Self {
+        let numbers = if random.chance(0.15) { Numbers::Whole } else { Numbers::Sixteenths };
+        let needs_fine_stamps =
+            entry.effects.iter().any(|id| id.starts_with("timestamp")) || entry.condition == "shown_queue";
+        let resolution = match random.unit() {
+            u if u < 0.14 && !needs_fine_stamps => 20_000,
+            u if u < 0.3 => 1,
+            _ => 1000,
+        };
+        let has_t_in = !random.chance(0.15) || entry.condition == "shown_queue";
+        Self { numbers, resolution, has_t_in }
+    }
+}
+
+/// Does what it conceals show in a scene of a wide range of light?
+pub fn aims_at_light(entry: &Entry) -> bool {
+    let ids = ["dark_current", "parasitic_leak", "refractory_light", "black_level"];
+    entry.effects.iter().any(|id| ids.contains(id)) || entry.law == Some("light")
+}
+
 /// Columns and rows.
 fn size(plan: Plan, random: &mut Random) -> [usize; 2] {
     match plan {
-        Plan::Short => [72, 54],
+        Plan::Short | Plan::Field => [72, 54],
         Plan::Long => [96, 72],
         Plan::Target => [[64, 48], [72, 54], [80, 60], [96, 72]][random.below(4)],
     }
 }
 
-fn threshold(nominal: &Sensor) -> f64 {
+pub fn threshold(nominal: &Sensor) -> f64 {
     0.5 * (nominal.on + nominal.off)
 }
 
@@ -177,12 +218,7 @@ fn moving(
         "wide_range" => 1.5,
         _ => random.between(0.5, 0.95),
     };
-    let wants_light_range = entry
-        .effects
-        .iter()
-        .any(|id| ["dark_current", "parasitic_leak", "refractory_light", "black_level"].contains(id))
-        || entry.law == Some("light");
-    let contrast = if wants_light_range { contrast.max(0.85) } else { contrast };
+    let contrast = if aims_at_light(entry) { contrast.max(0.85) } else { contrast };
     // Half a threshold from trough to crest: it moves events, and does not fire the whole array by itself.
     let depth = 0.5 * (nominal.on + nominal.off) * random.between(0.2, 0.35);
     let flicker = (entry.condition == "flicker")
@@ -226,7 +262,7 @@ fn noise_of_frames(nominal: &mut Sensor, noisy: bool, random: &mut Random) {
 }
 
 /// The described sensor, but for its gain and `alpha`, which belong to the light.
-fn sensor(index: usize, entry: &Entry, random: &mut Random) -> Sensor {
+pub fn sensor(index: usize, entry: &Entry, random: &mut Random) -> Sensor {
     let on = random.between(0.13, 0.3);
     let off = on * (1.0 + random.sign() * random.between(0.015, 0.08));
     let round = |v: f64| (v * 1e4).round() / 1e4;
@@ -288,13 +324,13 @@ fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
     let exposure = (random.between(3e-3, 5e-3) * 1e6).round() / 1e6;
     let start = 2e-3;
     let duration = match plan {
-        Plan::Short => random.between(0.12, 0.15),
+        Plan::Short | Plan::Field => random.between(0.12, 0.15),
         Plan::Long => 1.0,
         Plan::Target => random.between(0.15, 0.3),
     };
     let first = whole_ns(start + random.between(0.2e-3, 1.5e-3));
     // The last row of the last frame is exposed by the end: 54 rows take 2.2 ms at most, 72 rows 2.9 ms.
-    let rows = if plan == Plan::Short { 2.3e-3 } else { 3.1e-3 };
+    let rows = if matches!(plan, Plan::Short | Plan::Field) { 2.3e-3 } else { 3.1e-3 };
     let count = ((duration - (first - start) - exposure - rows) / period).floor() as usize + 1;
     let exposures = (0..count).map(|l| first + l as f64 * period).map(|t| [t, t + exposure]).collect();
     let reset_at_start = random.chance(0.8);
@@ -315,7 +351,7 @@ fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
 }
 
 /// How often the light itself moves by a threshold, over all pixels, and the brightest light.
-fn survey(scene: &Scene, timing: &Timing, threshold: f64, [width, height]: [usize; 2]) -> (f64, f64) {
+pub fn survey(scene: &Scene, timing: &Timing, threshold: f64, [width, height]: [usize; 2]) -> (f64, f64) {
     let grid = Grid { left: 0.0, top: 0.0, columns: width, rows: height };
     let (mut reference, mut now) = (vec![0.0; width * height], vec![0.0; width * height]);
     let (mut count, mut brightest) = (0.0, f64::NEG_INFINITY);
@@ -410,11 +446,17 @@ mod tests {
     fn every_entry_of_the_plan_can_be_drawn() {
         // The survey of a scene is what takes time: one entry in eight, and every effect and law below.
         for plan in Plan::ALL {
-            for (index, entry) in plan.entries().iter().enumerate().step_by(8) {
+            // Limits take longer still: three of the plan `field`.
+            let every = if plan == Plan::Field { 47 } else { 8 };
+            for (index, entry) in plan.entries().iter().enumerate().step_by(every) {
                 let draft = draw(plan, index, "test").expect("an entry of the plan");
                 assert_eq!(draft.answer["effects"].as_array().map(Vec::len), Some(entry.effects.len()));
                 assert_eq!(draft.answer["off_catalogue"].is_null(), entry.kind != Kind::OffCatalogue);
                 assert_eq!(draft.target.is_some(), plan == Plan::Target);
+                for effect in draft.answer["effects"].as_array().into_iter().flatten() {
+                    let stated = ["limit", "times"].map(|key| effect[key].as_f64().is_some_and(|v| v > 0.0));
+                    assert_eq!(stated, [plan == Plan::Field; 2], "{effect}");
+                }
             }
         }
         let setting =
@@ -424,7 +466,8 @@ mod tests {
             let mut physics = Physics::of(Sensor { alpha: 1e-3, ..sensor(0, entry, &mut random) });
             for id in entry.effects {
                 let concealed =
-                    effect::conceal(id, &mut physics, &setting, &mut random).expect("an effect of the plan");
+                    effect::conceal(id, &mut physics, &setting, &mut random, &mut Size::default())
+                        .expect("an effect of the plan");
                 assert_eq!(
                     concealed.at_limit.is_none(),
                     ["large_signal_front_end", "refractory:law"].contains(id),

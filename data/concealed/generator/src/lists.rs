@@ -15,6 +15,8 @@ pub struct Version {
     pub seed: String,
     /// Are the answers written in two halves?
     pub blind: bool,
+    /// Which half alone is made, 0 = open; none for all.
+    pub half: Option<usize>,
     pub out: PathBuf,
 }
 
@@ -92,7 +94,7 @@ fn document(version: &Version, part: Option<&str>, answers: &[Value]) -> Value {
         document["part"] = part.into();
     }
     let size = match version.plan {
-        Plan::Short => Some([72, 54]),
+        Plan::Short | Plan::Field => Some([72, 54]),
         Plan::Long => Some([96, 72]),
         Plan::Target => None,
     };
@@ -125,6 +127,11 @@ pub fn write(version: &Version, answers: &[Value]) -> Result<(), String> {
             .unwrap_or(Path::new("."))
             .join("answers.json");
         answer(&beside, None, answers)?;
+    } else if let Some(half) = version.half {
+        let [name, part] = [["answers.json", "open"], ["answers-blind.json", "blind"]][half];
+        let mut answers = answers.to_vec();
+        answers.sort_by(|a, b| id(a).cmp(id(b)));
+        answer(&version.out.join(name), Some(part), &answers)?;
     } else if version.blind {
         let [open, blind] = halves(answers);
         answer(&version.out.join("answers.json"), Some("open"), &open)?;
@@ -159,7 +166,8 @@ mod tests {
 
     #[test]
     fn documents_say_which_part_they_are() {
-        let version = |plan, blind| Version { plan, seed: "s".into(), blind, out: PathBuf::new() };
+        let version =
+            |plan, blind| Version { plan, seed: "s".into(), blind, half: None, out: PathBuf::new() };
         let stored = document(&version(Plan::Short, false), None, &[]);
         let keys: Vec<&String> = stored.as_object().expect("an object").keys().collect();
         assert_eq!(keys, ["schema", "seed", "width", "height", "recordings"]);

@@ -8,11 +8,14 @@ mod array;
 mod digest;
 mod draw;
 mod effect;
+mod field;
 mod frames;
 mod front_end;
 mod law;
 mod light;
+mod limit;
 mod lists;
+mod observe;
 mod optics;
 mod plan;
 mod random;
@@ -23,6 +26,7 @@ mod star;
 #[cfg(test)]
 mod tests;
 mod texture;
+mod views;
 mod write;
 
 use digest::sha256_hex;
@@ -38,13 +42,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Part of every seed where none is named: another one gives other recordings.
 const SEED: &str = "sealed physics, second edition";
 
-const USAGE: &str = "usage: concealed-generator --out FOLDER [--plan short|long|target] [--seed TEXT] \
-                     [--blind] [--threads N] [--only FIRST..LAST]
+const USAGE: &str = "usage: concealed-generator --out FOLDER [--plan short|long|target|field] [--seed TEXT] \
+                     [--blind] [--half open|blind] [--threads N] [--only FIRST..LAST]
   writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of \
   the same plan;
   --plan long makes recordings of a second, --plan target such of a star that FOLDER/*.target.toml state; \
   answers.json then lies in FOLDER;
   --blind writes half of the answers to FOLDER/answers.json and the other half to FOLDER/answers-blind.json;
+  --half makes the recordings and answers of one of these halves alone;
   --only makes some of the recordings and no lists";
 
 struct Options {
@@ -54,7 +59,8 @@ struct Options {
 }
 
 fn options(mut words: impl Iterator<Item = String>) -> Result<Options, String> {
-    let version = Version { plan: Plan::Short, seed: SEED.to_owned(), blind: false, out: PathBuf::new() };
+    let version =
+        Version { plan: Plan::Short, seed: SEED.to_owned(), blind: false, half: None, out: PathBuf::new() };
     let mut options = Options { version, threads: 2, only: None };
     while let Some(word) = words.next() {
         if word == "--blind" {
@@ -76,6 +82,11 @@ fn options(mut words: impl Iterator<Item = String>) -> Result<Options, String> {
                 let plan = Plan::ALL.into_iter().find(|plan| plan.name() == value);
                 options.version.plan =
                     plan.ok_or_else(|| format!("{word} {value}: no such plan\n{USAGE}"))?;
+            }
+            "--half" => {
+                let half = ["open", "blind"].iter().position(|name| *name == value);
+                let half = half.ok_or_else(|| format!("{word} {value}: neither open nor blind\n{USAGE}"))?;
+                (options.version.blind, options.version.half) = (true, Some(half));
             }
             "--seed" => options.version.seed = value,
             "--threads" => options.threads = number(&value)?.max(1),
@@ -145,6 +156,11 @@ fn all(options: &Options) -> Result<(), String> {
     let most = version.plan.entries().len();
     let mut order: Vec<usize> =
         options.only.clone().unwrap_or(0..most).filter(|index| *index < most).collect();
+    if let Some(half) = version.half {
+        let names: Vec<Value> = (0..most).map(|index| json!({ "file": id(version, index) })).collect();
+        let wanted = &lists::halves(&names)[half];
+        order.retain(|index| wanted.contains(&names[*index]));
+    }
     if version.blind {
         // Neither what is told on the way nor the files' times show the order of the plan.
         order.sort_by_key(|index| id(version, *index));

@@ -3,11 +3,13 @@
 //!
 //! A family gives a pattern `s(x, y, t)` of about -1 to 1; the light is
 //! `ln i = mean + contrast s + ln(1 + depth sin(2 pi f t))`. Time inside a family runs `pace` times as fast
-//! as the clock, which is how a scene is made to fire as many events as wanted.
+//! as the clock, which is how a scene is made to fire as many events as wanted. The families of the plan
+//! `field` are in `views`.
 
 use crate::random::Random;
 use crate::star::Star;
 use crate::texture::Texture;
+use crate::views::View;
 use std::f64::consts::PI;
 
 /// Where light is evaluated: pixel (0, 0) lies at (`left`, `top`) in the scene.
@@ -74,6 +76,8 @@ pub enum Family {
     Waves { waves: Vec<[f64; 4]> },
     /// The star of a known target: its pattern is the logarithm of its reflectance.
     Star(Star),
+    /// One of the ten families of the plan `field`.
+    View(Box<View>),
     /// The whole field brightens at a constant pace (1/s): its events are known in closed form.
     #[cfg(test)]
     Ramp { slope: f64 },
@@ -406,6 +410,7 @@ impl Family {
                 bounded(0.6 * sum)
             }),
             Self::Star(star) => each(out, &|x, y| libm::log(star.reflectance(x, y, t))),
+            Self::View(view) => view.pattern(t, t, grid, out),
             #[cfg(test)]
             Self::Ramp { slope } => out.fill(slope * t),
         }
@@ -415,7 +420,10 @@ impl Family {
 impl Scene {
     /// `ln i` over `grid` at time `t` (s), row by row.
     pub fn log_light(&self, t: f64, grid: &Grid, width: f64, height: f64, out: &mut [f64]) {
-        self.family.pattern(self.pace * t, grid, width, height, out);
+        match &self.family {
+            Family::View(view) => view.pattern(t, self.pace * t, grid, out),
+            family => family.pattern(self.pace * t, grid, width, height, out),
+        }
         let lamp = self.flicker.map_or(0.0, |[depth, frequency, phase]| {
             libm::log1p(depth * libm::sin(2.0 * PI * frequency * t + phase))
         });

@@ -318,6 +318,21 @@ fn the_stored_version_comes_out_as_it_is_stored() {
 }
 
 #[test]
+fn effects_scenes_and_sensors_of_the_stored_version_are_drawn_again() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../answers.json");
+    let text = std::fs::read_to_string(path).expect("the stored answers");
+    let stored: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let stored = stored["recordings"].as_array().expect("a list");
+    // Some of those with an effect: each draws its size in a way of its own.
+    for (index, answer) in stored.iter().enumerate().skip(34).step_by(11) {
+        let draft = draw(Plan::Short, index, "sealed physics, second edition").expect("a recording");
+        for (key, value) in draft.answer.as_object().expect("an object") {
+            assert_eq!(*value, answer[key], "recording {index}, {key}");
+        }
+    }
+}
+
+#[test]
 fn a_star_is_lit_by_lux_times_what_a_lux_is_worth_times_reflectance() {
     let mut target = Target::draw(&mut Random::named("star"), [64, 48]);
     target.turn(0.8, &mut Random::named("turn"));

@@ -66,7 +66,7 @@ impl Texture {
 }
 
 /// The four weights of a uniform cubic B-spline at `u` in 0 .. 1.
-fn weights(u: f64) -> [f64; 4] {
+pub fn weights(u: f64) -> [f64; 4] {
     let v = 1.0 - u;
     [
         v * v * v / 6.0,

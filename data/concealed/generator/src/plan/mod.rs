@@ -1,6 +1,11 @@
 //! Which recordings there are: their kind, what each conceals, and what its scene must be like.
 //!
-//! Three plans: many short recordings of 72 x 54 pixels, a few of a second, and recordings of a known target.
+//! Four plans: many short recordings of 72 x 54 pixels, a few of a second, recordings of a known target, and
+//! short ones of ten other families with effects near their detection limit.
+
+mod field;
+
+use field::FIELD;
 
 /// A list of recordings that are made together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,16 +16,19 @@ pub enum Plan {
     Long,
     /// A star that a file beside the recording states, 64 x 48 to 96 x 72 pixels, 0.15 to 0.3 s.
     Target,
+    /// Like the short ones, of the families of `views`, with noise, and effects near their detection limit.
+    Field,
 }
 
 impl Plan {
-    pub const ALL: [Self; 3] = [Self::Short, Self::Long, Self::Target];
+    pub const ALL: [Self; 4] = [Self::Short, Self::Long, Self::Target, Self::Field];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Short => "short",
             Self::Long => "long",
             Self::Target => "target",
+            Self::Field => "field",
         }
     }
 
@@ -29,6 +37,7 @@ impl Plan {
             Self::Short => PLAN,
             Self::Long => LONG,
             Self::Target => TARGET,
+            Self::Field => FIELD,
         }
     }
 
@@ -36,7 +45,7 @@ impl Plan {
     pub fn seed(self, seed: &str, index: usize) -> String {
         match self {
             Self::Short => format!("{seed}/{index}"),
-            Self::Long | Self::Target => format!("{seed}/{}/{index}", self.name()),
+            Self::Long | Self::Target | Self::Field => format!("{seed}/{}/{index}", self.name()),
         }
     }
 }
@@ -307,23 +316,28 @@ mod tests {
                 [Kind::Null, Kind::HardNull, Kind::Trap, Kind::Single, Kind::Pair, Kind::OffCatalogue];
             kinds.map(|kind| plan.entries().iter().filter(|entry| entry.kind == kind).count())
         };
-        assert_eq!(Plan::ALL.map(|plan| plan.entries().len()), [120, 12, 24]);
+        assert_eq!(Plan::ALL.map(|plan| plan.entries().len()), [120, 12, 24, 120]);
         assert_eq!(counts(Plan::Long), [3, 1, 0, 5, 2, 1]);
         assert_eq!(counts(Plan::Target), [4, 0, 0, 16, 2, 2]);
+        assert_eq!(counts(Plan::Field), [26, 0, 6, 60, 12, 16]);
         assert!(TARGET.iter().all(|entry| entry.family == "star"));
         assert!(LONG.iter().chain(TARGET).flat_map(|entry| entry.effects).all(|id| IDS.contains(id)));
         let names: std::collections::BTreeSet<String> =
             Plan::ALL.iter().flat_map(|plan| (0..plan.entries().len()).map(|k| plan.seed("s", k))).collect();
-        assert_eq!(names.len(), 156, "no two recordings share random numbers");
+        assert_eq!(names.len(), 276, "no two recordings share random numbers");
     }
 
     #[test]
     fn every_id_of_the_catalogue_is_concealed_alone_somewhere() {
         for id in IDS {
-            let alone = PLAN.iter().any(|entry| entry.kind == Kind::Single && entry.effects == [id]);
-            assert!(alone, "{id} is not among the singles");
+            let alone =
+                |plan: &[Entry]| plan.iter().any(|entry| entry.kind == Kind::Single && entry.effects == [id]);
+            assert!(alone(PLAN) && alone(FIELD), "{id} is not among the singles");
         }
-        assert!(PLAN.iter().all(|entry| {
+        for entry in PLAN.iter().filter(|entry| entry.kind == Kind::Single) {
+            assert!(FIELD.iter().any(|other| other.kind == Kind::Single && other.effects == entry.effects));
+        }
+        assert!(PLAN.iter().chain(FIELD).all(|entry| {
             entry.effects.len()
                 == [1, 2]
                     .into_iter()
