@@ -96,10 +96,8 @@ pub fn evidence(
     let [ranked, second, random, random_second] = lists.map(|list| marked(case, nominal, list));
     Ok(Evidence {
         scene: source.name().to_owned(),
-        span_ns: None,
         nats_per_event: table.nats_per_event,
         share,
-        explained: 0.0,
         events: table.residual().len(),
         median: base_median,
         control_median: left_of(&seen, &control_table),
@@ -117,7 +115,7 @@ pub fn evidence(
         random_second,
         open: base.open,
         open_second: after.open,
-        on_pixels: None,
+        ..Evidence::default()
     })
 }
 

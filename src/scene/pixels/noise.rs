@@ -1,6 +1,6 @@
 //! Noise of the measurements of pixels whose light is free: of events, and of frame values.
 
-use super::{Predicted, PredictedEvent};
+use super::predicted::{Predicted, PredictedEvent};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use rayon::prelude::*;

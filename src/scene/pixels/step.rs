@@ -2,8 +2,9 @@
 //! change with them.
 
 use super::envelope::{Envelope, dot};
+use super::noise::Noise;
 use super::path::{Path, Rows, Splines};
-use super::{Noise, Predicted};
+use super::predicted::Predicted;
 
 /// Degrees of freedom of the events' Student-t noise.
 const NU: f64 = 3.0;
@@ -189,8 +190,8 @@ impl Work {
         dot(&column[from..], &column[from..])
     }
 
-    /// A Newton step; none where the normal equations are singular. Variances are computed where `is_measured`,
-    /// and empty otherwise.
+    /// A Newton step; none where the normal equations are singular. Variances are computed where
+    /// `is_measured`, and empty otherwise.
     pub(super) fn step(&mut self, of: &Of<'_>, is_measured: bool) -> Option<Step> {
         if !self.enter(of) {
             return None;

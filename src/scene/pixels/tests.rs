@@ -1,8 +1,11 @@
+//! Rows against numerical derivatives, scores against the whole problem, light and noise against the truth.
+
 use super::path::{Path, Rows};
 use super::*;
 use crate::testing;
 use photocurrent_core::Extent;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+use photocurrent_sensor::front_end::FrontEnd;
 
 const STEP_NS: i64 = 100_000;
 

@@ -130,8 +130,8 @@ fn ordinal(index: usize, k: usize) -> usize {
 }
 
 /// The multiple of the limit: one of three by turns, or the next of 2, 5, 10, 20, 50 ... that makes the
-/// effect material, or the one before that is no larger than `most`; where there is none, what makes it `most`, or
-/// material.
+/// effect material, or the one before that is no larger than `most`; where there is none, what makes it
+/// `most`, or material.
 fn times(ordinal: usize, limit: f64, material: f64, most: f64) -> f64 {
     let series = (0..12).map(|k| [1.0, 2.0, 5.0][k % 3] * libm::pow(10.0, (k / 3) as f64)).skip(1);
     let fits: Vec<f64> = series.filter(|times| (material..=most).contains(&(times * limit))).collect();

@@ -4,7 +4,6 @@ use super::super::evidence::Ranked;
 use super::super::prepared::Prepared;
 use super::super::setting::LARGEST_EFFECT_SIZE;
 use super::super::{Around, View, events_of, frames_of, median_of};
-use super::{ERRORS, ROUNDS_EACH};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::light::Light;
@@ -20,6 +19,10 @@ const STEP_NS: i64 = 100_000;
 const PER_KNOT: usize = 10;
 /// Events this soon after the begin have no reference that is known, ns.
 const SETTLING_NS: i64 = 2_000_000;
+/// Rounds of light between corrections of a size.
+const ROUNDS_EACH: usize = 3;
+/// Standard errors are this much larger than the information has them: what sound recordings show.
+pub(super) const ERRORS: f64 = 3.0;
 /// Pixels with fewer events bring errors of frames only.
 pub(super) const FEWEST_OF_PIXEL: usize = 3;
 

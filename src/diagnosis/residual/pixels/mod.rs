@@ -4,8 +4,8 @@
 //! 1. Blocks of pixels with many events, spread over the array, and the busiest 0.15 s (`choose`).
 //! 2. Light, its prior and the noise with the description as it is (`fit`).
 //! 3. Score and information of every effect, summed over pixels: a first size and gain for each (`score`).
-//! 4. The best are fitted exactly: light and size in turn, and the description for as many rounds; the gain is
-//!    that of each event's density when the light is estimated from everything else.
+//! 4. The best are fitted exactly: light and size in turn, and the description for as many rounds; the gain
+//!    is that of each event's density when the light is estimated from everything else.
 //! 5. With the best one applied, score and information of all others with its own size free.
 
 mod choose;
@@ -14,15 +14,14 @@ mod score;
 
 use super::evidence::{Evidence, KINDS, Ranked};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
-use fit::{Exact, Fit, Ground};
+use fit::{ERRORS, Exact, Fit, Ground};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use score::Scored;
 
 /// Rounds with the description as it is, before effects are scored.
 const ROUNDS: usize = 11;
-/// Rounds of light between corrections of a size, and such corrections.
-const ROUNDS_EACH: usize = 3;
+/// Corrections of a size.
 const CORRECTIONS: usize = 3;
 /// The same of a second effect.
 const CORRECTIONS_OF_SECOND: usize = 2;
@@ -31,8 +30,6 @@ const BY_GAIN: usize = 5;
 const BY_AGREEMENT: usize = 2;
 /// And so many second ones.
 const SECOND: usize = 2;
-/// Standard errors are this much larger than the information has them: what sound recordings show.
-const ERRORS: f64 = 3.0;
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.

@@ -54,7 +54,8 @@ fn probe(candidate: usize) -> f64 {
 }
 
 impl Fit<'_> {
-    /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with each.
+    /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with
+    /// each.
     pub(super) fn score(&self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
         let light = self.light.light(self.ground.case);
         let base = self.seen(&self.trial, Some(&light))?;

@@ -1,3 +1,5 @@
+//! Sound and faulty recordings on the light of their pixels.
+
 use super::*;
 use crate::scenes::MadeUp;
 use photocurrent_core::Extent;
