@@ -7,8 +7,8 @@
 //!   description; [`nominal`]: the sensor that it states.
 //! - [`scene`]: what a scene is. [`moving`]: one moving [`picture`]. [`mosaic`]: that picture, or pictures of
 //!   parts where they predict frames better.
-//!   [`pixels`]: the light of each pixel, free in time. [`known`]: light that is known. [`target`]: a scene in
-//!   closed form with free parameters.
+//!   [`pixels`]: the light of each pixel, free in time. [`known`]: light that is known. [`target`]: a scene
+//!   in closed form with free parameters.
 //! - [`closed`]: scenes in closed form, for simulators and targets.
 //! - [`light`]: log photocurrent of an array at steady instants; [`gate`]: which events lie where a scene
 //!   predicts the frames.

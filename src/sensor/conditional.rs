@@ -140,6 +140,23 @@ pub struct Conditional {
     settling: Settling,
 }
 
+impl Conditional {
+    /// Makes room for events, with what is known before the voltage is.
+    fn begin(&mut self, times: &[Times], start_ns: i64, low_pass: FrontEnd) {
+        for values in [&mut self.excess, &mut self.slope_per_s] {
+            values.clear();
+            values.resize(times.len(), 0.0);
+        }
+        self.is_armed.clear();
+        self.is_armed.extend(times.iter().map(|time| time.is_armed));
+        self.fired_ns.clear();
+        self.fired_ns.extend(times.iter().map(|time| time.fired_ns));
+        self.reference_ns.clear();
+        self.reference_ns.resize(times.len(), start_ns);
+        self.low_pass = low_pass;
+    }
+}
+
 /// The low-pass over each whole step of a track.
 #[derive(Clone, Debug, Default)]
 struct Settling {
@@ -257,19 +274,8 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     } else {
         out.settling.fill(&front_end.low_pass, &track.t_ns, seen);
     }
+    out.begin(&times, start_ns, front_end.low_pass);
     let mut walk = Walk::new(front_end, &out.settling, leak, track, seen);
-    let count = look.events.len();
-    out.excess.clear();
-    out.excess.resize(count, 0.0);
-    out.slope_per_s.clear();
-    out.slope_per_s.resize(count, 0.0);
-    out.is_armed.clear();
-    out.is_armed.extend(times.iter().map(|time| time.is_armed));
-    out.fired_ns.clear();
-    out.fired_ns.extend(times.iter().map(|time| time.fired_ns));
-    out.reference_ns.clear();
-    out.reference_ns.resize(count, start_ns);
-    out.low_pass = front_end.low_pass;
     let mut taken_ns = start_ns;
     let draw = |history: &History, t_ns: i64, random: &mut Random| {
         let mut thresholds = stated;
