@@ -188,8 +188,8 @@ fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
         (0..2 * (frames + 2 * events)).map(|k| libm::sin(1.0 + 2.3 * k as f64) as f32).collect();
     let found = light.score(&now, std::slice::from_ref(&columns), 2).pop().unwrap().unwrap();
 
-    // All rows in one dense matrix: those of the measurements, of the prior, and the effects' columns beside
-    // the light's.
+    // All rows in one dense matrix: those of the measurements, of the prior, and the effects' columns next
+    // to the light's.
     let mut work = Work::default();
     let rows = work.rows(&light.of(0, &now[0]));
     let count = light.splines.coefficients();

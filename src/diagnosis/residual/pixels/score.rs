@@ -20,7 +20,7 @@ pub(super) struct Scored {
     pub candidates: Vec<usize>,
     /// Best size beyond that which is applied; none where the light takes the effect over.
     pub sizes: Vec<Option<f64>>,
-    /// Information on it, the light (and an effect that is free beside it) adapted.
+    /// Information on it, the light (and an effect that is free with it) adapted.
     pub information: Vec<f64>,
     /// Best size over the standard error that differences between places show.
     agreement: Vec<f64>,
@@ -95,13 +95,14 @@ impl Fit<'_> {
         };
         let columns: Vec<Vec<f32>> = (0..base.len()).map(of_pixel).collect();
         let scores = self.light.score(&self.predicted()?, &columns, effects);
-        Ok(self.summed(kept, free.is_some(), &scores))
+        let is_with_free = free.is_some() && kept.last().copied() == free;
+        Ok(self.summed(kept, is_with_free, &scores))
     }
 
     fn summed(
         &self,
         candidates: Vec<usize>,
-        is_beside: bool,
+        is_with_free: bool,
         scores: &[Option<photocurrent_scene::pixels::Score>],
     ) -> Scored {
         let effects = candidates.len();
@@ -125,13 +126,13 @@ impl Fit<'_> {
             }
             information.iter_mut().zip(&found.information).for_each(|(to, v)| *to += v);
         }
-        // The Schur complement on what is free beside each.
-        let beside = is_beside.then(|| effects - 1);
+        // The Schur complement on what is free with each.
+        let free = is_with_free.then(|| effects - 1);
         let (mut sizes, mut informations, mut agreement) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..effects {
             let (mut s, mut i) = (score[k], information[k * effects + k]);
             if let Some(other) =
-                beside.filter(|other| *other != k && information[other * effects + other] > 0.0)
+                free.filter(|other| *other != k && information[other * effects + other] > 0.0)
             {
                 let ratio = information[k * effects + other] / information[other * effects + other];
                 s -= ratio * score[other];
@@ -151,7 +152,7 @@ impl Fit<'_> {
             agreement.push(if is_seen { size.abs() * i / scatter.sqrt().max(1e-300) } else { 0.0 });
         }
         let (mut candidates, mut scored) = (candidates, (sizes, informations, agreement));
-        if is_beside {
+        if is_with_free {
             candidates.pop();
             scored.0.pop();
             scored.1.pop();

@@ -4,7 +4,7 @@ use super::*;
 use crate::scenes::MadeUp;
 use photocurrent_core::Extent;
 
-/// The first of photographs that shake with many events, on a small array: its motion is not told.
+/// The first of photographs that shake with many events, on a small array: its motion is not given.
 fn busy() -> MadeUp {
     let of = |index: u64| MadeUp::photograph(5, index, Extent { width: 24, height: 20 }, 0.08);
     let is_busy = |made: &MadeUp| made.recording().is_ok_and(|case| case.events.len() > 4_000);
