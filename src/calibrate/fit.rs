@@ -57,12 +57,12 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
     // A second one counts where the first is right.
     let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
-    let nothing =
-        seen.first().map_or(Model::default(), |(_, facts)| *Models::default().of(&facts.scene)).nothing;
+    let least_gain =
+        seen.first().map_or(Model::default(), |(_, facts)| *Models::default().of(&facts.scene)).least_gain;
     let logistics = |discount: [f64; 2]| {
         let something: Vec<([f64; SOMETHING], bool)> = seen
             .iter()
-            .map(|(one, facts)| (facts.something(discount, nothing), one.is_something()))
+            .map(|(one, facts)| (facts.something(discount, least_gain), one.is_something()))
             .collect();
         let second: Vec<([f64; SECOND], bool)> = seen
             .iter()
@@ -79,7 +79,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
                 softness: USUAL_SOFTNESS,
                 random: 0.0,
                 unnamed: [0.0; 3],
-                nothing,
+                least_gain,
             },
         )
     };
@@ -334,8 +334,8 @@ mod tests {
     fn the_built_in_numbers_are_those_of_the_training_sets() {
         let examples = training();
         let numbers = |model: Model| -> Vec<f64> {
-            let Model { something, second, discount, softness, random, unnamed, nothing } = model;
-            [&something[..], &second, &discount, &softness, &[random], &unnamed, &[nothing]].concat()
+            let Model { something, second, discount, softness, random, unnamed, least_gain } = model;
+            [&something[..], &second, &discount, &softness, &[random], &unnamed, &[least_gain]].concat()
         };
         for kind in KINDS {
             let (found, built_in) =

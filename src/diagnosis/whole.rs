@@ -116,10 +116,6 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
     }
 }
 
-/// On a scene that was fitted to frames, more than this share of the thresholds is left where it does not
-/// decide alone.
-const LEFT_TO_PIXELS: f64 = 0.12;
-
 /// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames, or on the light
 /// of each pixel.
 pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
@@ -140,7 +136,7 @@ pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting:
 
 /// Does a scene explain what it leaves well enough to decide without another one?
 fn decides_alone(found: &Evidence) -> bool {
-    f64::max(found.control_median, found.left[0]) < LEFT_TO_PIXELS
+    f64::max(found.control_median, found.left[0]) < Decision::default().most_silent
 }
 
 /// The same on a scene that is fitted to the frames alone.

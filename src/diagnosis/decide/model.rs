@@ -43,7 +43,7 @@ pub struct Model {
     /// What gains less than this is no sign that something differs, nats an event: sound recordings gain as
     /// much.
     #[schemars(range(min = 0.0))]
-    pub nothing: f64,
+    pub least_gain: f64,
 }
 
 /// Numbers of [`Model::something`].
@@ -61,7 +61,7 @@ impl Default for Model {
             softness: [-2.664, -0.988],
             random: 0.132,
             unnamed: [-0.492, 0.647, 0.662],
-            nothing: LEAST_GAIN,
+            least_gain: LEAST_GAIN,
         }
     }
 }
@@ -126,7 +126,7 @@ impl Model {
             softness: [-1.652, -0.433],
             random: 2.368,
             unnamed: [0.429, 0.892, -0.015],
-            nothing: LEAST_GAIN,
+            least_gain: LEAST_GAIN,
         }
     }
 
@@ -139,7 +139,7 @@ impl Model {
             softness: [-2.25, -0.594],
             random: 0.0,
             unnamed: [3.375, 1.0, 0.0],
-            nothing: 0.05,
+            least_gain: 0.05,
         }
     }
 
@@ -152,7 +152,7 @@ impl Model {
             softness: [-3.468, 0.098],
             random: -2.325,
             unnamed: [1.435, 1.756, 0.742],
-            nothing: LEAST_GAIN,
+            least_gain: LEAST_GAIN,
         }
     }
 }
@@ -278,11 +278,11 @@ impl Facts {
     }
 
     /// 1, the logarithm of what the best effect gains and another in addition to it, as some only show
-    /// together, at least `nothing`, and that of the share of the events that count.
-    pub fn something(&self, discount: [f64; 2], nothing: f64) -> [f64; SOMETHING] {
+    /// together, at least `least_gain`, and that of the share of the events that count.
+    pub fn something(&self, discount: [f64; 2], least_gain: f64) -> [f64; SOMETHING] {
         let second = self.second_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
         let gain = libm::exp(self.gains.discounted(discount)) + second;
-        [1.0, libm::log(gain.max(nothing)), self.share]
+        [1.0, libm::log(gain.max(least_gain)), self.share]
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
@@ -346,7 +346,7 @@ impl Model {
     pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
         self.posterior(
-            dot(&self.something, &facts.something(self.discount, self.nothing)),
+            dot(&self.something, &facts.something(self.discount, self.least_gain)),
             facts.gains.best(),
             &facts.first,
             Some(odds),

@@ -5,6 +5,8 @@ use std::ops::Range;
 
 /// Degrees of freedom of the residuals' Student-t distribution.
 pub(super) const NU: f64 = 3.0;
+/// The median of its absolute value, in units of its scale.
+pub(super) const MEDIAN_T: f64 = 0.765;
 
 /// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope
 /// (stamps).
@@ -49,8 +51,7 @@ impl EventNoise {
             let mut sizes: Vec<f64> = bin.iter().map(|&k| residual[k].abs()).collect();
             let middle = sizes.len() / 2;
             sizes.select_nth_unstable_by(middle, f64::total_cmp);
-            // The median of |t| with three degrees of freedom is 0.765 of its scale.
-            let scale = sizes[middle] / 0.765;
+            let scale = sizes[middle] / MEDIAN_T;
             let slope = slope_per_s[bin[bin.len() / 2]];
             points.push((slope * slope, scale * scale));
         }
@@ -100,7 +101,7 @@ fn log_t(z: f64) -> f64 {
 }
 
 /// Probability of no more than `z` under Student's t with three degrees of freedom.
-fn probability_t(z: f64) -> f64 {
+pub(super) fn probability_t(z: f64) -> f64 {
     let s = z / libm::sqrt(NU);
     0.5 + (s / (1.0 + s * s) + libm::atan(s)) / std::f64::consts::PI
 }

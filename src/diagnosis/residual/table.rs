@@ -415,15 +415,14 @@ impl Seen<'_> {
     /// soft by `softest` at most.
     pub(super) fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
-        let can_be = |n: &usize| {
-            Prepared::new(self.case, &trial.and(&CANDIDATES[*n], self.probe(*n), self.scales)).is_ok()
-        };
+        let can_be =
+            |n: &usize| Prepared::new(self.case, &trial.and(&CANDIDATES[*n], probe(*n), self.scales)).is_ok();
         let chosen: Vec<usize> = (0..CANDIDATES.len())
             .filter(|&n| !CANDIDATES[n].is_random && Some(n) != without)
             .filter(can_be)
             .collect();
         let mut trials = vec![trial.clone()];
-        trials.extend(chosen.iter().map(|&n| trial.and(&CANDIDATES[n], self.probe(n), self.scales)));
+        trials.extend(chosen.iter().map(|&n| trial.and(&CANDIDATES[n], probe(n), self.scales)));
         let found = self.evaluate(&trials, None)?;
         let block: Vec<u32> = found
             .events
@@ -435,7 +434,7 @@ impl Seen<'_> {
         let slope: Vec<f64> =
             found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
         let columns =
-            chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
+            chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, probe(n)))).collect();
         let free = self.free(trial, &self.near, None, &found.left[0], &found.log_slope[0])?;
         let Evaluated { events, frames, left, mut log_slope } = found;
         let mut table = Table {
@@ -457,17 +456,6 @@ impl Seen<'_> {
         };
         table.fit(softest);
         Ok(table)
-    }
-
-    fn probe(&self, candidate: usize) -> f64 {
-        let kind = &CANDIDATES[candidate];
-        match kind.sought.grows {
-            // So little of it would hardly show.
-            Grows::WithSquare => 10.0 * PROBE,
-            Grows::AsItFalls => 1.0,
-            Grows::Linearly if kind.signs == Signs::Switch => 1.0,
-            Grows::Linearly => PROBE,
-        }
     }
 
     /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain
@@ -674,6 +662,19 @@ pub(super) fn median_share(residual: &[f64], threshold: f64) -> f64 {
     sizes.get(sizes.len() / 2).copied().unwrap_or(f64::NAN) / threshold
 }
 
-fn is_physics(candidate: usize, effect_size: f64) -> bool {
+/// Is an effect size one that the effect can have?
+pub(super) fn is_physics(candidate: usize, effect_size: f64) -> bool {
     CANDIDATES[candidate].signs == Signs::Both || effect_size > 0.0
+}
+
+/// Effect size of the finite differences of an effect.
+pub(super) fn probe(candidate: usize) -> f64 {
+    let kind = &CANDIDATES[candidate];
+    match kind.sought.grows {
+        // So little of it would hardly show.
+        Grows::WithSquare => 10.0 * PROBE,
+        Grows::AsItFalls => 1.0,
+        Grows::Linearly if kind.signs == Signs::Switch => 1.0,
+        Grows::Linearly => PROBE,
+    }
 }

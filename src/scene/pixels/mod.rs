@@ -32,8 +32,8 @@ use path::Splines;
 use photocurrent_core::time::between;
 pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
 use rayon::prelude::*;
-pub use step::Score;
-use step::{Of, Step, Work};
+pub use step::{LEAST_RISE, Score};
+use step::{OfPixel, Step, Work};
 
 /// Standard deviation of second differences before anything is known, natural-log units.
 const FIRST_DEVIATION: f64 = 0.03;
@@ -129,9 +129,9 @@ impl PixelLight {
         light
     }
 
-    fn of<'a>(&'a self, place: usize, predicted: &'a Predicted) -> Of<'a> {
+    fn of<'a>(&'a self, place: usize, predicted: &'a Predicted) -> OfPixel<'a> {
         let count = self.splines.coefficients();
-        Of {
+        OfPixel {
             splines: &self.splines,
             coefficients: &self.coefficients[place * count..(place + 1) * count],
             variance: &self.variance[place * (count - 2)..(place + 1) * (count - 2)],

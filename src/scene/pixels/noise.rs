@@ -6,7 +6,7 @@ use crate::nominal::Nominal;
 use rayon::prelude::*;
 
 /// Degrees of freedom of the events' Student-t distribution.
-const NU: f64 = 3.0;
+pub(super) const NU: f64 = 3.0;
 /// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
 const FIRST_SHARE: f64 = 0.02;
 const SHARES: (f64, f64) = (0.003, 0.3);

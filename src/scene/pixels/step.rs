@@ -2,16 +2,14 @@
 //! change with them.
 
 use super::envelope::{Envelope, dot};
-use super::noise::Noise;
+use super::noise::{NU, Noise};
 use super::path::{Path, Rows, Splines};
 use super::predicted::Predicted;
 
-/// Degrees of freedom of the events' Student-t noise.
-const NU: f64 = 3.0;
 /// Frame values count half at this many standard deviations.
 const ROBUST: f64 = 4.0;
 /// The voltage rises by at least this share of a threshold over an instant before an event.
-const LEAST_RISE: f64 = 0.01;
+pub const LEAST_RISE: f64 = 0.01;
 /// No coefficient moves by more in a step, natural-log units.
 const LONGEST_STEP: f64 = 0.6;
 /// Added to every diagonal element: natural-log units to the power of -2.
@@ -60,7 +58,7 @@ pub(super) struct Work {
 
 /// Light of a pixel as it stands: coefficients, and variances of their second differences.
 #[derive(Clone, Copy)]
-pub(super) struct Of<'a> {
+pub(super) struct OfPixel<'a> {
     pub splines: &'a Splines,
     pub coefficients: &'a [f64],
     pub variance: &'a [f64],
@@ -70,8 +68,8 @@ pub(super) struct Of<'a> {
 
 impl Work {
     /// Rows, weights, gradient and the factor of the normal equations.
-    fn enter(&mut self, of: &Of<'_>) -> bool {
-        let Of { splines, coefficients, predicted, .. } = *of;
+    fn enter(&mut self, of: &OfPixel<'_>) -> bool {
+        let OfPixel { splines, coefficients, predicted, .. } = *of;
         splines.values(coefficients, &mut self.path.log);
         self.path.enter(splines, predicted.low_pass);
         for rows in [&mut self.frames, &mut self.events, &mut self.rises] {
@@ -95,8 +93,8 @@ impl Work {
     }
 
     /// Weights of frame values, then of events; the rise of the voltage before each event.
-    fn weigh(&mut self, of: &Of<'_>) {
-        let Of { coefficients, noise, predicted, .. } = *of;
+    fn weigh(&mut self, of: &OfPixel<'_>) {
+        let OfPixel { coefficients, noise, predicted, .. } = *of;
         self.weight.clear();
         self.weight.extend(predicted.frames.iter().map(|frame| {
             let variance = noise.frame_variance(frame.signal_dn);
@@ -115,8 +113,8 @@ impl Work {
         }
     }
 
-    fn assemble(&mut self, of: &Of<'_>) {
-        let Of { coefficients, variance, predicted, .. } = *of;
+    fn assemble(&mut self, of: &OfPixel<'_>) {
+        let OfPixel { coefficients, variance, predicted, .. } = *of;
         let count = coefficients.len();
         self.first.clear();
         // Second differences reach two unknowns back.
@@ -161,7 +159,7 @@ impl Work {
 
     /// All rows in the order of an effect's column: the first coefficient, derivatives, weight and residual.
     #[cfg(test)]
-    pub(super) fn rows(&mut self, of: &Of<'_>) -> Vec<(usize, Vec<f64>, f64, f64)> {
+    pub(super) fn rows(&mut self, of: &OfPixel<'_>) -> Vec<(usize, Vec<f64>, f64, f64)> {
         assert!(self.enter(of), "the equations can be solved");
         let of_frame = |r: usize| {
             let residual = of.predicted.frames[r].residual_dn;
@@ -192,7 +190,7 @@ impl Work {
 
     /// A Newton step; none where the normal equations are singular. Variances are computed where
     /// `is_measured`, and empty otherwise.
-    pub(super) fn step(&mut self, of: &Of<'_>, is_measured: bool) -> Option<Step> {
+    pub(super) fn step(&mut self, of: &OfPixel<'_>, is_measured: bool) -> Option<Step> {
         if !self.enter(of) {
             return None;
         }
@@ -220,7 +218,7 @@ impl Work {
 
     /// Score of effects; `columns`: what each changes of frame values, of events' excesses and of the
     /// logarithms of the rises before events, K for each. None where the normal equations are singular.
-    pub(super) fn score(&mut self, of: &Of<'_>, columns: &[f32], effects: usize) -> Option<Score> {
+    pub(super) fn score(&mut self, of: &OfPixel<'_>, columns: &[f32], effects: usize) -> Option<Score> {
         if !self.enter(of) {
             return None;
         }

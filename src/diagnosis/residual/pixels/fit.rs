@@ -12,10 +12,11 @@ use photocurrent_scene::pixels::{
     Block, Noise, PixelLight, Predicted, PredictedEvent, PredictedFrame, frame_noise,
 };
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+use photocurrent_sensor::map::MapFrame;
 use rayon::prelude::*;
 
 /// Light is predicted this often, ns; a knot every so many.
-const STEP_NS: i64 = 100_000;
+pub(super) const STEP_NS: i64 = 100_000;
 const PER_KNOT: usize = 10;
 /// Events this soon after the begin have no reference that is known, ns.
 const SETTLING_NS: i64 = 2_000_000;
@@ -40,7 +41,7 @@ pub(super) struct Ground<'a> {
 
 /// What a sensor makes of a pixel's measurements, in the order of [`Ground`].
 #[derive(Clone, Debug, Default)]
-pub(super) struct Seen {
+pub(super) struct Rows {
     pub excess: Vec<f64>,
     /// In the direction of the event, ln/s.
     pub slope_per_s: Vec<f64>,
@@ -125,9 +126,9 @@ impl<'a> Ground<'a> {
 
     /// Median slope of the voltage at events, ln/s.
     pub(super) fn slope_per_s(&self, fit: &Fit<'_>) -> Result<f64, String> {
-        let seen = fit.seen(&fit.trial, None)?;
+        let rows = fit.rows(&fit.trial, &fit.light.light(self.case))?;
         let mut slopes: Vec<f64> =
-            seen.iter().flat_map(|of| of.slope_per_s.iter().map(|slope| slope.abs())).collect();
+            rows.iter().flat_map(|of| of.slope_per_s.iter().map(|slope| slope.abs())).collect();
         Ok(median_of(&mut slopes))
     }
 }
@@ -137,7 +138,7 @@ fn through(
     view: &View<'_>,
     prepared: &Prepared,
     pixel: usize,
-    frames: &[photocurrent_sensor::map::MapFrame],
+    frames: &[MapFrame],
     around: &mut Around,
 ) -> Conditional {
     let instants: Vec<i64> = (0..view.light.count).map(|k| view.light.instant(k)).collect();
@@ -163,7 +164,7 @@ pub(super) struct Fit<'a> {
     pub ground: &'a Ground<'a>,
     pub trial: Trial,
     pub light: PixelLight,
-    /// The effect that the trial has beyond the stated ones, and its size.
+    /// Effects that the trial has beyond the stated ones, with their sizes.
     pub applied: Vec<(usize, f64)>,
 }
 
@@ -183,22 +184,11 @@ impl<'a> Fit<'a> {
         Fit { ground, trial: trial.clone(), light: ground.begin.clone(), applied: Vec::new() }
     }
 
-    /// What a sensor makes of all pixels on the light as it stands; `light`: where it is at hand.
-    pub(super) fn seen(&self, trial: &Trial, light: Option<&Light>) -> Result<Vec<Seen>, String> {
-        let own;
-        let light = match light {
-            Some(light) => light,
-            None => {
-                own = self.light.light(self.ground.case);
-                &own
-            }
-        };
+    /// What a sensor makes of all pixels on a light.
+    pub(super) fn rows(&self, trial: &Trial, light: &Light) -> Result<Vec<Rows>, String> {
         let found = self.conditionals(trial, light)?;
-        Ok(found
-            .into_iter()
-            .enumerate()
-            .map(|(place, out)| self.ground.rows(place, &self.light, &out))
-            .collect())
+        let of = |(place, out): (usize, Conditional)| self.ground.rows(place, &self.light, &out);
+        Ok(found.into_iter().enumerate().map(of).collect())
     }
 
     fn conditionals(&self, trial: &Trial, light: &Light) -> Result<Vec<Conditional>, String> {
@@ -298,7 +288,7 @@ fn bounded(candidate: usize, effect_size: f64) -> f64 {
 
 impl Exact<'_> {
     /// Takes the place of a first size and gain; `level`: densities without the effect.
-    pub(super) fn put(&self, one: &mut Ranked, level: &[Vec<f64>], ground: &Ground<'_>) {
+    pub(super) fn replace(&self, one: &mut Ranked, level: &[Vec<f64>], ground: &Ground<'_>) {
         let gains: Vec<f64> = self
             .left_out
             .iter()
@@ -320,10 +310,10 @@ impl Exact<'_> {
 }
 
 impl Ground<'_> {
-    fn rows(&self, place: usize, light: &PixelLight, out: &Conditional) -> Seen {
+    fn rows(&self, place: usize, light: &PixelLight, out: &Conditional) -> Rows {
         let events = self.case.events.of(light.pixels()[place] as usize);
         let slope = |k: &usize| f64::from(events[*k].polarity) * out.slope_per_s[*k];
-        Seen {
+        Rows {
             excess: self.events[place].iter().map(|k| out.excess[*k]).collect(),
             slope_per_s: self.events[place].iter().map(slope).collect(),
             dn: self.frames[place].iter().map(|(l, _)| out.dn[*l]).collect(),

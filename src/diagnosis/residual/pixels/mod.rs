@@ -13,7 +13,9 @@ mod fit;
 mod score;
 
 use super::evidence::{Evidence, KINDS, Ranked};
-use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use super::fit::{MEDIAN_T, probability_t};
+use super::table::is_physics;
+use crate::candidates::{CANDIDATES, Scales, Trial};
 use fit::{ERRORS, Exact, Fit, Ground};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -48,9 +50,6 @@ const OF_CONTRAST: [&str; 7] = [
 /// So much of what they gain is taken for that: sound recordings of the training set (`photocurrent-calibrate
 /// --scene pixels`) gain up to 0.7 nats an event by them, and up to 0.25 by others.
 const ERRING_CONTRAST: f64 = 0.75;
-/// The median of the absolute value of Student's t with three degrees of freedom.
-const MEDIAN_T: f64 = 0.765;
-
 /// Evidence on the light of pixels.
 ///
 /// # Errors
@@ -79,7 +78,7 @@ pub fn evidence(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
     for candidate in worth_fitting(&list, &scored) {
         exact.extend(scored.size(candidate).and_then(|begin| base.exact(candidate, begin, CORRECTIONS).ok()));
     }
-    put(&exact, &mut list, &level, &ground);
+    replace(&exact, &mut list, &level, &ground);
     let first = list.iter().find(|one| one.is_exact && one.beyond() > 0.0).cloned();
     let with = first.as_ref().and_then(|one| exact.iter().find(|fit| fit.candidate == one.candidate));
     let second = with.map_or_else(|| Ok(Vec::new()), |with| second(with, &ground))?;
@@ -107,16 +106,15 @@ pub fn evidence(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
 /// Share of the events that are explained when what they miss their thresholds by has Student's distribution
 /// with three degrees of freedom and a scale of `share` of the threshold.
 fn explained(share: f64) -> f64 {
-    let s = EXPLAINED / share / libm::sqrt(3.0);
-    2.0 / std::f64::consts::PI * (s / (1.0 + s * s) + libm::atan(s))
+    2.0 * probability_t(EXPLAINED / share) - 1.0
 }
 
 /// Exact fits in the places of first sizes and gains, best first; `level`: densities of events without them.
-fn put(exact: &[Exact<'_>], list: &mut [Ranked], level: &[Vec<f64>], ground: &Ground<'_>) {
+fn replace(exact: &[Exact<'_>], list: &mut [Ranked], level: &[Vec<f64>], ground: &Ground<'_>) {
     for found in exact {
         list.iter_mut()
             .filter(|one| one.candidate == found.candidate)
-            .for_each(|one| found.put(one, level, ground));
+            .for_each(|one| found.replace(one, level, ground));
     }
     for one in list.iter_mut() {
         let candidate = &CANDIDATES[one.candidate];
@@ -142,7 +140,7 @@ fn second(with: &Exact<'_>, ground: &Ground<'_>) -> Result<Vec<Ranked>, String> 
     for one in list.iter().filter(|one| one.gain > 0.0).take(SECOND) {
         exact.extend(with.fit.exact(one.candidate, one.effect_size, CORRECTIONS_OF_SECOND).ok());
     }
-    put(&exact, &mut list, &level, ground);
+    replace(&exact, &mut list, &level, ground);
     list.iter_mut().filter(|one| one.is_exact).for_each(|one| one.of_first = Some(with.effect_size));
     Ok(list)
 }
@@ -154,13 +152,16 @@ fn ranked(scored: &Scored, ground: &Ground<'_>) -> Vec<Ranked> {
         let candidate = scored.candidates[n];
         let kind = &CANDIDATES[candidate];
         let (size, information) = (scored.sizes[n]?, scored.information[n]);
-        let is_physics = kind.signs == Signs::Both || size > 0.0;
         Some(Ranked {
             candidate,
             effect_size: size,
             error: ERRORS / information.sqrt(),
             value: kind.value(size, scales, nominal),
-            gain: if is_physics { 0.5 * size * size * information / events as f64 } else { 0.0 },
+            gain: if is_physics(candidate, size) {
+                0.5 * size * size * information / events as f64
+            } else {
+                0.0
+            },
             information: information / (ERRORS * ERRORS * events as f64),
             unit: kind.value(1.0, scales, nominal) - kind.nominal_value(nominal),
             ..Ranked::default()

@@ -1,16 +1,12 @@
 //! Efficient scores of effects, summed over pixels.
 
-use super::super::setting::PROBE;
-use super::fit::{FEWEST_OF_PIXEL, Fit, Seen};
-use crate::candidates::{CANDIDATES, Signs};
-use photocurrent_sensor::effects::sought::Grows;
+use super::super::table::probe;
+use super::fit::{FEWEST_OF_PIXEL, Fit, Rows, STEP_NS};
+use photocurrent_scene::pixels::{LEAST_RISE, Score};
 use std::collections::BTreeMap;
 
 /// Side of the blocks whose scores are compared, pixels.
 const SIDE: u32 = 4;
-/// A slope below this share of a threshold over an instant constrains no more, as in the fit.
-const LEAST_RISE: f64 = 0.01;
-const INSTANT_S: f64 = 1e-4;
 /// An effect that the light takes over but for this share is not seen.
 const ABSORBED: f64 = 1e-9;
 
@@ -42,45 +38,35 @@ impl Scored {
     }
 }
 
-/// The step of the finite differences of an effect.
-fn probe(candidate: usize) -> f64 {
-    let kind = &CANDIDATES[candidate];
-    match kind.sought.grows {
-        Grows::WithSquare => 10.0 * PROBE,
-        Grows::AsItFalls => 1.0,
-        Grows::Linearly if kind.signs == Signs::Switch => 1.0,
-        Grows::Linearly => PROBE,
-    }
-}
-
 impl Fit<'_> {
     /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with
     /// each.
     pub(super) fn score(&self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
         let light = self.light.light(self.ground.case);
-        let base = self.seen(&self.trial, Some(&light))?;
+        let base = self.rows(&self.trial, &light)?;
         let mut wanted: Vec<usize> = candidates.to_vec();
         wanted.extend(free);
         let mut kept = Vec::new();
-        let mut moved: Vec<(Vec<Seen>, f64)> = Vec::new();
+        let mut moved: Vec<(Vec<Rows>, f64)> = Vec::new();
         for candidate in wanted {
             let (step, from) = (probe(candidate), self.size_of(candidate));
             // One that cannot be combined with what is there is no candidate.
-            if let Ok(seen) = self.seen(&self.with(candidate, from + step), Some(&light)) {
+            if let Ok(rows) = self.rows(&self.with(candidate, from + step), &light) {
                 kept.push(candidate);
-                moved.push((seen, step));
+                moved.push((rows, step));
             }
         }
         let effects = kept.len();
         let threshold = self.ground.scales.threshold;
-        let least = LEAST_RISE * threshold / INSTANT_S;
+        // As in the fit.
+        let least = LEAST_RISE * threshold / (STEP_NS as f64 * 1e-9);
         let log_slope = |slope: f64| libm::log(f64::max(slope, least));
         let of_pixel = |place: usize| -> Vec<f32> {
             let plain = &base[place];
             let (frames, events) = (plain.dn.len(), plain.excess.len());
             let mut columns = vec![0.0; (frames + 2 * events) * effects];
-            for (k, (seen, step)) in moved.iter().enumerate() {
-                let with = &seen[place];
+            for (k, (rows, step)) in moved.iter().enumerate() {
+                let with = &rows[place];
                 let mut put = |row: usize, change: f64| columns[row * effects + k] = (change / step) as f32;
                 (0..frames).for_each(|l| put(l, with.dn[l] - plain.dn[l]));
                 for e in 0..events {
@@ -99,12 +85,7 @@ impl Fit<'_> {
         Ok(self.summed(kept, is_with_free, &scores))
     }
 
-    fn summed(
-        &self,
-        candidates: Vec<usize>,
-        is_with_free: bool,
-        scores: &[Option<photocurrent_scene::pixels::Score>],
-    ) -> Scored {
+    fn summed(&self, candidates: Vec<usize>, is_with_free: bool, scores: &[Option<Score>]) -> Scored {
         let effects = candidates.len();
         let (mut score, mut information, mut known) =
             (vec![0.0; effects], vec![0.0; effects * effects], vec![0.0; effects]);
