@@ -165,7 +165,8 @@ fn light_is_estimated_from_frames_and_events_together() {
         light.round(&now);
     }
     let end = off(&light);
-    // Thresholds of 0.2 are passed by up to a step's rise, some 0.003 at 60 pixels a second: half of it is left.
+    // Thresholds of 0.2 are passed by up to a step's rise, some 0.003 at 60 pixels a second:
+    // half of it is left.
     assert!(end < 0.002 && end < 0.5 * begin, "{begin} to {end}");
 }
 
