@@ -213,7 +213,12 @@ impl Trust {
         own.clear();
         let track = Track::new(t_ns, log, SEEN_NS);
         let site = Site { x: x as u32, y: y as u32, width: extent.width, height: extent.height, seed: 0 };
-        conditional(sensor, &[], &Look { site, track: &track, seen: None, events, frames }, seen);
+        conditional(
+            sensor,
+            &[],
+            &Look { site, track: &track, seen: None, events, frames, quiet_ns: &[] },
+            seen,
+        );
         let near = |t_ns: i64| {
             let after = said.partition_point(|said| said.t_ns < t_ns);
             let at = [after.checked_sub(1), Some(after)]

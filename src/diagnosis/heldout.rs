@@ -83,8 +83,14 @@ pub(crate) fn predict(
             }
         };
         let all: Vec<MapFrame> = (0..case.frame_count()).map(stated).collect();
-        let look =
-            Look { site: case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &all };
+        let look = Look {
+            site: case.site(pixel as usize, 0),
+            track: &track,
+            seen: None,
+            events: &[],
+            frames: &all,
+            quiet_ns: &[],
+        };
         frame_values(&nominal, undo.known(), &look, &mut read);
         let (mut own, mut values, mut level) = (0.0, 0.0, 0.0);
         for (slot, &frame) in kept.iter().enumerate() {

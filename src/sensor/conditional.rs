@@ -117,6 +117,25 @@ pub struct Look<'a> {
     pub events: &'a [PixelEvent],
     /// Frames as recorded; one that is missing in the recording is missing here.
     pub frames: &'a [MapFrame],
+    /// Instants between events, rising, at which the comparator's input is wanted as well.
+    pub quiet_ns: &'a [i64],
+}
+
+/// What the comparator has at an instant between events.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quiet {
+    /// The instant, ns.
+    pub t_ns: i64,
+    /// When the reference was taken, ns.
+    pub reference_ns: i64,
+    /// Voltage less reference, natural-log units.
+    pub level: f64,
+    /// Thresholds that it is compared with.
+    pub thresholds: Thresholds,
+    /// How fast the voltage moves, ln/s.
+    pub slope_per_s: f64,
+    /// No event before holds the pixel.
+    pub is_armed: bool,
 }
 
 /// What the model says of the measurements of a pixel.
@@ -124,6 +143,8 @@ pub struct Look<'a> {
 pub struct Conditional {
     /// Of each event: voltage less reference less the signed threshold when it fired, natural-log units.
     pub excess: Vec<f64>,
+    /// Of each event: its threshold, positive, natural-log units.
+    pub threshold: Vec<f64>,
     /// Of each event: how fast the voltage moved, ln/s.
     pub slope_per_s: Vec<f64>,
     /// Of each event: was the comparator watching, as the description has it?
@@ -136,6 +157,8 @@ pub struct Conditional {
     pub low_pass: FrontEnd,
     /// Of each frame: its value, DN.
     pub dn: Vec<f64>,
+    /// Of each instant between events.
+    pub quiet: Vec<Quiet>,
     /// Room.
     settling: Settling,
 }
@@ -143,7 +166,7 @@ pub struct Conditional {
 impl Conditional {
     /// Makes room for events, with what is known before the voltage is.
     fn begin(&mut self, times: &[Times], start_ns: i64, low_pass: FrontEnd) {
-        for values in [&mut self.excess, &mut self.slope_per_s] {
+        for values in [&mut self.excess, &mut self.threshold, &mut self.slope_per_s] {
             values.clear();
             values.resize(times.len(), 0.0);
         }
@@ -153,6 +176,7 @@ impl Conditional {
         self.fired_ns.extend(times.iter().map(|time| time.fired_ns));
         self.reference_ns.clear();
         self.reference_ns.resize(times.len(), start_ns);
+        self.quiet.clear();
         self.low_pass = low_pass;
     }
 }
@@ -213,10 +237,11 @@ enum Mark {
     Impulse(usize),
     Latch(usize),
     Fire(usize),
+    Quiet,
 }
 
 /// What happens in a pixel, in order: when, order at one instant, what.
-fn marks(reset: Reset, impulses: &[Impulse], times: &[Times]) -> Vec<(i64, u8, Mark)> {
+fn marks(reset: Reset, impulses: &[Impulse], times: &[Times], quiet_ns: &[i64]) -> Vec<(i64, u8, Mark)> {
     let mut marks: Vec<(i64, u8, Mark)> =
         impulses.iter().enumerate().map(|(n, impulse)| (impulse.t_ns, 1, Mark::Impulse(n))).collect();
     for (k, time) in times.iter().enumerate() {
@@ -225,6 +250,7 @@ fn marks(reset: Reset, impulses: &[Impulse], times: &[Times]) -> Vec<(i64, u8, M
             marks.push((time.latch_ns, if time.latch_ns > time.fired_ns { 2 } else { 4 }, Mark::Latch(k)));
         }
     }
+    marks.extend(quiet_ns.iter().map(|t_ns| (*t_ns, 5, Mark::Quiet)));
     marks.sort_unstable_by_key(|(t, order, mark)| (*t, *order, matches!(mark, Mark::Fire(_))));
     marks
 }
@@ -268,7 +294,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     let start_ns = track.t_ns[0];
     let Analog { front_end, leak, impulses } = Analog::of(model, effects, look);
     let times = times(model, effects, look, seen, &mut random);
-    let marks = marks(model.reset, &impulses, &times);
+    let marks = marks(model.reset, &impulses, &times, look.quiet_ns);
     if look.events.is_empty() {
         out.settling = Settling::default();
     } else {
@@ -276,7 +302,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     }
     out.begin(&times, start_ns, front_end.low_pass);
     let mut walk = Walk::new(front_end, &out.settling, leak, track, seen);
-    let mut taken_ns = start_ns;
+    let (mut taken_ns, mut held_until_ns) = (start_ns, start_ns);
     let draw = |history: &History, t_ns: i64, random: &mut Random| {
         let mut thresholds = stated;
         for effect in effects {
@@ -298,6 +324,14 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
         walk.go_to(t_ns);
         match mark {
             Mark::Impulse(n) => walk.impulse(&impulses[n]),
+            Mark::Quiet => out.quiet.push(Quiet {
+                t_ns,
+                reference_ns: taken_ns,
+                level: walk.input() - reference,
+                thresholds,
+                slope_per_s: walk.rate_per_s(),
+                is_armed: t_ns >= held_until_ns,
+            }),
             Mark::Latch(_) => {
                 (reference, thresholds) = reset(walk.input(), t_ns, before, &history);
                 taken_ns = t_ns;
@@ -307,15 +341,12 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
                 let step = signed_step(event.polarity, thresholds.on, thresholds.off);
                 let value = walk.input();
                 out.excess[k] = value - reference - step;
+                out.threshold[k] = step.abs();
                 out.reference_ns[k] = taken_ns;
                 out.slope_per_s[k] = walk.rate_per_s();
-                let burst_index = match history.last_event {
-                    Some(last) if t_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
-                    _ => 1,
-                };
-                let last_event =
-                    Some(PixelEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity });
-                history = History { last_event, events: history.events + 1, burst_index };
+                held_until_ns = time.latch_ns;
+                let now = PixelEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity };
+                history = with(&history, now);
                 before = reference;
                 if model.reset != Reset::Resample {
                     // A reference that moves by one threshold is the voltage of the event, unless the event
@@ -329,6 +360,15 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
             }
         }
     }
+}
+
+/// A history with one more event.
+fn with(history: &History, event: PixelEvent) -> History {
+    let burst_index = match history.last_event {
+        Some(last) if event.t_in_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
+        _ => 1,
+    };
+    History { last_event: Some(event), events: history.events + 1, burst_index }
 }
 
 /// Digital numbers of the frames; leaves what is said of events alone.
@@ -623,3 +663,7 @@ impl<'a> Walk<'a> {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "conditional_tests.rs"]
+mod tests;

@@ -394,6 +394,7 @@ impl Undo {
             seen: None,
             events: recorded,
             frames: &[],
+            quiet_ns: &[],
         };
         conditional(model, &self.effects, &look, with);
         conditional(model, &[], &Look { track: &track, events: &known.events, ..look }, without);

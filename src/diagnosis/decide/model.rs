@@ -133,12 +133,12 @@ impl Model {
     /// The built-in numbers for the light of pixels: `photocurrent-calibrate --scene pixels`.
     pub fn of_pixels() -> Model {
         Model {
-            something: [3.614, 1.052, 0.021],
-            second: [-1.073, -0.340, 0.623],
-            discount: [3.0, 2.0],
-            softness: [-2.25, -0.594],
+            something: [4.487, 1.379, -0.497],
+            second: [-0.187, 0.632, 0.641],
+            discount: [3.0, 0.0],
+            softness: [-1.766, -0.281],
             random: 0.0,
-            unnamed: [3.375, 1.0, 0.0],
+            unnamed: [0.875, 0.344, 0.062],
             least_gain: 0.05,
         }
     }

@@ -208,6 +208,7 @@ impl View<'_> {
                 seen: None,
                 events: &[],
                 frames: &frames,
+                quiet_ns: &[],
             };
             let counts: Vec<usize> = (0..frames.len()).filter(|&l| !frames[l].saturated).collect();
             values.pixel = vec![pixel; counts.len()];
@@ -277,7 +278,8 @@ impl View<'_> {
                     None => &*plain.get_or_insert_with(|| Track::new(&instants, &log, self.light.step_ns)),
                 };
                 let seen = seen.filter(|seen| seen.len() == track.t_ns.len());
-                let look = Look { site, track, seen: seen.as_deref(), events: &events, frames: &[] };
+                let look =
+                    Look { site, track, seen: seen.as_deref(), events: &events, frames: &[], quiet_ns: &[] };
                 conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
                 if let (0, Chosen::By(keeps)) = (n, chosen) {
                     kept = (1..events.len())

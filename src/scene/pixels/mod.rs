@@ -8,6 +8,8 @@
 //! - Unknowns: coefficients c of each pixel. Rows: events, e = V(t) - V_ref - p theta; frame values.
 //! - The event's time is what is measured, so that its density has the slope of the voltage as a factor:
 //!   -log(p dV/dt) for each event. Without it contrasts shrink.
+//! - Where a pixel has no event, its voltage lies within both thresholds: Phi(-excess / noise) for the
+//!   instant of each stretch between events at which one is nearest.
 //! - Prior: second differences of c are normal with a variance of their own each, which follows the activity
 //!   of the scene (`prior`).
 //! - Noise of events: Student-t with three degrees of freedom, a share of the threshold and a part that grows
@@ -210,7 +212,7 @@ impl PixelLight {
 
     /// Efficient score of effects from each pixel; none where that pixel's light cannot be estimated.
     /// `columns`: for each pixel what an effect size of 1 changes of its frame values, its events' excesses,
-    /// and the logarithms of the slopes at its events, `effects` values for each.
+    /// the logarithms of the slopes at its events, and excesses where none fired, `effects` values for each.
     pub fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
         predicted
             .par_iter()
@@ -221,19 +223,37 @@ impl PixelLight {
             .collect()
     }
 
-    /// Of each event the log density of its excess when the light is estimated from everything else, nats:
-    /// from the last round, without refitting. `predicted`: on the light as it stands.
+    /// What effects of a size each gain from each pixel, nats: as [`PixelLight::left_out`] with a Newton step
+    /// of the light, and beyond what that step gains without one; none where that pixel's light cannot be
+    /// estimated. `columns` as in [`PixelLight::score`].
+    pub fn gains(
+        &self,
+        predicted: &[Predicted],
+        columns: &[Vec<f32>],
+        sizes: &[f64],
+    ) -> Vec<Option<Vec<f64>>> {
+        predicted
+            .par_iter()
+            .enumerate()
+            .map_init(Work::default, |work, (place, predicted)| {
+                work.gains(&self.of(place, predicted), &columns[place], sizes)
+            })
+            .collect()
+    }
+
+    /// Of each pixel the log density of its events' times when the light is estimated from everything else,
+    /// and of none between them, nats: from the last round, without refitting. `predicted`: on the light as
+    /// it stands.
     ///
     /// Source: leave-one-out residuals e / (1 - h), h the event's leverage (Cook and Weisberg, Residuals and
     /// Influence in Regression, 1982).
-    pub fn left_out(&self, predicted: &[Predicted]) -> Vec<Vec<f64>> {
+    pub fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
         let of = |(predicted, leverages): (&Predicted, &Vec<f64>)| {
-            predicted
-                .events
-                .iter()
-                .zip(leverages)
-                .map(|(event, leverage)| self.noise.log_density_left_out(event, *leverage))
-                .collect()
+            let events = predicted.events.iter().zip(leverages);
+            let fired: f64 =
+                events.map(|(event, leverage)| self.noise.log_density_left_out(event, *leverage)).sum();
+            let silent = predicted.quiet.iter().map(|quiet| self.noise.quiet_term(quiet).log_probability);
+            fired + silent.sum::<f64>()
         };
         predicted.iter().zip(&self.leverage).map(of).collect()
     }

@@ -16,9 +16,24 @@ const LEAST_SHARE: f64 = 0.01;
 const STAMP_S: f64 = 20e-6;
 /// The light is estimated without an event that decides more than this of itself as if it decided this.
 const MOST_LEVERAGE: f64 = 0.999;
+/// Slower rises than this, thresholds a second, count as it.
+const LEAST_RISE_PER_S: f64 = 10.0;
+/// Share of events that a recording lacks, by which an instant without one may be missing one.
+const LOST: f64 = 1e-3;
+/// Beyond so many standard deviations a tail of the normal distribution is taken from its expansion.
+const FARTHEST: f64 = 8.0;
+/// The probability of no event bends at least so much with the excess.
+const LEAST_CURVATURE: f64 = 1e-3;
 /// Frame values are whole or nearly: DN; and gains differ by a share.
 const LEAST_DN: f64 = 0.3;
 const LEAST_SIGNAL_SHARE: f64 = 0.002;
+
+/// What an instant without an event adds to a Newton step.
+pub(super) struct QuietTerm {
+    pub weight: f64,
+    pub residual: f64,
+    pub log_probability: f64,
+}
 
 /// Noise of events and of frame values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +60,27 @@ impl Noise {
         let stamp = self.stamp_s * event.slope_per_s;
         let least = LEAST_SHARE * event.threshold;
         threshold * threshold + stamp * stamp + least * least
+    }
+
+    /// Weight and residual of an instant at which an event did not fire, for a Newton step, and the
+    /// logarithm of the probability that none did, nats.
+    ///
+    /// With z the excess in the event's direction over its standard deviation: Phi(-z) for the step, and
+    /// (1 - e) Phi(-z) + e for the probability, where e is the share of events that a recording lacks.
+    pub(super) fn quiet_term(&self, event: &PredictedEvent) -> QuietTerm {
+        let deviation = self.event_variance(event).sqrt();
+        let z = f64::max(event.polarity * event.excess / deviation, -FARTHEST);
+        let silent = 0.5 * libm::erfc(z * core::f64::consts::FRAC_1_SQRT_2);
+        let probability = (1.0 - LOST) * silent + LOST;
+        let density = libm::exp(-0.5 * z * z) / (core::f64::consts::TAU).sqrt();
+        // Of -log Phi(-z): its first derivative, and its second.
+        let rate = if z < FARTHEST { density / silent } else { z + 1.0 / z };
+        let bent = if z < FARTHEST { (rate * (rate - z)).max(LEAST_CURVATURE) } else { 1.0 };
+        QuietTerm {
+            weight: bent / (deviation * deviation),
+            residual: event.polarity * rate / bent * deviation,
+            log_probability: libm::log(probability),
+        }
     }
 
     /// Variance of a frame value, DN^2.
@@ -76,7 +112,10 @@ impl Noise {
     pub(super) fn log_density_left_out(&self, event: &PredictedEvent, leverage: f64) -> f64 {
         let left = 1.0 - leverage.clamp(0.0, MOST_LEVERAGE);
         let (excess, variance) = (event.excess / left, self.event_variance(event) / left);
-        -0.5 * libm::log(variance) - 0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
+        let rise = f64::max(event.rise_per_s, LEAST_RISE_PER_S * event.threshold);
+        libm::log(rise)
+            - 0.5 * libm::log(variance)
+            - 0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
     }
 }
 

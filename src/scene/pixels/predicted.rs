@@ -17,6 +17,8 @@ pub struct PredictedEvent {
     pub excess: f64,
     /// How fast the voltage moved at both instants, root of the sum of squares, ln/s.
     pub slope_per_s: f64,
+    /// How fast it moved when the event fired, in the event's direction, ln/s.
+    pub rise_per_s: f64,
 }
 
 /// A frame value as a sensor predicts it on the present light.
@@ -43,4 +45,6 @@ pub struct Predicted {
     pub frames: Vec<PredictedFrame>,
     /// Events whose reference is known.
     pub events: Vec<PredictedEvent>,
+    /// Instants at which none fired: events that would have, had their excess been in their direction.
+    pub quiet: Vec<PredictedEvent>,
 }

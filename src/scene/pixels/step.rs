@@ -1,15 +1,17 @@
 //! One pixel: a Newton step of its light, and what its measurements score for effects when the light may
 //! change with them.
 
-use super::envelope::{Envelope, dot};
+use super::envelope::{Envelope, InverseRoom, dot};
 use super::noise::{NU, Noise};
 use super::path::{Path, Rows, Splines};
-use super::predicted::Predicted;
+use super::predicted::{Predicted, PredictedEvent};
 
 /// Frame values count half at this many standard deviations.
 const ROBUST: f64 = 4.0;
 /// The voltage rises by at least this share of a threshold over an instant before an event.
 pub const LEAST_RISE: f64 = 0.01;
+/// And its logarithm changes by no more with an effect.
+const MOST_OF_RISE: f64 = 1.0;
 /// No coefficient moves by more in a step, natural-log units.
 const LONGEST_STEP: f64 = 0.6;
 /// Added to every diagonal element: natural-log units to the power of -2.
@@ -48,12 +50,15 @@ pub(super) struct Work {
     frames: Rows,
     events: Rows,
     rises: Rows,
+    quiet: Rows,
     weight: Vec<f64>,
     rise: Vec<f64>,
+    /// Of instants without an event: weight and residual.
+    quiet_terms: Vec<(f64, f64)>,
     first: Vec<usize>,
     envelope: Envelope,
     gradient: Vec<f64>,
-    column: Vec<f64>,
+    inverse: InverseRoom,
 }
 
 /// Light of a pixel as it stands: coefficients, and variances of their second differences.
@@ -72,7 +77,7 @@ impl Work {
         let OfPixel { splines, coefficients, predicted, .. } = *of;
         splines.values(coefficients, &mut self.path.log);
         self.path.enter(splines, predicted.low_pass);
-        for rows in [&mut self.frames, &mut self.events, &mut self.rises] {
+        for rows in [&mut self.frames, &mut self.events, &mut self.rises, &mut self.quiet] {
             rows.clear();
         }
         for frame in &predicted.frames {
@@ -86,6 +91,9 @@ impl Work {
         for event in &predicted.events {
             self.path.push_difference(splines, [event.t_ns, event.reference_ns], &mut self.events);
             self.path.push_difference(splines, [event.t_ns, event.t_ns - splines.step_ns], &mut self.rises);
+        }
+        for quiet in &predicted.quiet {
+            self.path.push_difference(splines, [quiet.t_ns, quiet.reference_ns], &mut self.quiet);
         }
         self.weigh(of);
         self.assemble(of);
@@ -105,6 +113,11 @@ impl Work {
             let variance = noise.event_variance(event);
             (NU + 1.0) / variance / (NU + event.excess * event.excess / variance)
         }));
+        self.quiet_terms.clear();
+        self.quiet_terms.extend(predicted.quiet.iter().map(|quiet| {
+            let term = noise.quiet_term(quiet);
+            (term.weight, term.residual)
+        }));
         self.rise.clear();
         for (k, event) in predicted.events.iter().enumerate() {
             let (from, row) = (self.rises.from[k], self.rises.row(k));
@@ -119,7 +132,7 @@ impl Work {
         self.first.clear();
         // Second differences reach two unknowns back.
         self.first.extend((0..count).map(|k: usize| k.saturating_sub(2)));
-        for rows in [&self.frames, &self.events, &self.rises] {
+        for rows in [&self.frames, &self.events, &self.rises, &self.quiet] {
             for r in 0..rows.len() {
                 let from = rows.from[r];
                 for k in rows.row(r).iter().enumerate().filter(|(_, v)| **v != 0.0).map(|(k, _)| from + k) {
@@ -150,6 +163,9 @@ impl Work {
             let rise = self.rise[k];
             put(self.rises.from[k], self.rises.row(k), 1.0 / (rise * rise), -rise);
         }
+        for (k, (weight, residual)) in self.quiet_terms.iter().enumerate() {
+            put(self.quiet.from[k], self.quiet.row(k), *weight, *residual);
+        }
         for (k, variance) in variance.iter().enumerate() {
             let second = coefficients[k] - 2.0 * coefficients[k + 1] + coefficients[k + 2];
             put(k, &[1.0, -2.0, 1.0], 1.0 / variance, second);
@@ -161,31 +177,14 @@ impl Work {
     #[cfg(test)]
     pub(super) fn rows(&mut self, of: &OfPixel<'_>) -> Vec<(usize, Vec<f64>, f64, f64)> {
         assert!(self.enter(of), "the equations can be solved");
-        let of_frame = |r: usize| {
-            let residual = of.predicted.frames[r].residual_dn;
-            (self.frames.from[r], self.frames.row(r).to_vec(), self.weight[r], residual)
+        let of = |r: usize| {
+            let Measured { from, row, weight, residual, is_rise } = self.measured(of, r);
+            if is_rise {
+                return (from, row.iter().map(|v| v * weight).collect(), 1.0, residual);
+            }
+            (from, row.to_vec(), weight, residual)
         };
-        let of_event = |k: usize| {
-            let residual = of.predicted.events[k].excess;
-            (self.events.from[k], self.events.row(k).to_vec(), self.weight[self.frames.len() + k], residual)
-        };
-        let of_rise = |k: usize| {
-            let row = self.rises.row(k).iter().map(|v| v / self.rise[k]).collect();
-            (self.rises.from[k], row, 1.0, -1.0)
-        };
-        let events = 0..self.events.len();
-        let frames = (0..self.frames.len()).map(of_frame);
-        frames.chain(events.clone().map(of_event)).chain(events.map(of_rise)).collect()
-    }
-
-    /// Variance that the factor leaves of a row.
-    fn left_of(&mut self, from: usize, row: &[f64]) -> f64 {
-        let column = &mut self.column;
-        column.clear();
-        column.resize(self.envelope.len(), 0.0);
-        column[from..from + row.len()].copy_from_slice(row);
-        self.envelope.forward(column, from);
-        dot(&column[from..], &column[from..])
+        (0..self.measurements()).map(of).collect()
     }
 
     /// A Newton step; none where the normal equations are singular. Variances are computed where
@@ -202,27 +201,29 @@ impl Work {
         if !is_measured {
             return Some(step);
         }
+        self.envelope.invert(&mut self.inverse);
         for (k, variance) in of.variance.iter().enumerate() {
             let second = step.coefficients[k] - 2.0 * step.coefficients[k + 1] + step.coefficients[k + 2];
             step.square.push(second * second);
-            step.decided.push((1.0 - self.left_of(k, &[1.0, -2.0, 1.0]) / variance).clamp(0.0, 1.0));
+            step.decided
+                .push((1.0 - self.envelope.square_of(k, &[1.0, -2.0, 1.0]) / variance).clamp(0.0, 1.0));
         }
-        let events = std::mem::take(&mut self.events);
-        step.event_variance =
-            (0..events.len()).map(|k| self.left_of(events.from[k], events.row(k))).collect();
+        let events = &self.events;
+        let left = |k: usize| self.envelope.square_of(events.from[k], events.row(k));
+        step.event_variance = (0..events.len()).map(left).collect();
         let weights = &self.weight[of.predicted.frames.len()..];
         step.leverage = step.event_variance.iter().zip(weights).map(|(left, weight)| left * weight).collect();
-        self.events = events;
         Some(step)
     }
 
     /// Score of effects; `columns`: what each changes of frame values, of events' excesses and of the
-    /// logarithms of the rises before events, K for each. None where the normal equations are singular.
+    /// logarithms of the rises before events, and of excesses where none fired, K for each. None where the
+    /// normal equations are singular.
     pub(super) fn score(&mut self, of: &OfPixel<'_>, columns: &[f32], effects: usize) -> Option<Score> {
         if !self.enter(of) {
             return None;
         }
-        let (count, frames, events) = (self.envelope.len(), self.frames.len(), self.events.len());
+        let count = self.envelope.len();
         // Behind the effects the gradient: all are solved for together.
         let mut through = vec![vec![0.0; count]; effects + 1];
         through[effects].copy_from_slice(&self.gradient);
@@ -231,23 +232,8 @@ impl Work {
             information: vec![0.0; effects * effects],
             known: vec![0.0; effects],
         };
-        for r in 0..frames + 2 * events {
-            let (from, row, weight, residual) = match r.checked_sub(frames) {
-                None => {
-                    let residual = of.predicted.frames[r].residual_dn;
-                    (self.frames.from[r], self.frames.row(r), self.weight[r], residual)
-                }
-                Some(k) if k < events => {
-                    let residual = of.predicted.events[k].excess;
-                    (self.events.from[k], self.events.row(k), self.weight[r], residual)
-                }
-                // Of the logarithm of the rise.
-                Some(k) => {
-                    let (k, rise) = (k - events, self.rise[k - events]);
-                    (self.rises.from[k], self.rises.row(k), 1.0 / rise, -1.0)
-                }
-            };
-            let is_rise = r >= frames + events;
+        for r in 0..self.measurements() {
+            let Measured { from, row, weight, residual, is_rise } = self.measured(of, r);
             for (k, column) in columns[r * effects..(r + 1) * effects].iter().enumerate() {
                 let by = f64::from(*column);
                 if by == 0.0 {
@@ -276,4 +262,94 @@ impl Work {
         }
         Some(found)
     }
+    /// What effects of a size each gain in the densities of the events' times when the light is estimated
+    /// from everything else, and of none between them, nats: with one Newton step of the light, as in
+    /// [`Work::score`], and leverages as they are. None where the normal equations are singular.
+    pub(super) fn gains(&mut self, of: &OfPixel<'_>, columns: &[f32], sizes: &[f64]) -> Option<Vec<f64>> {
+        if !self.enter(of) {
+            return None;
+        }
+        let effects = sizes.len();
+        // Behind the effects the light without one.
+        let mut steps = vec![self.gradient.clone(); effects + 1];
+        for r in 0..self.measurements() {
+            let Measured { from, row, weight, .. } = self.measured(of, r);
+            for (k, size) in sizes.iter().enumerate() {
+                let scale = f64::from(columns[r * effects + k]) * size * weight;
+                if scale != 0.0 {
+                    let to = &mut steps[k][from..from + row.len()];
+                    to.iter_mut().zip(row).for_each(|(to, v)| *to += scale * v);
+                }
+            }
+        }
+        for step in &mut steps {
+            self.envelope.forward(step, 0);
+            self.envelope.backward(step);
+        }
+        self.envelope.invert(&mut self.inverse);
+        let density = |k: usize| {
+            let size = sizes.get(k).copied().unwrap_or(0.0);
+            let moved = |r: usize| {
+                let Measured { from, row, weight, is_rise, .. } = self.measured(of, r);
+                let by = if k < effects { f64::from(columns[r * effects + k]) * size } else { 0.0 };
+                let of_light = dot(row, &steps[k][from..from + row.len()]);
+                by - if is_rise { weight * of_light } else { of_light }
+            };
+            self.density(of, moved)
+        };
+        let without = density(effects);
+        Some((0..effects).map(|k| density(k) - without).collect())
+    }
+
+    /// Log densities of the events' times, each left out, and of none between, nats; `moved`: by how much
+    /// each measurement's prediction changes.
+    fn density(&self, of: &OfPixel<'_>, moved: impl Fn(usize) -> f64) -> f64 {
+        let OfPixel { noise, predicted, .. } = *of;
+        let (frames, events) = (predicted.frames.len(), predicted.events.len());
+        let fired = |(k, event): (usize, &PredictedEvent)| {
+            let leverage =
+                self.weight[frames + k] * self.envelope.square_of(self.events.from[k], self.events.row(k));
+            let of_rise = moved(frames + events + k).clamp(-MOST_OF_RISE, MOST_OF_RISE);
+            let rise = event.rise_per_s * libm::exp(of_rise);
+            let excess = event.excess + moved(frames + k);
+            noise.log_density_left_out(&PredictedEvent { excess, rise_per_s: rise, ..*event }, leverage)
+        };
+        let silent = |(k, quiet): (usize, &PredictedEvent)| {
+            let excess = quiet.excess + moved(frames + 2 * events + k);
+            noise.quiet_term(&PredictedEvent { excess, ..*quiet }).log_probability
+        };
+        predicted.events.iter().enumerate().map(fired).sum::<f64>()
+            + predicted.quiet.iter().enumerate().map(silent).sum::<f64>()
+    }
+
+    /// Number of measurements: frame values, events, their rises, instants without one.
+    fn measurements(&self) -> usize {
+        self.frames.len() + 2 * self.events.len() + self.quiet.len()
+    }
+
+    /// One of them, in that order.
+    fn measured(&self, of: &OfPixel<'_>, r: usize) -> Measured<'_> {
+        let (frames, events) = (self.frames.len(), self.events.len());
+        let (rows, k, weight, residual) = match r.checked_sub(frames) {
+            None => (&self.frames, r, self.weight[r], of.predicted.frames[r].residual_dn),
+            Some(k) if k < events => (&self.events, k, self.weight[r], of.predicted.events[k].excess),
+            Some(k) if k < 2 * events => (&self.rises, k - events, 1.0 / self.rise[k - events], -1.0),
+            Some(k) => {
+                let (weight, residual) = self.quiet_terms[k - 2 * events];
+                (&self.quiet, k - 2 * events, weight, residual)
+            }
+        };
+        let is_rise = (frames + events..frames + 2 * events).contains(&r);
+        Measured { from: rows.from[k], row: rows.row(k), weight, residual, is_rise }
+    }
+}
+
+/// A measurement of a pixel: its row begins at coefficient `from`. Of a rise's logarithm the row is that of
+/// the rise, and the weight one over it.
+struct Measured<'a> {
+    from: usize,
+    row: &'a [f64],
+    weight: f64,
+    residual: f64,
+    is_rise: bool,
 }

@@ -4,7 +4,7 @@ use super::path::{Path, Rows};
 use super::*;
 use crate::testing;
 use photocurrent_core::Extent;
-use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional};
 use photocurrent_sensor::front_end::FrontEnd;
 
 const STEP_NS: i64 = 100_000;
@@ -106,7 +106,11 @@ fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> V
         let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
         let track = Track::new(&instants, &log, light.step_ns);
         let events = case.events.of(pixel);
-        let look = Look { site: case.site(pixel, 0), track: &track, seen: None, events, frames: &[] };
+        let site = case.site(pixel, 0);
+        // In the middle between events, and an event there that the recording does not have.
+        let between: Vec<i64> =
+            events.windows(2).map(|two| i64::midpoint(two[0].t_in_ns, two[1].t_in_ns)).collect();
+        let look = Look { site, track: &track, seen: None, events, frames: &[], quiet_ns: &between };
         let mut out = Conditional::default();
         conditional(nominal, &[], &look, &mut out);
         let event = |k: usize| PredictedEvent {
@@ -116,6 +120,16 @@ fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> V
             threshold: 0.2,
             excess: out.excess[k],
             slope_per_s: libm::hypot(out.slope_per_s[k], out.slope_per_s[k - 1]),
+            rise_per_s: f64::from(events[k].polarity) * out.slope_per_s[k],
+        };
+        let quiet = |quiet: &Quiet| PredictedEvent {
+            t_ns: quiet.t_ns,
+            reference_ns: quiet.reference_ns,
+            polarity: 1.0,
+            threshold: 0.2,
+            excess: quiet.level - 0.2,
+            slope_per_s: quiet.slope_per_s,
+            rise_per_s: quiet.slope_per_s,
         };
         let row = case.place(pixel).1;
         let frame = |l: usize| {
@@ -133,6 +147,7 @@ fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> V
             gain: nominal.number.gain,
             frames: (0..case.frame_count()).map(frame).collect(),
             events: (1..events.len()).map(event).collect(),
+            quiet: out.quiet.iter().map(quiet).collect(),
         }
     };
     pixels.iter().map(of).collect()
@@ -170,9 +185,8 @@ fn light_is_estimated_from_frames_and_events_together() {
     assert!(end < 0.002 && end < 0.5 * begin, "{begin} to {end}");
 }
 
-#[test]
-fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
-    use nalgebra::{DMatrix, DVector};
+/// The light of one pixel after some rounds, what is predicted on it, and what two effects change a little.
+fn lone() -> (PixelLight, Vec<Predicted>, Vec<f32>) {
     let case = testing::texture(Extent { width: 6, height: 5 }, 6);
     let mut nominal = case.nominal().unwrap();
     nominal.pixel.front_end = FrontEnd { tau_0_s: 200e-6, alpha_s: 0.0 };
@@ -183,11 +197,16 @@ fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
         light.round(&now);
     }
     let now = predicted(&case, &nominal, light.pixels(), &light.light(&case));
-    let (frames, events) = (now[0].frames.len(), now[0].events.len());
-    assert!(frames == 6 && events > 3);
-    // Two effects that change everything a little.
-    let columns: Vec<f32> =
-        (0..2 * (frames + 2 * events)).map(|k| libm::sin(1.0 + 2.3 * k as f64) as f32).collect();
+    let (frames, events, quiet) = (now[0].frames.len(), now[0].events.len(), now[0].quiet.len());
+    assert!(frames == 6 && events > 3 && quiet == events);
+    let columns = (0..2 * (frames + 2 * events + quiet)).map(|k| libm::sin(1.0 + 2.3 * k as f64) as f32);
+    (light, now, columns.collect())
+}
+
+#[test]
+fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
+    use nalgebra::{DMatrix, DVector};
+    let (light, now, columns) = lone();
     let found = light.score(&now, std::slice::from_ref(&columns), 2).pop().unwrap().unwrap();
 
     // All rows in one dense matrix: those of the measurements, of the prior, and the effects' columns next
@@ -229,6 +248,116 @@ fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
             assert!((a - b).abs() < 1e-6 * scale, "{a} is {b}");
         }
     }
+}
+
+#[test]
+fn a_gain_is_that_of_the_measurements_when_the_light_follows_an_effect() {
+    use nalgebra::{DMatrix, DVector};
+    let (light, now, columns) = lone();
+    let sizes = [0.004, -0.002];
+    let found = light.gains(&now, std::slice::from_ref(&columns), &sizes).pop().unwrap().unwrap();
+    let rows = Work::default().rows(&light.of(0, &now[0]));
+    let count = light.splines.coefficients();
+    let mut normal = DMatrix::<f64>::zeros(count, count);
+    let mut gradient = [DVector::<f64>::zeros(count), DVector::zeros(count), DVector::zeros(count)];
+    let whole = |(from, row, ..): &(usize, Vec<f64>, f64, f64)| {
+        let mut whole = DVector::zeros(count);
+        row.iter().enumerate().for_each(|(k, v)| whole[from + k] = *v);
+        whole
+    };
+    let change = |r: usize, k: usize| match k {
+        2 => 0.0,
+        _ => f64::from(columns[2 * r + k]) * sizes[k],
+    };
+    for (r, row) in rows.iter().enumerate() {
+        let of_row = whole(row);
+        normal += row.2 * &of_row * of_row.transpose();
+        for (k, gradient) in gradient.iter_mut().enumerate() {
+            *gradient += row.2 * (row.3 + change(r, k)) * &of_row;
+        }
+    }
+    for k in 0..count - 2 {
+        let mut second = DVector::<f64>::zeros(count);
+        (second[k], second[k + 1], second[k + 2]) = (1.0, -2.0, 1.0);
+        let value = second.dot(&DVector::from_column_slice(&light.coefficients));
+        normal += &second * second.transpose() / light.variance[k];
+        gradient.iter_mut().for_each(|gradient| *gradient += &second * value / light.variance[k]);
+    }
+    (0..count).for_each(|k| normal[(k, k)] += 1e-6);
+    let inverse = normal.try_inverse().unwrap();
+    let (frames, events) = (now[0].frames.len(), now[0].events.len());
+    let density = |k: usize| {
+        let step = -&inverse * &gradient[k];
+        let moved = |r: usize| change(r, k) + whole(&rows[r]).dot(&step);
+        let fired = |e: usize| {
+            let (event, row) = (now[0].events[e], whole(&rows[frames + e]));
+            let leverage = rows[frames + e].2 * (&inverse * &row).dot(&row);
+            let excess = event.excess + moved(frames + e);
+            let rise_per_s = event.rise_per_s * libm::exp(moved(frames + events + e).clamp(-1.0, 1.0));
+            light.noise.log_density_left_out(&PredictedEvent { excess, rise_per_s, ..event }, leverage)
+        };
+        let silent = |q: usize| {
+            let quiet = now[0].quiet[q];
+            let excess = quiet.excess + moved(frames + 2 * events + q);
+            light.noise.quiet_term(&PredictedEvent { excess, ..quiet }).log_probability
+        };
+        (0..events).map(fired).sum::<f64>() + (0..now[0].quiet.len()).map(silent).sum::<f64>()
+    };
+    for (k, found) in found.iter().enumerate() {
+        let expected = density(k) - density(2);
+        assert!((found - expected).abs() < 1e-6 * expected.abs().max(1.0), "{found} is {expected}");
+    }
+}
+
+#[test]
+fn no_event_counts_as_the_probability_of_none() {
+    let noise = Noise::new((0.0, 0.0));
+    let event = |z: f64, polarity: f64| {
+        let blank = PredictedEvent { threshold: 0.2, polarity, ..PredictedEvent::default() };
+        let deviation = noise.event_variance(&blank).sqrt();
+        (PredictedEvent { excess: polarity * z * deviation, ..blank }, deviation)
+    };
+    // Tables of the normal distribution: log Phi(-z); beyond them the losses of one in a thousand.
+    for (z, log_probability) in [(-3.0, -0.00135), (0.5, -1.17591), (1.0, -1.84102), (2.0, -3.78319)] {
+        for polarity in [1.0, -1.0] {
+            let (plain, deviation) = event(z, polarity);
+            let found = noise.quiet_term(&plain);
+            let with_losses = libm::log(0.999 * libm::exp(log_probability) + 0.001);
+            assert!((found.log_probability - with_losses).abs() < 1e-4, "{z}: {}", found.log_probability);
+            // Gradient and curvature of -log Phi(-z), by differences.
+            let minus_log = |z: f64| -libm::log(0.5 * libm::erfc(z / 2.0_f64.sqrt()));
+            let (up, down) = (minus_log(z + 1e-3), minus_log(z - 1e-3));
+            let (first, second) = ((up - down) / 2e-3, (up + down - 2.0 * minus_log(z)) / 1e-6);
+            assert!(
+                (polarity * found.residual * found.weight * deviation - first).abs() < 1e-4 * (1.0 + first)
+            );
+            if z > -1.0 {
+                assert!((found.weight * deviation * deviation - second).abs() < 1e-3, "{z}");
+            }
+        }
+    }
+    assert!(noise.quiet_term(&event(50.0, 1.0).0).log_probability > libm::log(0.9e-3));
+    // Where the function of errors is nothing to rounding, its expansion goes on.
+    let (near, far) = (noise.quiet_term(&event(7.99, 1.0).0), noise.quiet_term(&event(8.01, 1.0).0));
+    assert!((near.weight / far.weight - 1.0).abs() < 0.02);
+    assert!((near.residual * near.weight / (far.residual * far.weight) - 1.0).abs() < 0.01);
+}
+
+#[test]
+fn events_are_no_more_probable_on_a_scene_of_less_contrast() {
+    // Voltages and thresholds a tenth of what they are: times are as probable as before.
+    let light = |by: f64| {
+        let event = PredictedEvent {
+            threshold: 0.2 * by,
+            excess: 0.003 * by,
+            slope_per_s: 50.0 * by,
+            rise_per_s: 40.0 * by,
+            polarity: 1.0,
+            ..PredictedEvent::default()
+        };
+        Noise::new((0.0, 0.0)).log_density_left_out(&event, 0.3)
+    };
+    assert!((light(1.0) - light(0.1)).abs() < 1e-12);
 }
 
 #[test]

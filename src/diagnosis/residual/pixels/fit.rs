@@ -11,15 +11,23 @@ use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::pixels::{
     Block, Noise, PixelLight, Predicted, PredictedEvent, PredictedFrame, frame_noise,
 };
-use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional};
 use photocurrent_sensor::map::MapFrame;
 use rayon::prelude::*;
 
 /// Light is predicted this often, ns; a knot every so many.
 pub(super) const STEP_NS: i64 = 100_000;
-const PER_KNOT: usize = 10;
+const PER_KNOT: usize = 5;
 /// Events this soon after the begin have no reference that is known, ns.
 const SETTLING_NS: i64 = 2_000_000;
+/// Between events the voltage is held below its threshold this often, ns; and below that of the next event
+/// only so long before it.
+const QUIET_NS: i64 = 500_000;
+const SOON_NS: i64 = 1_000_000;
+/// And where it comes this near, as a share of a threshold.
+const NEAR: f64 = 0.2;
+/// Noise is a share of thresholds, which are at least this share of the stated ones.
+const LEAST_THRESHOLD: f64 = 0.1;
 /// Rounds of light between corrections of a size.
 const ROUNDS_EACH: usize = 3;
 /// Standard errors are this much larger than the information has them: what sound recordings show.
@@ -36,7 +44,19 @@ pub(super) struct Ground<'a> {
     pub events: Vec<Vec<usize>>,
     /// And of its frames, with about how bright each is, DN above black.
     frames: Vec<Vec<(usize, f64)>>,
+    /// Of each pixel the instants without an event.
+    quiet: Vec<Vec<QuietInstant>>,
     begin: PixelLight,
+}
+
+/// An instant at which a pixel has no event.
+#[derive(Clone, Copy, Debug)]
+struct QuietInstant {
+    t_ns: i64,
+    /// The event before it.
+    after: usize,
+    /// Polarity of an event that follows so soon that its own voltage is the closer bound; 0: none.
+    before: i8,
 }
 
 /// What a sensor makes of a pixel's measurements, in the order of [`Ground`].
@@ -46,6 +66,9 @@ pub(super) struct Rows {
     /// In the direction of the event, ln/s.
     pub slope_per_s: Vec<f64>,
     pub dn: Vec<f64>,
+    /// By how much the voltage lies beyond the ON threshold, and beyond the OFF threshold, where no event
+    /// fired, natural-log units; minus infinity while the pixel is held.
+    pub quiet: Vec<[f64; 2]>,
 }
 
 impl<'a> Ground<'a> {
@@ -60,7 +83,8 @@ impl<'a> Ground<'a> {
         }
         let noise = Noise::new(frame_noise(case, nominal));
         let begin = PixelLight::begin(case, nominal, blocks, (STEP_NS, PER_KNOT), noise);
-        let mut ground = Ground { case, nominal, scales, events: Vec::new(), frames: Vec::new(), begin };
+        let (events, frames, quiet) = (Vec::new(), Vec::new(), Vec::new());
+        let mut ground = Ground { case, nominal, scales, events, frames, quiet, begin };
         let stated = Prepared::new(case, &Trial::stated(nominal))?;
         let light = ground.begin.light(case);
         let pixels = ground.begin.pixels().to_vec();
@@ -69,7 +93,7 @@ impl<'a> Ground<'a> {
         let counted = |pixel: &u32| -> (Vec<usize>, Vec<usize>) {
             let pixel = *pixel as usize;
             let frames = frames_of(case, nominal, pixel);
-            let out = through(&view, &stated, pixel, &frames, &mut Around::default());
+            let out = through(&view, &stated, pixel, (&frames, &[]), &mut Around::default());
             let events = case.events.of(pixel);
             let counts = |k: &usize| {
                 out.is_armed[*k]
@@ -89,6 +113,7 @@ impl<'a> Ground<'a> {
         for (place, (events, frames)) in counted.into_iter().enumerate() {
             ground.events.push(events);
             ground.frames.push(frames.into_iter().map(|l| (l, signals[place][l])).collect());
+            ground.quiet.push(instants(case, nominal, pixels[place] as usize));
         }
         Ok(ground)
     }
@@ -138,7 +163,7 @@ fn through(
     view: &View<'_>,
     prepared: &Prepared,
     pixel: usize,
-    frames: &[MapFrame],
+    (frames, quiet_ns): (&[MapFrame], &[i64]),
     around: &mut Around,
 ) -> Conditional {
     let instants: Vec<i64> = (0..view.light.count).map(|k| view.light.instant(k)).collect();
@@ -152,10 +177,40 @@ fn through(
         seen: seen.as_deref(),
         events: &events,
         frames,
+        quiet_ns,
     };
     let mut out = Conditional::default();
     conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
     out
+}
+
+/// By how much the voltage lies beyond the ON threshold and beyond the OFF threshold.
+fn beyond(quiet: &Quiet) -> [f64; 2] {
+    if !quiet.is_armed {
+        return [f64::NEG_INFINITY; 2];
+    }
+    [quiet.level - quiet.thresholds.on, -quiet.level - quiet.thresholds.off]
+}
+
+/// Instants of a pixel without an event.
+fn instants(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<QuietInstant> {
+    let events = case.events.of(pixel);
+    let mut found = Vec::new();
+    for (after, event) in events.iter().enumerate() {
+        if event.t_in_ns <= case.span.0 + SETTLING_NS {
+            continue;
+        }
+        let next = events.get(after + 1);
+        let begin_ns = event.t_off_ns + nominal.pixel.refractory_ns + STEP_NS;
+        let end_ns = next.map_or(case.span.1 - 3 * STEP_NS, |next| next.t_in_ns);
+        let mut t_ns = begin_ns.div_euclid(QUIET_NS) * QUIET_NS + QUIET_NS;
+        while t_ns < end_ns {
+            let before = next.filter(|next| next.t_in_ns - t_ns < SOON_NS).map_or(0, |next| next.polarity);
+            found.push(QuietInstant { t_ns, after, before });
+            t_ns += QUIET_NS;
+        }
+    }
+    found
 }
 
 /// Light of the pixels under a sensor.
@@ -175,8 +230,8 @@ pub(super) struct Exact<'a> {
     /// Standard error of it.
     pub error: f64,
     pub fit: Fit<'a>,
-    /// Of each event of each pixel, nats.
-    pub left_out: Vec<Vec<f64>>,
+    /// Of each pixel, nats.
+    pub left_out: Vec<f64>,
 }
 
 impl<'a> Fit<'a> {
@@ -195,11 +250,12 @@ impl<'a> Fit<'a> {
         let Ground { case, nominal, .. } = *self.ground;
         let prepared = Prepared::new(case, trial)?;
         let view = View { case, light, pixels: Vec::new(), is_known: true };
-        let of = |pixel: &u32| {
+        let of = |(pixel, quiet): (&u32, &Vec<QuietInstant>)| {
             let frames = frames_of(case, nominal, *pixel as usize);
-            through(&view, &prepared, *pixel as usize, &frames, &mut Around::default())
+            let quiet_ns: Vec<i64> = quiet.iter().map(|instant| instant.t_ns).collect();
+            through(&view, &prepared, *pixel as usize, (&frames, &quiet_ns), &mut Around::default())
         };
-        Ok(self.light.pixels().par_iter().map(of).collect())
+        Ok(self.light.pixels().par_iter().zip(&self.ground.quiet).map(of).collect())
     }
 
     /// The same with what a round needs.
@@ -233,14 +289,19 @@ impl<'a> Fit<'a> {
         (0..times).try_for_each(|_| self.settle(ROUNDS_EACH))
     }
 
-    /// Log density of each event when the light is estimated from everything else, nats.
-    pub(super) fn left_out(&self) -> Result<Vec<Vec<f64>>, String> {
+    /// Log density of each pixel's events when the light is estimated from everything else, nats.
+    pub(super) fn left_out(&self) -> Result<Vec<f64>, String> {
         Ok(self.light.left_out(&self.predicted()?))
     }
 
     /// The trial with an effect of a size beyond those that it has.
     pub(super) fn with(&self, candidate: usize, effect_size: f64) -> Trial {
         self.trial.and(&CANDIDATES[candidate], effect_size, self.ground.scales)
+    }
+
+    /// Does the trial mix the light of neighbours, with weights that bend where its size is nothing?
+    pub(super) fn is_mixing(&self, trial: &Trial) -> bool {
+        Prepared::new(self.ground.case, trial).is_ok_and(|prepared| prepared.kernel().is_some())
     }
 
     /// The size of an effect that the trial has; 0 where it has none.
@@ -280,7 +341,7 @@ impl<'a> Fit<'a> {
 }
 
 /// Sizes within physics.
-fn bounded(candidate: usize, effect_size: f64) -> f64 {
+pub(super) fn bounded(candidate: usize, effect_size: f64) -> f64 {
     let most = LARGEST_EFFECT_SIZE;
     let least = if CANDIDATES[candidate].signs == Signs::Both { -most } else { 1e-3 };
     effect_size.clamp(least, most)
@@ -288,13 +349,14 @@ fn bounded(candidate: usize, effect_size: f64) -> f64 {
 
 impl Exact<'_> {
     /// Takes the place of a first size and gain; `level`: densities without the effect.
-    pub(super) fn replace(&self, one: &mut Ranked, level: &[Vec<f64>], ground: &Ground<'_>) {
+    pub(super) fn replace(&self, one: &mut Ranked, level: &[f64], ground: &Ground<'_>) {
         let gains: Vec<f64> = self
             .left_out
             .iter()
             .zip(level)
-            .filter(|(of, _)| of.len() >= FEWEST_OF_PIXEL)
-            .map(|(with, without)| with.iter().zip(without).map(|(a, b)| a - b).sum())
+            .zip(&ground.events)
+            .filter(|(_, events)| events.len() >= FEWEST_OF_PIXEL)
+            .map(|((with, without), _)| with - without)
             .collect();
         let events = ground.events() as f64;
         let sum: f64 = gains.iter().sum();
@@ -317,20 +379,58 @@ impl Ground<'_> {
             excess: self.events[place].iter().map(|k| out.excess[*k]).collect(),
             slope_per_s: self.events[place].iter().map(slope).collect(),
             dn: self.frames[place].iter().map(|(l, _)| out.dn[*l]).collect(),
+            quiet: out.quiet.iter().map(beyond).collect(),
         }
+    }
+
+    /// The instants of a pixel without an event that bear on its light: of each stretch between events and
+    /// each polarity that at which an event is nearest, and only where it is near.
+    pub(super) fn silent(&self, place: usize, rows: &Rows) -> Vec<(usize, usize)> {
+        let threshold = self.scales.threshold;
+        let instants = &self.quiet[place];
+        let mut chosen: Vec<(usize, usize)> = Vec::new();
+        let mut begin = 0;
+        while begin < instants.len() {
+            let after = instants[begin].after;
+            let end = begin + instants[begin..].iter().take_while(|one| one.after == after).count();
+            for (side, polarity) in [(0, 1), (1, -1)] {
+                let nearest = (begin..end)
+                    .filter(|n| instants[*n].before != polarity && rows.quiet[*n][side] > -NEAR * threshold)
+                    .max_by(|a, b| rows.quiet[*a][side].total_cmp(&rows.quiet[*b][side]));
+                chosen.extend(nearest.map(|n| (n, side)));
+            }
+            begin = end;
+        }
+        chosen
     }
 
     fn predicted(&self, place: usize, light: &PixelLight, out: &Conditional) -> Predicted {
         let pixel = light.pixels()[place] as usize;
         let (events, frames) = (self.case.events.of(pixel), frames_of(self.case, self.nominal, pixel));
-        let thresholds = (self.nominal.pixel.threshold_on, self.nominal.pixel.threshold_off);
+        let least = LEAST_THRESHOLD * self.scales.threshold;
         let event = |&k: &usize| PredictedEvent {
             t_ns: out.fired_ns[k],
             reference_ns: out.reference_ns[k],
             polarity: f64::from(events[k].polarity),
-            threshold: if events[k].polarity > 0 { thresholds.0 } else { thresholds.1 },
+            threshold: f64::max(out.threshold[k], least),
             excess: out.excess[k],
             slope_per_s: libm::hypot(out.slope_per_s[k], out.slope_per_s[k - 1]),
+            rise_per_s: f64::from(events[k].polarity) * out.slope_per_s[k],
+        };
+        let rows = self.rows(place, light, out);
+        let quiet = |(n, side): (usize, usize)| {
+            let instant = &out.quiet[n];
+            let (polarity, threshold) =
+                if side == 0 { (1.0, instant.thresholds.on) } else { (-1.0, instant.thresholds.off) };
+            PredictedEvent {
+                t_ns: instant.t_ns,
+                reference_ns: instant.reference_ns,
+                polarity,
+                threshold: f64::max(threshold, least),
+                excess: polarity * rows.quiet[n][side],
+                slope_per_s: instant.slope_per_s.abs(),
+                rise_per_s: polarity * instant.slope_per_s,
+            }
         };
         let frame = |&(l, signal_dn): &(usize, f64)| PredictedFrame {
             start_ns: frames[l].start_ns,
@@ -343,6 +443,7 @@ impl Ground<'_> {
             gain: self.nominal.number.gain,
             frames: self.frames[place].iter().map(frame).collect(),
             events: self.events[place].iter().map(event).collect(),
+            quiet: self.silent(place, &rows).into_iter().map(quiet).collect(),
         }
     }
 }

@@ -3,9 +3,11 @@
 //!
 //! 1. Blocks of pixels with many events, spread over the array, and the busiest 0.15 s (`choose`).
 //! 2. Light, its prior and the noise with the description as it is (`fit`).
-//! 3. Score and information of every effect, summed over pixels: a first size and gain for each (`score`).
+//! 3. Score and information of every effect, summed over pixels: a first size for each, and its gain when the
+//!    light follows by one step (`score`).
 //! 4. The best are fitted exactly: light and size in turn, and the description for as many rounds; the gain
-//!    is that of each event's density when the light is estimated from everything else.
+//!    is that of each event's density in time when the light is estimated from everything else, and of the
+//!    probability that none fired between events.
 //! 5. With the best one applied, score and information of all others with its own size free.
 
 mod choose;
@@ -28,28 +30,17 @@ const CORRECTIONS: usize = 3;
 /// The same of a second effect.
 const CORRECTIONS_OF_SECOND: usize = 2;
 /// So many effects are fitted exactly by their gain, and so many by the agreement of places.
-const BY_GAIN: usize = 5;
-const BY_AGREEMENT: usize = 2;
+const BY_GAIN: usize = 6;
+const BY_AGREEMENT: usize = 3;
 /// And so many second ones.
 const SECOND: usize = 2;
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.
 const EXPLAINED: f64 = 0.02;
-/// Effects that change how far light swings between events and frames: where edges are sharper than the
-/// spline, its contrast errs and they gain.
-const OF_CONTRAST: [&str; 7] = [
-    "threshold_scale",
-    "threshold_drift",
-    "threshold_gradient",
-    "black_level",
-    "frame_nonlinearity",
-    "dark_current",
-    "large_signal_front_end",
-];
-/// So much of what they gain is taken for that: sound recordings of the training set (`photocurrent-calibrate
-/// --scene pixels`) gain up to 0.7 nats an event by them, and up to 0.25 by others.
-const ERRING_CONTRAST: f64 = 0.75;
+/// Of a gain so many standard errors are no sign of anything.
+const BY_CHANCE: f64 = 2.0;
+
 /// Evidence on the light of pixels.
 ///
 /// # Errors
@@ -87,7 +78,7 @@ pub fn evidence(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
     Ok(Evidence {
         scene: KINDS[3].to_owned(),
         span_ns,
-        nats_per_event: mean(&level),
+        nats_per_event: level.iter().sum::<f64>() / events as f64,
         share: events as f64 / case.events.len() as f64,
         explained: explained(left / MEDIAN_T),
         events,
@@ -109,19 +100,25 @@ fn explained(share: f64) -> f64 {
     2.0 * probability_t(EXPLAINED / share) - 1.0
 }
 
+/// Is a front end described as slower than with this effect? Light that it need not sharpen is smoother, and
+/// so more probable: where edges pass fast, recordings without a fault gain up to 0.4 nats an event by it.
+fn is_faster(one: &Ranked) -> bool {
+    match CANDIDATES[one.candidate].id {
+        "time_constant" => one.effect_size < 0.0,
+        id => id == "large_signal_front_end",
+    }
+}
+
 /// Exact fits in the places of first sizes and gains, best first; `level`: densities of events without them.
-fn replace(exact: &[Exact<'_>], list: &mut [Ranked], level: &[Vec<f64>], ground: &Ground<'_>) {
+fn replace(exact: &[Exact<'_>], list: &mut [Ranked], level: &[f64], ground: &Ground<'_>) {
     for found in exact {
         list.iter_mut()
             .filter(|one| one.candidate == found.candidate)
             .for_each(|one| found.replace(one, level, ground));
     }
     for one in list.iter_mut() {
-        let candidate = &CANDIDATES[one.candidate];
-        one.is_material = candidate.is_material(ground.case, ground.nominal, one.value);
-        if OF_CONTRAST.contains(&candidate.id) {
-            one.control_gain = ERRING_CONTRAST * one.gain.max(0.0);
-        }
+        one.is_material = CANDIDATES[one.candidate].is_material(ground.case, ground.nominal, one.value);
+        one.control_gain = if is_faster(one) { f64::max(one.gain, 0.0) } else { BY_CHANCE * one.gain_error };
     }
     list.sort_by(Ranked::by_gain);
 }
@@ -157,11 +154,7 @@ fn ranked(scored: &Scored, ground: &Ground<'_>) -> Vec<Ranked> {
             effect_size: size,
             error: ERRORS / information.sqrt(),
             value: kind.value(size, scales, nominal),
-            gain: if is_physics(candidate, size) {
-                0.5 * size * size * information / events as f64
-            } else {
-                0.0
-            },
+            gain: if is_physics(candidate, size) { scored.gains[n] / events as f64 } else { 0.0 },
             information: information / (ERRORS * ERRORS * events as f64),
             unit: kind.value(1.0, scales, nominal) - kind.nominal_value(nominal),
             ..Ranked::default()
@@ -189,12 +182,6 @@ fn worth_fitting(ranked: &[Ranked], scored: &Scored) -> Vec<usize> {
         }
     }
     chosen
-}
-
-fn mean(values: &[Vec<f64>]) -> f64 {
-    let (sum, count) =
-        values.iter().flatten().fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
-    sum / f64::max(count, 1.0)
 }
 
 #[cfg(test)]

@@ -1,14 +1,23 @@
 //! Efficient scores of effects, summed over pixels.
 
 use super::super::table::probe;
-use super::fit::{FEWEST_OF_PIXEL, Fit, Rows, STEP_NS};
-use photocurrent_scene::pixels::{LEAST_RISE, Score};
+use super::fit::{FEWEST_OF_PIXEL, Fit, Rows, STEP_NS, bounded};
+use crate::candidates::{CANDIDATES, Signs};
+use photocurrent_scene::pixels::{LEAST_RISE, Predicted, Score};
 use std::collections::BTreeMap;
 
 /// Side of the blocks whose scores are compared, pixels.
 const SIDE: u32 = 4;
 /// An effect that the light takes over but for this share is not seen.
 const ABSORBED: f64 = 1e-9;
+
+/// What a sensor makes of all pixels with a step of an effect.
+struct Moved {
+    rows: Vec<Rows>,
+    /// With a step back, where the effect bends at the size that it has; what stands is that without a step.
+    back: Option<Vec<Rows>>,
+    step: f64,
+}
 
 /// Scores of some effects.
 pub(super) struct Scored {
@@ -18,6 +27,8 @@ pub(super) struct Scored {
     pub sizes: Vec<Option<f64>>,
     /// Information on it, the light (and an effect that is free with it) adapted.
     pub information: Vec<f64>,
+    /// What that size gains with a step of the light, nats.
+    pub gains: Vec<f64>,
     /// Best size over the standard error that differences between places show.
     agreement: Vec<f64>,
 }
@@ -44,16 +55,25 @@ impl Fit<'_> {
     pub(super) fn score(&self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
         let light = self.light.light(self.ground.case);
         let base = self.rows(&self.trial, &light)?;
+        let quiet: Vec<Vec<(usize, usize)>> =
+            base.iter().enumerate().map(|(place, rows)| self.ground.silent(place, rows)).collect();
         let mut wanted: Vec<usize> = candidates.to_vec();
         wanted.extend(free);
         let mut kept = Vec::new();
-        let mut moved: Vec<(Vec<Rows>, f64)> = Vec::new();
+        let mut moved: Vec<Moved> = Vec::new();
         for candidate in wanted {
             let (step, from) = (probe(candidate), self.size_of(candidate));
             // One that cannot be combined with what is there is no candidate.
-            if let Ok(rows) = self.rows(&self.with(candidate, from + step), &light) {
+            let with = self.with(candidate, from + step);
+            if let Ok(rows) = self.rows(&with, &light) {
+                let is_two_sided = CANDIDATES[candidate].signs == Signs::Both && self.is_mixing(&with);
+                let back = match is_two_sided {
+                    true => self.rows(&self.with(candidate, from - step), &light).ok(),
+                    false => None,
+                };
+                let step = if back.is_some() { 2.0 * step } else { step };
                 kept.push(candidate);
-                moved.push((rows, step));
+                moved.push(Moved { rows, back, step });
             }
         }
         let effects = kept.len();
@@ -64,11 +84,16 @@ impl Fit<'_> {
         let of_pixel = |place: usize| -> Vec<f32> {
             let plain = &base[place];
             let (frames, events) = (plain.dn.len(), plain.excess.len());
-            let mut columns = vec![0.0; (frames + 2 * events) * effects];
-            for (k, (rows, step)) in moved.iter().enumerate() {
-                let with = &rows[place];
+            let mut columns = vec![0.0; (frames + 2 * events + quiet[place].len()) * effects];
+            for (k, Moved { rows, back, step }) in moved.iter().enumerate() {
+                let (with, plain) = (&rows[place], back.as_ref().map_or(plain, |back| &back[place]));
                 let mut put = |row: usize, change: f64| columns[row * effects + k] = (change / step) as f32;
                 (0..frames).for_each(|l| put(l, with.dn[l] - plain.dn[l]));
+                for (row, (n, side)) in quiet[place].iter().enumerate() {
+                    let change = with.quiet[*n][*side] - plain.quiet[*n][*side];
+                    let sign = if *side == 0 { 1.0 } else { -1.0 };
+                    put(frames + 2 * events + row, if change.is_finite() { sign * change } else { 0.0 });
+                }
                 for e in 0..events {
                     put(frames + e, with.excess[e] - plain.excess[e]);
                     put(
@@ -80,9 +105,36 @@ impl Fit<'_> {
             columns
         };
         let columns: Vec<Vec<f32>> = (0..base.len()).map(of_pixel).collect();
-        let scores = self.light.score(&self.predicted()?, &columns, effects);
+        let predicted = self.predicted()?;
+        let scores = self.light.score(&predicted, &columns, effects);
         let is_with_free = free.is_some() && kept.last().copied() == free;
-        Ok(self.summed(kept, is_with_free, &scores))
+        let mut scored = self.summed(kept, is_with_free, &scores);
+        scored.gains = self.gains(&scored, effects, &predicted, &columns);
+        Ok(scored)
+    }
+
+    /// What each of `effects` columns gains at its best size with a step of the light, nats.
+    fn gains(
+        &self,
+        scored: &Scored,
+        effects: usize,
+        predicted: &[Predicted],
+        columns: &[Vec<f32>],
+    ) -> Vec<f64> {
+        let size = |k: usize| {
+            let (candidate, size) = (scored.candidates.get(k)?, scored.sizes.get(k).copied().flatten()?);
+            let from = self.size_of(*candidate);
+            Some(bounded(*candidate, from + size) - from)
+        };
+        let sizes: Vec<f64> = (0..effects).map(|k| size(k).unwrap_or(0.0)).collect();
+        let mut gains = vec![0.0; effects];
+        let of_pixels = self.light.gains(predicted, columns, &sizes);
+        for (found, events) in of_pixels.iter().zip(&self.ground.events) {
+            if let Some(found) = found.as_ref().filter(|_| events.len() >= FEWEST_OF_PIXEL) {
+                gains.iter_mut().zip(found).for_each(|(to, gain)| *to += gain);
+            }
+        }
+        gains
     }
 
     fn summed(&self, candidates: Vec<usize>, is_with_free: bool, scores: &[Option<Score>]) -> Scored {
@@ -139,6 +191,7 @@ impl Fit<'_> {
             scored.1.pop();
             scored.2.pop();
         }
-        Scored { candidates, sizes: scored.0, information: scored.1, agreement: scored.2 }
+        let gains = Vec::new();
+        Scored { candidates, sizes: scored.0, information: scored.1, gains, agreement: scored.2 }
     }
 }

@@ -64,6 +64,19 @@ fn nothing_is_claimed_of_a_sound_recording() {
 }
 
 #[test]
+fn a_ball_that_passes_within_a_millisecond_gains_nothing_by_other_thresholds() {
+    // Light that may swing further where no event is, and densities in volts, gained 0.7 nats an event here
+    // by thresholds of half their size.
+    let case = MadeUp::of_any(7, 98, Extent { width: 64, height: 48 }, 0.12).recording().unwrap();
+    let found = evidence(&case, &case.nominal().unwrap()).unwrap();
+    let thresholds = ["threshold_scale", "threshold_drift", "threshold_gradient", "black_level"];
+    let fitted = found.ranked.iter().filter(|one| one.is_exact);
+    let of_thresholds = fitted.filter(|one| thresholds.contains(&CANDIDATES[one.candidate].id));
+    let gains: Vec<f64> = of_thresholds.map(Ranked::beyond).collect();
+    assert!(!gains.is_empty() && gains.iter().all(|gain| *gain < 0.0), "{gains:?}");
+}
+
+#[test]
 fn effects_are_named_with_their_sizes_where_nothing_moves_as_one() {
     for (id, parameter, size) in [("leak_events", "rate", 1.0), ("threshold_asymmetry", "fraction", -0.7)] {
         let case = recording(Some((id, parameter, size)));
