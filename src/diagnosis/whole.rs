@@ -135,7 +135,7 @@ pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting:
 }
 
 /// A picture that leaves less than this share of a threshold decides alone: as it does of textures whose
-/// frames have no noise. With noise of some DN it leaves 0.03 to 0.09, and small effects do not show.
+/// frames have no noise. Not calibrated, like `most_silent`.
 const LEAVES_LITTLE: f64 = 0.03;
 
 /// Does a scene explain what it leaves well enough to decide without another one?

@@ -178,14 +178,18 @@ impl PixelLight {
         self.newton(predicted, false);
     }
 
+    /// The work on every pixel, in their order; `work` also takes the pixel's place.
+    fn each<T: Send>(
+        &self,
+        predicted: &[Predicted],
+        work: impl Fn(&mut Work, &OfPixel<'_>, usize) -> T + Sync,
+    ) -> Vec<T> {
+        let of = |room: &mut Work, (place, predicted)| work(room, &self.of(place, predicted), place);
+        predicted.par_iter().enumerate().map_init(Work::default, of).collect()
+    }
+
     fn newton(&mut self, predicted: &[Predicted], is_measured: bool) -> Vec<Option<Step>> {
-        let steps: Vec<Option<Step>> = predicted
-            .par_iter()
-            .enumerate()
-            .map_init(Work::default, |work, (place, predicted)| {
-                work.step(&self.of(place, predicted), is_measured)
-            })
-            .collect();
+        let steps = self.each(predicted, |work, of, _| work.step(of, is_measured));
         let of_pixel = self.coefficients.chunks_mut(self.splines.coefficients());
         for (to, step) in of_pixel.zip(&steps) {
             step.iter().for_each(|step| to.copy_from_slice(&step.coefficients));
@@ -214,13 +218,7 @@ impl PixelLight {
     /// `columns`: for each pixel what an effect size of 1 changes of its frame values, its events' excesses,
     /// the logarithms of the slopes at its events, and excesses where none fired, `effects` values for each.
     pub fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
-        predicted
-            .par_iter()
-            .enumerate()
-            .map_init(Work::default, |work, (place, predicted)| {
-                work.score(&self.of(place, predicted), &columns[place], effects)
-            })
-            .collect()
+        self.each(predicted, |work, of, place| work.score(of, &columns[place], effects))
     }
 
     /// What effects of a size each gain from each pixel, nats: as [`PixelLight::left_out`] with a Newton step
@@ -232,13 +230,7 @@ impl PixelLight {
         columns: &[Vec<f32>],
         sizes: &[f64],
     ) -> Vec<Option<Vec<f64>>> {
-        predicted
-            .par_iter()
-            .enumerate()
-            .map_init(Work::default, |work, (place, predicted)| {
-                work.gains(&self.of(place, predicted), &columns[place], sizes)
-            })
-            .collect()
+        self.each(predicted, |work, of, place| work.gains(of, &columns[place], sizes))
     }
 
     /// Of each pixel the log density of its events' times when the light is estimated from everything else,
@@ -249,11 +241,7 @@ impl PixelLight {
     /// Influence in Regression, 1982).
     pub fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
         let of = |(predicted, leverages): (&Predicted, &Vec<f64>)| {
-            let events = predicted.events.iter().zip(leverages);
-            let fired: f64 =
-                events.map(|(event, leverage)| self.noise.log_density_left_out(event, *leverage)).sum();
-            let silent = predicted.quiet.iter().map(|quiet| self.noise.quiet_term(quiet).log_probability);
-            fired + silent.sum::<f64>()
+            self.noise.log_density(predicted, leverages, |_| [0.0; 2], |_| 0.0)
         };
         predicted.iter().zip(&self.leverage).map(of).collect()
     }

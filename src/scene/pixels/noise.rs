@@ -18,6 +18,8 @@ const STAMP_S: f64 = 20e-6;
 const MOST_LEVERAGE: f64 = 0.999;
 /// Slower rises than this, thresholds a second, count as it.
 const LEAST_RISE_PER_S: f64 = 10.0;
+/// The logarithm of a rise changes by no more than this with an effect.
+const MOST_OF_RISE: f64 = 1.0;
 /// Share of events that a recording lacks, by which an instant without one may be missing one.
 const LOST: f64 = 1e-3;
 /// Beyond so many standard deviations a tail of the normal distribution is taken from its expansion.
@@ -105,6 +107,29 @@ impl Noise {
             scale = relative.iter().map(weighted).sum::<f64>() / relative.len() as f64;
         }
         self.threshold_share = (self.threshold_share * scale.sqrt()).clamp(SHARES.0, SHARES.1);
+    }
+
+    /// Log densities of a pixel's events' times, each left out, and of none between them, nats. `event`: by
+    /// how much the excess of each event and the logarithm of its rise change; `quiet`: the excess of each
+    /// instant without one.
+    pub(super) fn log_density(
+        &self,
+        predicted: &Predicted,
+        leverage: &[f64],
+        event: impl Fn(usize) -> [f64; 2],
+        quiet: impl Fn(usize) -> f64,
+    ) -> f64 {
+        let fired = |(k, (of, leverage)): (usize, (&PredictedEvent, &f64))| {
+            let [excess, log_rise] = event(k);
+            let rise_per_s = of.rise_per_s * libm::exp(log_rise.clamp(-MOST_OF_RISE, MOST_OF_RISE));
+            let of = PredictedEvent { excess: of.excess + excess, rise_per_s, ..*of };
+            self.log_density_left_out(&of, *leverage)
+        };
+        let none = |(k, of): (usize, &PredictedEvent)| {
+            self.quiet_term(&PredictedEvent { excess: of.excess + quiet(k), ..*of }).log_probability
+        };
+        predicted.events.iter().zip(leverage).enumerate().map(fired).sum::<f64>()
+            + predicted.quiet.iter().enumerate().map(none).sum::<f64>()
     }
 
     /// Log density of an event's excess, nats, when the light was estimated with it and the event has a

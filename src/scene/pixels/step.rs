@@ -4,14 +4,12 @@
 use super::envelope::{Envelope, InverseRoom, dot};
 use super::noise::{NU, Noise};
 use super::path::{Path, Rows, Splines};
-use super::predicted::{Predicted, PredictedEvent};
+use super::predicted::Predicted;
 
 /// Frame values count half at this many standard deviations.
 const ROBUST: f64 = 4.0;
 /// The voltage rises by at least this share of a threshold over an instant before an event.
 pub const LEAST_RISE: f64 = 0.01;
-/// And its logarithm changes by no more with an effect.
-const MOST_OF_RISE: f64 = 1.0;
 /// No coefficient moves by more in a step, natural-log units.
 const LONGEST_STEP: f64 = 0.6;
 /// Added to every diagonal element: natural-log units to the power of -2.
@@ -208,12 +206,18 @@ impl Work {
             step.decided
                 .push((1.0 - self.envelope.square_of(k, &[1.0, -2.0, 1.0]) / variance).clamp(0.0, 1.0));
         }
-        let events = &self.events;
-        let left = |k: usize| self.envelope.square_of(events.from[k], events.row(k));
-        step.event_variance = (0..events.len()).map(left).collect();
-        let weights = &self.weight[of.predicted.frames.len()..];
-        step.leverage = step.event_variance.iter().zip(weights).map(|(left, weight)| left * weight).collect();
+        (step.event_variance, step.leverage) = self.events_left();
         Some(step)
+    }
+
+    /// Of each event the variance that the measurements leave of its voltage difference, and its leverage;
+    /// of an inverse.
+    fn events_left(&self) -> (Vec<f64>, Vec<f64>) {
+        let left = |(k, weight): (usize, &f64)| {
+            let variance = self.envelope.square_of(self.events.from[k], self.events.row(k));
+            (variance, variance * weight)
+        };
+        self.weight[self.frames.len()..].iter().enumerate().map(left).unzip()
     }
 
     /// Score of effects; `columns`: what each changes of frame values, of events' excesses and of the
@@ -269,7 +273,7 @@ impl Work {
         if !self.enter(of) {
             return None;
         }
-        let effects = sizes.len();
+        let (effects, frames, events) = (sizes.len(), self.frames.len(), self.events.len());
         // Behind the effects the light without one.
         let mut steps = vec![self.gradient.clone(); effects + 1];
         for r in 0..self.measurements() {
@@ -287,6 +291,7 @@ impl Work {
             self.envelope.backward(step);
         }
         self.envelope.invert(&mut self.inverse);
+        let (_, leverage) = self.events_left();
         let density = |k: usize| {
             let size = sizes.get(k).copied().unwrap_or(0.0);
             let moved = |r: usize| {
@@ -295,31 +300,11 @@ impl Work {
                 let of_light = dot(row, &steps[k][from..from + row.len()]);
                 by - if is_rise { weight * of_light } else { of_light }
             };
-            self.density(of, moved)
+            let event = |k: usize| [moved(frames + k), moved(frames + events + k)];
+            of.noise.log_density(of.predicted, &leverage, event, |k| moved(frames + 2 * events + k))
         };
         let without = density(effects);
         Some((0..effects).map(|k| density(k) - without).collect())
-    }
-
-    /// Log densities of the events' times, each left out, and of none between, nats; `moved`: by how much
-    /// each measurement's prediction changes.
-    fn density(&self, of: &OfPixel<'_>, moved: impl Fn(usize) -> f64) -> f64 {
-        let OfPixel { noise, predicted, .. } = *of;
-        let (frames, events) = (predicted.frames.len(), predicted.events.len());
-        let fired = |(k, event): (usize, &PredictedEvent)| {
-            let leverage =
-                self.weight[frames + k] * self.envelope.square_of(self.events.from[k], self.events.row(k));
-            let of_rise = moved(frames + events + k).clamp(-MOST_OF_RISE, MOST_OF_RISE);
-            let rise = event.rise_per_s * libm::exp(of_rise);
-            let excess = event.excess + moved(frames + k);
-            noise.log_density_left_out(&PredictedEvent { excess, rise_per_s: rise, ..*event }, leverage)
-        };
-        let silent = |(k, quiet): (usize, &PredictedEvent)| {
-            let excess = quiet.excess + moved(frames + 2 * events + k);
-            noise.quiet_term(&PredictedEvent { excess, ..*quiet }).log_probability
-        };
-        predicted.events.iter().enumerate().map(fired).sum::<f64>()
-            + predicted.quiet.iter().enumerate().map(silent).sum::<f64>()
     }
 
     /// Number of measurements: frame values, events, their rises, instants without one.

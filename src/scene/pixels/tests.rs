@@ -3,6 +3,7 @@
 use super::path::{Path, Rows};
 use super::*;
 use crate::testing;
+use nalgebra::{DMatrix, DVector};
 use photocurrent_core::Extent;
 use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional};
 use photocurrent_sensor::front_end::FrontEnd;
@@ -186,7 +187,7 @@ fn light_is_estimated_from_frames_and_events_together() {
 }
 
 /// The light of one pixel after some rounds, what is predicted on it, and what two effects change a little.
-fn lone() -> (PixelLight, Vec<Predicted>, Vec<f32>) {
+fn one_pixel() -> (PixelLight, Vec<Predicted>, Vec<f32>) {
     let case = testing::texture(Extent { width: 6, height: 5 }, 6);
     let mut nominal = case.nominal().unwrap();
     nominal.pixel.front_end = FrontEnd { tau_0_s: 200e-6, alpha_s: 0.0 };
@@ -203,38 +204,55 @@ fn lone() -> (PixelLight, Vec<Predicted>, Vec<f32>) {
     (light, now, columns.collect())
 }
 
+/// Derivatives of a measurement, its weight and its residual.
+type DenseRow = (DVector<f64>, f64, f64);
+
+/// All measurements of a pixel as dense rows with weights and residuals, and with the prior the normal matrix
+/// and the gradient of its light.
+fn dense(light: &PixelLight, now: &Predicted) -> (Vec<DenseRow>, DMatrix<f64>, DVector<f64>) {
+    let count = light.splines.coefficients();
+    let whole = |(from, row, weight, residual): (usize, Vec<f64>, f64, f64)| {
+        let mut whole = DVector::zeros(count);
+        row.iter().enumerate().for_each(|(k, v)| whole[from + k] = *v);
+        (whole, weight, residual)
+    };
+    let rows: Vec<_> = Work::default().rows(&light.of(0, now)).into_iter().map(whole).collect();
+    let second = |k: usize| {
+        let mut second = DVector::zeros(count);
+        (second[k], second[k + 1], second[k + 2]) = (1.0, -2.0, 1.0);
+        let value = second.dot(&DVector::from_column_slice(&light.coefficients));
+        (second, 1.0 / light.variance[k], value)
+    };
+    let (mut normal, mut gradient) = (1e-6 * DMatrix::identity(count, count), DVector::zeros(count));
+    for (row, weight, residual) in rows.iter().cloned().chain((0..count - 2).map(second)) {
+        normal += weight * &row * row.transpose();
+        gradient += weight * residual * row;
+    }
+    (rows, normal, gradient)
+}
+
 #[test]
 fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
-    use nalgebra::{DMatrix, DVector};
-    let (light, now, columns) = lone();
+    let (light, now, columns) = one_pixel();
     let found = light.score(&now, std::slice::from_ref(&columns), 2).pop().unwrap().unwrap();
 
     // All rows in one dense matrix: those of the measurements, of the prior, and the effects' columns next
     // to the light's.
-    let mut work = Work::default();
-    let rows = work.rows(&light.of(0, &now[0]));
+    let (rows, light_alone, of_light) = dense(&light, &now[0]);
     let count = light.splines.coefficients();
-    let mut normal = DMatrix::<f64>::zeros(count + 2, count + 2);
-    let mut gradient = DVector::<f64>::zeros(count + 2);
-    for (r, (from, row, weight, residual)) in rows.iter().enumerate() {
-        let mut whole = DVector::zeros(count + 2);
-        row.iter().enumerate().for_each(|(k, v)| whole[from + k] = *v);
-        (0..2).for_each(|k| whole[count + k] = f64::from(columns[2 * r + k]));
-        normal += *weight * &whole * whole.transpose();
-        gradient += *weight * *residual * whole;
+    let mut normal = light_alone.resize(count + 2, count + 2, 0.0);
+    let mut gradient = of_light.resize_vertically(count + 2, 0.0);
+    for (r, (row, weight, residual)) in rows.iter().enumerate() {
+        let of_effects = DVector::from_fn(2, |k, _| f64::from(columns[2 * r + k]));
+        let mut both = normal.view_mut((count, 0), (2, count));
+        both += *weight * &of_effects * row.transpose();
+        let mut own = normal.view_mut((count, count), (2, 2));
+        own += *weight * &of_effects * of_effects.transpose();
+        let mut of_effect = gradient.rows_mut(count, 2);
+        of_effect += *weight * *residual * of_effects;
     }
-    for k in 0..count - 2 {
-        let second = [1.0, -2.0, 1.0];
-        let c = &light.coefficients[k..k + 3];
-        let value: f64 = second.iter().zip(c).map(|(a, b)| a * b).sum();
-        for i in 0..3 {
-            gradient[k + i] += second[i] * value / light.variance[k];
-            for j in 0..3 {
-                normal[(k + i, k + j)] += second[i] * second[j] / light.variance[k];
-            }
-        }
-    }
-    (0..count).for_each(|k| normal[(k, k)] += 1e-6);
+    let below = normal.view((count, 0), (2, count)).transpose();
+    normal.view_mut((0, count), (count, 2)).copy_from(&below);
     let scale = normal[(count, count)];
     // A block of the inverse is the inverse of the Schur complement, which is the information.
     let inverse = normal.clone().try_inverse().unwrap();
@@ -252,46 +270,26 @@ fn a_score_is_that_of_the_whole_problem_with_the_light_solved_for() {
 
 #[test]
 fn a_gain_is_that_of_the_measurements_when_the_light_follows_an_effect() {
-    use nalgebra::{DMatrix, DVector};
-    let (light, now, columns) = lone();
+    let (light, now, columns) = one_pixel();
     let sizes = [0.004, -0.002];
     let found = light.gains(&now, std::slice::from_ref(&columns), &sizes).pop().unwrap().unwrap();
-    let rows = Work::default().rows(&light.of(0, &now[0]));
-    let count = light.splines.coefficients();
-    let mut normal = DMatrix::<f64>::zeros(count, count);
-    let mut gradient = [DVector::<f64>::zeros(count), DVector::zeros(count), DVector::zeros(count)];
-    let whole = |(from, row, ..): &(usize, Vec<f64>, f64, f64)| {
-        let mut whole = DVector::zeros(count);
-        row.iter().enumerate().for_each(|(k, v)| whole[from + k] = *v);
-        whole
-    };
+    let (rows, normal, alone) = dense(&light, &now[0]);
     let change = |r: usize, k: usize| match k {
         2 => 0.0,
         _ => f64::from(columns[2 * r + k]) * sizes[k],
     };
-    for (r, row) in rows.iter().enumerate() {
-        let of_row = whole(row);
-        normal += row.2 * &of_row * of_row.transpose();
-        for (k, gradient) in gradient.iter_mut().enumerate() {
-            *gradient += row.2 * (row.3 + change(r, k)) * &of_row;
-        }
-    }
-    for k in 0..count - 2 {
-        let mut second = DVector::<f64>::zeros(count);
-        (second[k], second[k + 1], second[k + 2]) = (1.0, -2.0, 1.0);
-        let value = second.dot(&DVector::from_column_slice(&light.coefficients));
-        normal += &second * second.transpose() / light.variance[k];
-        gradient.iter_mut().for_each(|gradient| *gradient += &second * value / light.variance[k]);
-    }
-    (0..count).for_each(|k| normal[(k, k)] += 1e-6);
+    let gradient = |k: usize| {
+        let of_effect = rows.iter().enumerate().map(|(r, (row, weight, _))| weight * change(r, k) * row);
+        of_effect.fold(alone.clone(), |sum, one| sum + one)
+    };
     let inverse = normal.try_inverse().unwrap();
     let (frames, events) = (now[0].frames.len(), now[0].events.len());
     let density = |k: usize| {
-        let step = -&inverse * &gradient[k];
-        let moved = |r: usize| change(r, k) + whole(&rows[r]).dot(&step);
+        let step = -&inverse * gradient(k);
+        let moved = |r: usize| change(r, k) + rows[r].0.dot(&step);
         let fired = |e: usize| {
-            let (event, row) = (now[0].events[e], whole(&rows[frames + e]));
-            let leverage = rows[frames + e].2 * (&inverse * &row).dot(&row);
+            let (event, (row, weight, _)) = (now[0].events[e], &rows[frames + e]);
+            let leverage = weight * (&inverse * row).dot(row);
             let excess = event.excess + moved(frames + e);
             let rise_per_s = event.rise_per_s * libm::exp(moved(frames + events + e).clamp(-1.0, 1.0));
             light.noise.log_density_left_out(&PredictedEvent { excess, rise_per_s, ..event }, leverage)
@@ -339,6 +337,7 @@ fn no_event_counts_as_the_probability_of_none() {
     assert!(noise.quiet_term(&event(50.0, 1.0).0).log_probability > libm::log(0.9e-3));
     // Where the function of errors is nothing to rounding, its expansion goes on.
     let (near, far) = (noise.quiet_term(&event(7.99, 1.0).0), noise.quiet_term(&event(8.01, 1.0).0));
+    // Of order 1 / z^2 in the curvature, which there is one.
     assert!((near.weight / far.weight - 1.0).abs() < 0.02);
     assert!((near.residual * near.weight / (far.residual * far.weight) - 1.0).abs() < 0.01);
 }

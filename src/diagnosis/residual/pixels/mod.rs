@@ -38,7 +38,8 @@ const SECOND: usize = 2;
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.
 const EXPLAINED: f64 = 0.02;
-/// Of a gain so many standard errors are no sign of anything.
+/// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
+/// what is left.
 const BY_CHANCE: f64 = 2.0;
 
 /// Evidence on the light of pixels.
