@@ -5,10 +5,11 @@ use crate::simulated::{Fault, Kind, Made, MadeSetting, made};
 use photocurrent_diagnosis::candidates::{Candidate, Scales};
 use photocurrent_diagnosis::decide::model::Facts;
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting};
-use photocurrent_diagnosis::residual::pixels;
+use photocurrent_diagnosis::residual::free;
 use photocurrent_diagnosis::residual::ranking::evidence;
 use photocurrent_scene::Scene;
 use photocurrent_scene::mosaic::{PatchSetting, scene};
+use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::picture::PictureSetting;
 use photocurrent_scene::target::{Target, TargetSetting};
 use serde::{Deserialize, Serialize};
@@ -69,7 +70,10 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let picture = PictureSetting::default();
     let evidence_on = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());
     let found = match target {
-        None if setting.kind == Kind::Pixels => pixels::evidence(&case, &nominal).ok(),
+        None if setting.kind == Kind::Pixels => free::on_pixels(&case, &nominal).ok(),
+        None if setting.kind == Kind::Joint => MovingPicture::fit(&case, &nominal, &picture)
+            .and_then(|picture| free::on_picture(&case, &nominal, &picture))
+            .ok(),
         None => scene(&case, &nominal, &picture, &PatchSetting::default())
             .and_then(|source| evidence_on(source.as_ref()))
             .ok(),

@@ -303,6 +303,7 @@ mod tests {
             include_str!("../../data/diagnosis/examples-parts.jsonl"),
             include_str!("../../data/diagnosis/examples-given.jsonl"),
             include_str!("../../data/diagnosis/examples-pixels.jsonl"),
+            include_str!("../../data/diagnosis/examples-joint.jsonl"),
         ];
         sets.iter().flat_map(|text| text.lines()).map(|line| serde_json::from_str(line).unwrap()).collect()
     }
@@ -316,7 +317,7 @@ mod tests {
     fn cross_validation_is_what_the_docs_say() {
         let examples = training();
         let without = examples.iter().filter(|one| one.facts.is_none()).count();
-        assert_eq!((examples.len(), without), (1148, 181));
+        assert_eq!((examples.len(), without), (1212, 220));
         // Nothing wrong, claimed; one effect, claimed, first, in the set; two, both; in no catalogue,
         // unnamed, named: the table of docs/diagnosis.md.
         let named = |kind: &str| {
@@ -328,6 +329,7 @@ mod tests {
         assert_eq!(named("patches"), ((54, 1), (70, 9, 8, 9), (18, 0), (16, 0, 1)));
         assert_eq!(named("given"), ((36, 0), (46, 36, 31, 31), (9, 2), (9, 6, 1)));
         assert_eq!(named("pixels"), ((42, 0), (66, 12, 9, 11), (16, 0), (10, 0, 1)));
+        assert_eq!(named("joint"), ((9, 0), (10, 5, 5, 5), (3, 0), (3, 0, 0)));
     }
 
     #[test]

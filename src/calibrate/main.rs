@@ -61,6 +61,8 @@ enum SceneKind {
     Given,
     /// Any scene, the light of each pixel free in time
     Pixels,
+    /// A moving picture of frames and events together
+    Joint,
 }
 
 impl SceneKind {
@@ -70,6 +72,7 @@ impl SceneKind {
             SceneKind::Parts => "parts",
             SceneKind::Given => "given",
             SceneKind::Pixels => "pixels",
+            SceneKind::Joint => "joint",
         }
     }
 
@@ -79,6 +82,7 @@ impl SceneKind {
             SceneKind::Parts => Kind::Parts,
             SceneKind::Given => Kind::Given,
             SceneKind::Pixels => Kind::Pixels,
+            SceneKind::Joint => Kind::Joint,
         });
         MadeSetting { extent: size.unwrap_or(usual.extent), ..usual }
     }

@@ -51,6 +51,8 @@ pub enum Kind {
     Given,
     /// Nothing, whether they move as one or not: the light of each pixel is free.
     Pixels,
+    /// Nothing: a picture is fitted to frames and events together.
+    Joint,
 }
 
 /// How recordings are made.
@@ -77,6 +79,7 @@ impl MadeSetting {
         let usual = MadeSetting { kind, ..MadeSetting::default() };
         match kind {
             Kind::Picture => usual,
+            Kind::Joint => MadeSetting { noisy: 0.7, effect_sizes: (0.03, 1.0), ..usual },
             Kind::Parts => MadeSetting { effect_sizes: (0.2, 2.0), ..usual },
             Kind::Pixels => MadeSetting { effect_sizes: (0.1, 1.5), ..usual },
             Kind::Given => MadeSetting { extent: Extent { width: 40, height: 30 }, duration_s: 0.1, ..usual },
@@ -106,7 +109,7 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     let noise = (random.uniform() < setting.noisy)
         .then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
     let (scene, target) = match setting.kind {
-        Kind::Picture => {
+        Kind::Picture | Kind::Joint => {
             (MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None)
         }
         Kind::Parts => {

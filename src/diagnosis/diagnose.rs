@@ -339,6 +339,7 @@ fn looked_at_of(decided: &Decided) -> String {
     let scene = match decided.name.as_str() {
         "given" => "on known light",
         "patches" => "on a scene in parts",
+        "joint" => "on a moving picture of frames and events",
         "pixels" => "on the light of each pixel, free in time",
         _ => "on a moving picture",
     };

@@ -5,9 +5,9 @@ use crate::decide::{Decision, decide};
 use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
 use crate::integrity::Integrity;
 use crate::residual::evidence::{Evidence, EvidenceSetting};
-use crate::residual::pixels;
+use crate::residual::free;
 use crate::residual::ranking::evidence;
-use crate::stages::{Proposed, Seen};
+use crate::stages::{Decided, Proposed, Seen};
 use crate::unstated::without_scene;
 use photocurrent_core::NodeError;
 use photocurrent_scene::Scene;
@@ -24,11 +24,14 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum Estimated {
     /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each
-    /// where it does not predict them; and where these leave too much, the light of each pixel.
+    /// where it does not predict them; where one picture leaves too much, it is estimated from frames and
+    /// events together, and where these leave too much, the light of each pixel.
     #[default]
     Parts,
     /// One moving picture.
     Picture,
+    /// One moving picture of frames and events together.
+    Joint,
     /// The light of each pixel, free in time: of frames and events together.
     Pixels,
     /// Nowhere: events are compared with no scene.
@@ -119,17 +122,20 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
 /// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames, or on the light
 /// of each pixel.
 pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
-    if setting.scene == Estimated::Pixels {
-        return seen(pixels::evidence(case, nominal));
+    match setting.scene {
+        Estimated::Pixels => return seen(free::on_pixels(case, nominal)),
+        Estimated::Joint => return seen(on_joint(case, nominal, integrity, setting)),
+        _ => {}
     }
     let found = match on_picture(case, nominal, integrity, setting) {
         Ok(found) if setting.scene == Estimated::Picture || decides_alone(&found) => Ok(found),
         Err(why) if setting.scene == Estimated::Picture => Err(why),
+        Ok(found) if found.on_joint.is_some() => Ok(found),
         Ok(found) => {
-            let on_pixels = pixels::evidence(case, nominal).ok().map(Box::new);
+            let on_pixels = free::on_pixels(case, nominal).ok().map(Box::new);
             Ok(Evidence { on_pixels, ..found })
         }
-        Err(why) => pixels::evidence(case, nominal).map_err(|other| format!("{why}; {other}")),
+        Err(why) => free::on_pixels(case, nominal).map_err(|other| format!("{why}; {other}")),
     };
     seen(found)
 }
@@ -143,6 +149,32 @@ fn decides_alone(found: &Evidence) -> bool {
     f64::max(found.control_median, found.left[0]) < LEAVES_LITTLE
 }
 
+/// An error where the light flickers: a picture does not.
+fn steady(integrity: &Integrity, setting: &OnScene) -> Result<(), String> {
+    match integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
+        Some(flicker) => Err(format!(
+            "the light flickers at {:.0} Hz by {:.0} %",
+            flicker.frequency_hz,
+            100.0 * flicker.depth
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The same on one moving picture of frames and events together.
+fn on_joint(
+    case: &Case,
+    nominal: &Nominal,
+    integrity: &Integrity,
+    setting: &OnScene,
+) -> Result<Evidence, String> {
+    steady(integrity, setting)?;
+    let part = case.busiest(setting.picture.most_values);
+    let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
+    let picture = MovingPicture::fit(case, nominal, &setting.picture)?;
+    free::on_picture(case, nominal, &picture).map(|found| Evidence { span_ns, ..found })
+}
+
 /// The same on a scene that is fitted to the frames alone.
 fn on_picture(
     case: &Case,
@@ -150,13 +182,7 @@ fn on_picture(
     integrity: &Integrity,
     setting: &OnScene,
 ) -> Result<Evidence, String> {
-    if let Some(flicker) = integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
-        return Err(format!(
-            "the light flickers at {:.0} Hz by {:.0} %",
-            flicker.frequency_hz,
-            100.0 * flicker.depth
-        ));
-    }
+    steady(integrity, setting)?;
     let part = case.busiest(setting.picture.most_values);
     let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
     let fitted = match setting.scene {
@@ -164,8 +190,17 @@ fn on_picture(
         _ => MovingPicture::fit(case, nominal, &setting.picture)
             .map(|picture| Box::new(picture) as Box<dyn Scene>),
     };
-    let found = fitted.and_then(|scene| evidence(case, nominal, &*scene, &setting.evidence));
-    found.map(|found| Evidence { span_ns, ..found })
+    let scene = fitted?;
+    let found = evidence(case, nominal, &*scene, &setting.evidence)?;
+    let picture = scene.as_any().and_then(|any| any.downcast_ref::<MovingPicture>());
+    let on_joint = match picture {
+        Some(picture) if picture.is_alone() && !decides_alone(&found) => {
+            free::on_picture(case, nominal, picture).ok()
+        }
+        _ => None,
+    };
+    let on_joint = on_joint.map(|joint| Box::new(Evidence { span_ns, ..joint }));
+    Ok(Evidence { span_ns, on_joint, ..found })
 }
 
 /// Evidence, or why there is none.
@@ -178,18 +213,28 @@ pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed 
     match seen {
         Seen::NotAsked => Proposed::NotAsked,
         Seen::Nothing(why) => Proposed::Nothing(why),
-        Seen::Evidence(found) => {
-            let on_pixels = found.on_pixels.as_ref().map(|found| decide(found, nominal, decision));
-            let decided = match (decide(&found, nominal, decision), on_pixels) {
-                // What the picture does not show, the light of pixels may.
-                (Ok(alone), Some(Ok(on_pixels))) if !alone.detected && on_pixels.detected => Ok(on_pixels),
-                (Err(why), Some(on_pixels)) => on_pixels.map_err(|other| format!("{why}; {other}")),
-                (alone, _) => alone,
-            };
-            match decided {
-                Ok(decided) => Proposed::Decided(Box::new(decided)),
-                Err(why) => Proposed::Nothing(why),
-            }
-        }
+        Seen::Evidence(found) => match of_all(&found, nominal, decision) {
+            Ok(decided) => Proposed::Decided(Box::new(decided)),
+            Err(why) => Proposed::Nothing(why),
+        },
+    }
+}
+
+/// What the evidence of all scenes comes to.
+fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Decided, String> {
+    let on = |other: &Option<Box<Evidence>>| other.as_ref().map(|found| decide(found, nominal, decision));
+    let alone = decide(found, nominal, decision);
+    // The picture that explains the events better decides, with the best effect of each applied.
+    let explains = |joint: &Evidence| alone.is_err() || joint.left[0] < found.left[0];
+    if found.on_joint.as_deref().is_some_and(explains)
+        && let Some(Ok(joint)) = on(&found.on_joint)
+    {
+        return Ok(joint);
+    }
+    match (alone, on(&found.on_pixels)) {
+        // What the picture does not show, the light of pixels may.
+        (Ok(alone), Some(Ok(on_pixels))) if !alone.detected && on_pixels.detected => Ok(on_pixels),
+        (Err(why), Some(on_pixels)) => on_pixels.map_err(|other| format!("{why}; {other}")),
+        (alone, _) => alone,
     }
 }

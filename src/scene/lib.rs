@@ -7,7 +7,8 @@
 //!   description; [`nominal`]: the sensor that it states.
 //! - [`scene`]: what a scene is. [`moving`]: one moving [`picture`]. [`mosaic`]: that picture, or pictures of
 //!   parts where they predict frames better.
-//!   [`pixels`]: the light of each pixel, free in time. [`known`]: light that is known. [`target`]: a scene
+//!   [`free`]: a scene that follows events as well: [`joint`], one moving picture of frames and events;
+//!   [`pixels`], the light of each pixel, free in time. [`known`]: light that is known. [`target`]: a scene
 //!   in closed form with free parameters.
 //! - [`closed`]: scenes in closed form, for simulators and targets.
 //! - [`light`]: log photocurrent of an array at steady instants; [`gate`]: which events lie where a scene
@@ -24,9 +25,11 @@ pub mod case;
 pub mod closed;
 pub mod film;
 pub mod flow;
+pub mod free;
 pub mod gate;
 pub mod grey;
 pub mod image;
+pub mod joint;
 pub mod known;
 pub mod light;
 pub mod mosaic;

@@ -5,8 +5,10 @@ use crate::light::Light;
 use crate::nominal::Nominal;
 use crate::picture::{Picture, PictureSetting};
 use crate::scene::{Scene, Tolerance, usual_step_dn};
+use std::any::Any;
 
 /// One moving picture, with how it was fitted.
+#[derive(Clone, Debug)]
 pub struct MovingPicture {
     /// The picture.
     pub picture: Picture,
@@ -41,6 +43,11 @@ impl MovingPicture {
     /// Of a picture that was fitted.
     pub fn new(picture: Picture, setting: &PictureSetting, case: &Case, nominal: &Nominal) -> MovingPicture {
         MovingPicture { picture, setting: *setting, structure_dn: usual_step_dn(case, nominal), is_one: true }
+    }
+
+    /// Is it all of the scene, with nothing behind it?
+    pub fn is_alone(&self) -> bool {
+        self.is_one && self.picture.ground.is_empty()
     }
 
     /// The same with another picture.
@@ -108,6 +115,10 @@ impl Scene for MovingPicture {
     ) -> Result<Option<Box<dyn Scene>>, String> {
         let drawn = self.picture.drawn(case, nominal, &self.setting, None, seed);
         Ok(Some(Box::new(self.with(drawn.sharpened(self.setting.sharpest)))))
+    }
+
+    fn as_any(&self) -> Option<&dyn Any> {
+        Some(self)
     }
 
     fn misfit(&self) -> f64 {

@@ -6,6 +6,7 @@ use crate::light::Light;
 use crate::nominal::Nominal;
 use crate::statistics::median;
 use rayon::prelude::*;
+use std::any::Any;
 
 /// A part of the scene and a cell of it.
 pub type Cell = (u32, i64, i64);
@@ -70,6 +71,11 @@ pub trait Scene: Sync {
         nominal: &Nominal,
         seed: u64,
     ) -> Result<Option<Box<dyn Scene>>, String>;
+
+    /// Itself, for what only one kind of scene has; none where nothing is asked of it.
+    fn as_any(&self) -> Option<&dyn Any> {
+        None
+    }
 
     /// Its free parameters, of a target.
     fn target(&self) -> Option<&dyn FreeParameters> {

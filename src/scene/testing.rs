@@ -1,8 +1,12 @@
 //! Small recordings for tests: a texture of waves that drifts across an array, written out in closed form.
 
 use crate::case::{Case, CaseFrames, PixelEvent, PixelEvents};
+use crate::free::{Predicted, PredictedEvent, PredictedFrame};
+use crate::light::Light;
+use crate::nominal::Nominal;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
+use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional};
 
 /// Time between frames, ns; half of it is exposed.
 const PERIOD_NS: i64 = 8_000_000;
@@ -75,4 +79,60 @@ pub(crate) fn texture(extent: Extent, frames: usize) -> Case {
 /// A recording of 12 x 10 pixels, 7 frames.
 pub(crate) fn case() -> Case {
     Case { span: (0, 60_000_000), ..texture(Extent { width: 12, height: 10 }, 7) }
+}
+
+/// What the described sensor predicts of pixels; in the middle between events, of an event that the recording
+/// does not have.
+pub(crate) fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> Vec<Predicted> {
+    let times = &case.frames.as_ref().unwrap().times;
+    let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
+    let of = |pixel: &u32| {
+        let pixel = *pixel as usize;
+        let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+        let track = Track::new(&instants, &log, light.step_ns);
+        let events = case.events.of(pixel);
+        let site = case.site(pixel, 0);
+        let between: Vec<i64> =
+            events.windows(2).map(|two| i64::midpoint(two[0].t_in_ns, two[1].t_in_ns)).collect();
+        let look = Look { site, track: &track, seen: None, events, frames: &[], quiet_ns: &between };
+        let mut out = Conditional::default();
+        conditional(nominal, &[], &look, &mut out);
+        let event = |k: usize| PredictedEvent {
+            t_ns: out.fired_ns[k],
+            reference_ns: out.reference_ns[k],
+            polarity: f64::from(events[k].polarity),
+            threshold: 0.2,
+            excess: out.excess[k],
+            slope_per_s: libm::hypot(out.slope_per_s[k], out.slope_per_s[k - 1]),
+            rise_per_s: f64::from(events[k].polarity) * out.slope_per_s[k],
+        };
+        let quiet = |quiet: &Quiet| PredictedEvent {
+            t_ns: quiet.t_ns,
+            reference_ns: quiet.reference_ns,
+            polarity: 1.0,
+            threshold: 0.2,
+            excess: quiet.level - 0.2,
+            slope_per_s: quiet.slope_per_s,
+            rise_per_s: quiet.slope_per_s,
+        };
+        let row = case.place(pixel).1;
+        let frame = |l: usize| {
+            let exposure = times.exposure(l, row);
+            let dn = nominal.number.of(track.collected_in(exposure));
+            PredictedFrame {
+                start_ns: exposure.start.0,
+                end_ns: exposure.end.0,
+                residual_dn: dn - case.dn(l, pixel),
+                signal_dn: case.dn(l, pixel),
+            }
+        };
+        Predicted {
+            low_pass: nominal.pixel.front_end,
+            gain: nominal.number.gain,
+            frames: (0..case.frame_count()).map(frame).collect(),
+            events: (1..events.len()).map(event).collect(),
+            quiet: out.quiet.iter().map(quiet).collect(),
+        }
+    };
+    pixels.iter().map(of).collect()
 }

@@ -82,6 +82,9 @@ pub struct Models {
     /// The model of the light of pixels, free in time.
     #[serde(deserialize_with = "over::<_, 3>")]
     pub pixels: Model,
+    /// The model of one moving picture of frames and events together.
+    #[serde(deserialize_with = "over::<_, 4>")]
+    pub joint: Model,
 }
 
 /// The stated numbers of a model, and the built-in ones of its kind of scene ([`KINDS`]) for the rest.
@@ -99,6 +102,7 @@ impl Models {
             Some(1) => &self.given,
             Some(2) => &self.patches,
             Some(3) => &self.pixels,
+            Some(4) => &self.joint,
             _ => &self.picture,
         }
     }
@@ -112,6 +116,7 @@ impl Default for Models {
             patches: Model::of_patches(),
             given: Model::of_given_light(),
             pixels: Model::of_pixels(),
+            joint: Model::of_joint(),
         }
     }
 }
@@ -140,6 +145,20 @@ impl Model {
             random: 0.0,
             unnamed: [0.875, 0.344, 0.062],
             least_gain: 0.05,
+        }
+    }
+
+    /// The built-in numbers for one moving picture of frames and events: `photocurrent-calibrate --scene
+    /// joint`.
+    pub fn of_joint() -> Model {
+        Model {
+            something: [2.95, 0.649, -2.26],
+            second: [-0.186, 0.676, 0.505],
+            discount: [3.0, 0.0],
+            softness: [-3.234, 0.602],
+            random: 0.0,
+            unnamed: [2.531, 0.781, 0.0],
+            least_gain: 0.002,
         }
     }
 

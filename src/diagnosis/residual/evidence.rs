@@ -7,7 +7,7 @@ use crate::candidates::CANDIDATES;
 use serde::{Deserialize, Serialize};
 
 /// Kinds of scenes that decisions have a model for, by their names.
-pub const KINDS: [&str; 4] = ["picture", "given", "patches", "pixels"];
+pub const KINDS: [&str; 5] = ["picture", "given", "patches", "pixels", "joint"];
 
 /// One effect, as the events see it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -93,7 +93,7 @@ impl Evidence {
     /// How much of the recording the scene explains, a share: where it is small, the scene may err in that as
     /// well.
     pub fn covered(&self) -> f64 {
-        if self.scene == KINDS[3] { self.explained } else { self.share }
+        if KINDS[3..].contains(&&*self.scene) { self.explained } else { self.share }
     }
 }
 
@@ -111,8 +111,8 @@ pub struct Evidence {
     pub nats_per_event: f64,
     /// Share of the events that counts.
     pub share: f64,
-    /// On the light of pixels: share of the evaluated events that miss their threshold by no more than 2 % of
-    /// it once the best effect is applied. 0 on other scenes.
+    /// On scenes that follow events: share of the evaluated events that miss their threshold by no more than
+    /// 2 % of it once the best effect is applied. 0 on other scenes.
     #[serde(default)]
     pub explained: f64,
     /// Events looked at.
@@ -153,6 +153,10 @@ pub struct Evidence {
     pub open: Vec<Open>,
     /// And with [`Evidence::first`] applied.
     pub open_second: Vec<Open>,
+    /// On one moving picture of frames and events together, where this scene is one moving picture and leaves
+    /// too much: it decides where it explains more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_joint: Option<Box<Evidence>>,
     /// On the light of pixels, where this scene leaves too much: it decides where this one cannot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_pixels: Option<Box<Evidence>>,

@@ -13,7 +13,8 @@
 //! - `open`: what no effect of the catalogue has.
 //! - `control`: what is found where nothing is.
 //! - `located`: where the gain of an effect is.
-//! - [`pixels`]: the light of pixels free in time, where nothing moves as one.
+//! - [`free`]: scenes of frames and events together: one moving picture, and the light of pixels free in
+//!   time, where nothing moves as one.
 //! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
 
 mod axis;
@@ -21,10 +22,10 @@ mod components;
 mod control;
 pub mod evidence;
 mod fit;
+pub mod free;
 mod laid;
 pub(crate) mod located;
 pub(crate) mod open;
-pub mod pixels;
 mod places;
 mod prepared;
 pub mod ranking;

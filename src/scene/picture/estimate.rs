@@ -9,7 +9,7 @@ use super::setting::{
     FRAME_NOISE, GAIN, LEAST_MISFIT, LEAST_ROUGHNESS, LEAST_ROUNDS, MOTION_WEIGHT, POOLED, PictureSetting,
     ROBUST, SEED, STILL, STRETCH,
 };
-use super::shading::TERMS;
+use super::shading::{self, TERMS};
 use super::spline::Grid;
 use super::system::{Smoothness, Unknowns, add, again, draw, roughness, solve};
 use crate::case::Case;
@@ -54,7 +54,7 @@ pub struct Picture {
     pub residual: Vec<f32>,
     /// How many exposures saw the place of each coefficient; empty where it is not as it was fitted.
     pub(super) coverage: Vec<f32>,
-    pub(super) centre: (f64, f64),
+    pub(crate) centre: (f64, f64),
 }
 
 impl Picture {
@@ -172,6 +172,41 @@ impl Picture {
         rows.look_at(&fit.picture.grid, &fit.picture.surface);
         fit.keep_residuals(&rows);
         fit.picture
+    }
+
+    /// The same picture on a grid of the setting's pitch.
+    pub(crate) fn on_pitch(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Picture {
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(None));
+        fit.picture = self.clone();
+        fit.refine();
+        fit.picture.coverage.clear();
+        fit.picture
+    }
+
+    /// Frame values as rows at the picture as it stands.
+    pub(crate) fn laid(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Rows {
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(None));
+        fit.picture = self.clone();
+        fit.lay(true)
+    }
+
+    /// Six numbers for each knot of the motion, then the shading's terms.
+    pub(crate) fn rest(&self) -> Vec<f64> {
+        self.motion.knots.iter().flatten().copied().chain(self.shading).collect()
+    }
+
+    /// Moves by a share of a step of everything: coefficients, then the rest.
+    pub(crate) fn step(&mut self, step: &[f64], share: f64) {
+        let (of_surface, of_rest) = step.split_at(self.surface.len());
+        self.surface.iter_mut().zip(of_surface).for_each(|(c, by)| *c += (share * by) as f32);
+        let rest = self.motion.knots.iter_mut().flatten().chain(&mut self.shading);
+        rest.zip(of_rest).for_each(|(value, by)| *value += share * by);
+    }
+
+    /// The factor that light of the picture at a place, pixels from the array's centre, is multiplied with.
+    pub(crate) fn shade(&self, place: (f64, f64)) -> f64 {
+        let half = self.motion.half;
+        shading::factor(&self.shading, &shading::basis(place.0 / half, place.1 / half))
     }
 
     fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {

@@ -39,5 +39,5 @@ pub(crate) mod spline;
 pub(crate) mod system;
 
 pub use estimate::{Begin, Picture, Report};
-pub(crate) use setting::FRAME_NOISE;
 pub use setting::PictureSetting;
+pub(crate) use setting::{FRAME_NOISE, MOTION_WEIGHT, ROBUST, STRETCH};

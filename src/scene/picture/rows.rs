@@ -101,7 +101,7 @@ impl Rows {
     }
 
     /// Numbers of the rest that the rows of a knot touch; none beyond the last knot and in the padding.
-    pub(super) fn indices(&self, knots: usize, knot: usize) -> [Option<usize>; REST] {
+    pub(crate) fn indices(&self, knots: usize, knot: usize) -> [Option<usize>; REST] {
         std::array::from_fn(|n| match n.checked_sub(POSES) {
             Some(n) if n < TOUCHED * DEGREES => Some(knot * DEGREES + n).filter(|at| *at < knots * DEGREES),
             Some(_) => None,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Standard deviation of frame values beyond what is stated: DN, and a share of the signal.
 pub(crate) const FRAME_NOISE: (f64, f64) = (1.0, 0.005);
 /// Residuals count half at this many standard deviations.
-pub(super) const ROBUST: f64 = 4.0;
+pub(crate) const ROBUST: f64 = 4.0;
 /// Rounds of Gauss-Newton on each grid, at least.
 pub(super) const LEAST_ROUNDS: usize = 3;
 /// Frame noise may be this much smaller than it is first assumed.
@@ -19,9 +19,9 @@ pub(super) const LEAST_ROUGHNESS: f64 = 0.003;
 /// Share of the picture's overall roughness in the local one.
 pub(super) const POOLED: f64 = 0.1;
 /// Weight of the second differences of the motion's knots, one over pixels.
-pub(super) const MOTION_WEIGHT: f64 = 1.0;
+pub(crate) const MOTION_WEIGHT: f64 = 1.0;
 /// Standard deviation of scale and shear, pixels at the array's edge.
-pub(super) const STRETCH: f64 = 3.0;
+pub(crate) const STRETCH: f64 = 3.0;
 /// Where more than this share of frame values does not change, a scene that stands still is tried as well.
 pub(super) const STILL: f64 = 0.4;
 /// Seed of draws of what frames leave open.

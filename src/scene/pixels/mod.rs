@@ -2,7 +2,7 @@
 //!
 //! Log light of each pixel is a smooth function of time of its own (a cubic B-spline). It is estimated from
 //! the pixel's frame values **and** events: so, unlike a [`crate::Scene`], it is not independent of the
-//! events, and an effect of the sensor is in part absorbed by it. How much is known: [`PixelLight::score`]
+//! events, and an effect of the sensor is in part absorbed by it. How much is known: [`FreeScene::score`]
 //! subtracts from the score of every effect, and from its information, what the light would take over.
 //!
 //! - Unknowns: coefficients c of each pixel. Rows: events, e = V(t) - V_ref - p theta; frame values.
@@ -20,21 +20,18 @@
 //! The caller predicts events and frame values, at any sensor: only derivatives are taken here.
 
 mod envelope;
-mod noise;
 mod path;
-mod predicted;
 mod prior;
 mod step;
 
 use crate::case::Case;
+use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, Score};
 use crate::light::Light;
 use crate::nominal::Nominal;
-pub use noise::{Noise, frame_noise};
 use path::Splines;
 use photocurrent_core::time::between;
-pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
 use rayon::prelude::*;
-pub use step::{LEAST_RISE, Score};
+pub use step::LEAST_RISE;
 use step::{OfPixel, Step, Work};
 
 /// Standard deviation of second differences before anything is known, natural-log units.
@@ -69,7 +66,7 @@ pub struct PixelLight {
     /// Of second differences, likewise.
     variance: Vec<f64>,
     /// Of the measurements.
-    pub noise: Noise,
+    noise: Noise,
     rounds: usize,
     /// Of the last round: leverages of events, pixel by pixel.
     leverage: Vec<Vec<f64>>,
@@ -111,26 +108,6 @@ impl PixelLight {
         }
     }
 
-    /// Its pixels (`y * width + x` of the array), in the order of everything that is predicted.
-    pub fn pixels(&self) -> &[u32] {
-        &self.pixels
-    }
-
-    /// The light, empty elsewhere.
-    pub fn light(&self, case: &Case) -> Light {
-        let mut light = Light::blank(case, self.splines.step_ns);
-        let values: Vec<Vec<f32>> = self
-            .coefficients
-            .par_chunks(self.splines.coefficients())
-            .map_init(Vec::new, |room, c| {
-                self.splines.values(c, room);
-                room.iter().map(|u| *u as f32).collect()
-            })
-            .collect();
-        self.pixels.iter().zip(values).for_each(|(pixel, log)| light.log[*pixel as usize] = log);
-        light
-    }
-
     fn of<'a>(&'a self, place: usize, predicted: &'a Predicted) -> OfPixel<'a> {
         let count = self.splines.coefficients();
         OfPixel {
@@ -140,42 +117,6 @@ impl PixelLight {
             noise: &self.noise,
             predicted,
         }
-    }
-
-    /// One round: a Newton step of every pixel, then prior and noise. `predicted`: of each pixel, on the
-    /// light as it stands.
-    pub fn round(&mut self, predicted: &[Predicted]) {
-        let steps = self.newton(predicted, true);
-        let (mut square, mut decided) = (Vec::new(), Vec::new());
-        let differences = self.splines.coefficients() - 2;
-        let mut left = Vec::new();
-        self.leverage.clear();
-        for (step, predicted) in steps.into_iter().zip(predicted) {
-            // A pixel whose equations are singular decides nothing.
-            let step = step.unwrap_or_else(|| Step {
-                square: vec![0.0; differences],
-                decided: vec![0.0; differences],
-                event_variance: vec![0.0; predicted.events.len()],
-                leverage: vec![0.0; predicted.events.len()],
-                ..Step::default()
-            });
-            square.extend(step.square);
-            decided.extend(step.decided);
-            left.push(step.event_variance);
-            self.leverage.push(step.leverage);
-        }
-        if self.rounds >= ROUNDS_BEFORE_PRIOR {
-            self.estimate_prior(&square, &decided);
-        }
-        if self.rounds >= ROUNDS_BEFORE_NOISE {
-            self.noise.estimate_of_events(predicted, &left);
-        }
-        self.rounds += 1;
-    }
-
-    /// A Newton step of every pixel; prior and noise stay.
-    pub fn settle(&mut self, predicted: &[Predicted]) {
-        self.newton(predicted, false);
     }
 
     /// The work on every pixel, in their order; `work` also takes the pixel's place.
@@ -213,33 +154,91 @@ impl PixelLight {
             begin = of.end;
         }
     }
+}
 
-    /// Efficient score of effects from each pixel; none where that pixel's light cannot be estimated.
-    /// `columns`: for each pixel what an effect size of 1 changes of its frame values, its events' excesses,
-    /// the logarithms of the slopes at its events, and excesses where none fired, `effects` values for each.
-    pub fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
+impl FreeScene for PixelLight {
+    const FEWEST_EVENTS: usize = 3;
+
+    fn pixels(&self) -> &[u32] {
+        &self.pixels
+    }
+
+    fn light(&self, case: &Case) -> Light {
+        let mut light = Light::blank(case, self.splines.step_ns);
+        let values: Vec<Vec<f32>> = self
+            .coefficients
+            .par_chunks(self.splines.coefficients())
+            .map_init(Vec::new, |room, c| {
+                self.splines.values(c, room);
+                room.iter().map(|u| *u as f32).collect()
+            })
+            .collect();
+        self.pixels.iter().zip(values).for_each(|(pixel, log)| light.log[*pixel as usize] = log);
+        light
+    }
+
+    fn noise(&self) -> &Noise {
+        &self.noise
+    }
+
+    fn takes_part(&self, _place: usize) -> bool {
+        true
+    }
+
+    fn is_measured(&self, _place: usize) -> bool {
+        true
+    }
+
+    fn left(&self, _predicted: &[Predicted]) -> f64 {
+        MEDIAN_T * self.noise.threshold_share
+    }
+
+    fn round(&mut self, predicted: &[Predicted]) {
+        let steps = self.newton(predicted, true);
+        let (mut square, mut decided) = (Vec::new(), Vec::new());
+        let differences = self.splines.coefficients() - 2;
+        let mut left = Vec::new();
+        self.leverage.clear();
+        for (step, predicted) in steps.into_iter().zip(predicted) {
+            // A pixel whose equations are singular decides nothing.
+            let step = step.unwrap_or_else(|| Step {
+                square: vec![0.0; differences],
+                decided: vec![0.0; differences],
+                event_variance: vec![0.0; predicted.events.len()],
+                leverage: vec![0.0; predicted.events.len()],
+                ..Step::default()
+            });
+            square.extend(step.square);
+            decided.extend(step.decided);
+            left.push(step.event_variance);
+            self.leverage.push(step.leverage);
+        }
+        if self.rounds >= ROUNDS_BEFORE_PRIOR {
+            self.estimate_prior(&square, &decided);
+        }
+        if self.rounds >= ROUNDS_BEFORE_NOISE {
+            self.noise.estimate_of_events(predicted, &left);
+        }
+        self.rounds += 1;
+    }
+
+    fn settle(&mut self, predicted: &[Predicted]) {
+        self.newton(predicted, false);
+    }
+
+    fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
         self.each(predicted, |work, of, place| work.score(of, &columns[place], effects))
     }
 
-    /// What effects of a size each gain from each pixel, nats: as [`PixelLight::left_out`] with a Newton step
-    /// of the light, and beyond what that step gains without one; none where that pixel's light cannot be
-    /// estimated. `columns` as in [`PixelLight::score`].
-    pub fn gains(
-        &self,
-        predicted: &[Predicted],
-        columns: &[Vec<f32>],
-        sizes: &[f64],
-    ) -> Vec<Option<Vec<f64>>> {
+    fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>> {
         self.each(predicted, |work, of, place| work.gains(of, &columns[place], sizes))
     }
 
-    /// Of each pixel the log density of its events' times when the light is estimated from everything else,
-    /// and of none between them, nats: from the last round, without refitting. `predicted`: on the light as
-    /// it stands.
+    /// From the last round, without refitting.
     ///
     /// Source: leave-one-out residuals e / (1 - h), h the event's leverage (Cook and Weisberg, Residuals and
     /// Influence in Regression, 1982).
-    pub fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
+    fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
         let of = |(predicted, leverages): (&Predicted, &Vec<f64>)| {
             self.noise.log_density(predicted, leverages, |_| [0.0; 2], |_| 0.0)
         };

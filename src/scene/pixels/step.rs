@@ -2,12 +2,10 @@
 //! change with them.
 
 use super::envelope::{Envelope, InverseRoom, dot};
-use super::noise::{NU, Noise};
 use super::path::{Path, Rows, Splines};
-use super::predicted::Predicted;
+use crate::free::{NU, Noise, Predicted, Score};
+use crate::picture::ROBUST;
 
-/// Frame values count half at this many standard deviations.
-const ROBUST: f64 = 4.0;
 /// The voltage rises by at least this share of a threshold over an instant before an event.
 pub const LEAST_RISE: f64 = 0.01;
 /// No coefficient moves by more in a step, natural-log units.
@@ -28,17 +26,6 @@ pub(super) struct Step {
     pub event_variance: Vec<f64>,
     /// The share of each event's information that it has about itself: its leverage, 0 to 1.
     pub leverage: Vec<f64>,
-}
-
-/// Efficient score of some effects from one pixel, and its covariance.
-#[derive(Clone, Debug, Default)]
-pub struct Score {
-    /// Of each effect: derivative of half the weighted squares by its size, the light adapted.
-    pub score: Vec<f64>,
-    /// Its information on all effects: K x K, the light adapted.
-    pub information: Vec<f64>,
-    /// The diagonal when the light is known.
-    pub known: Vec<f64>,
 }
 
 /// Room for the work on one pixel after another.

@@ -2,10 +2,11 @@
 
 use super::path::{Path, Rows};
 use super::*;
-use crate::testing;
+use crate::free::{PredictedEvent, frame_noise};
+use crate::testing::{self, predicted};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::Extent;
-use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional};
+use photocurrent_sensor::conditional::Track;
 use photocurrent_sensor::front_end::FrontEnd;
 
 const STEP_NS: i64 = 100_000;
@@ -96,62 +97,6 @@ fn rows_are_numerical_derivatives() {
         // Light between instants is log-linear, and taken as linear here.
         assert!((at(1) - frame).abs() < 2e-3 * 500.0, "frame by {k}: {} is {frame}", at(1));
     }
-}
-
-/// What the described sensor predicts of every pixel.
-fn predicted(case: &Case, nominal: &Nominal, pixels: &[u32], light: &Light) -> Vec<Predicted> {
-    let times = &case.frames.as_ref().unwrap().times;
-    let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
-    let of = |pixel: &u32| {
-        let pixel = *pixel as usize;
-        let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
-        let track = Track::new(&instants, &log, light.step_ns);
-        let events = case.events.of(pixel);
-        let site = case.site(pixel, 0);
-        // In the middle between events, and an event there that the recording does not have.
-        let between: Vec<i64> =
-            events.windows(2).map(|two| i64::midpoint(two[0].t_in_ns, two[1].t_in_ns)).collect();
-        let look = Look { site, track: &track, seen: None, events, frames: &[], quiet_ns: &between };
-        let mut out = Conditional::default();
-        conditional(nominal, &[], &look, &mut out);
-        let event = |k: usize| PredictedEvent {
-            t_ns: out.fired_ns[k],
-            reference_ns: out.reference_ns[k],
-            polarity: f64::from(events[k].polarity),
-            threshold: 0.2,
-            excess: out.excess[k],
-            slope_per_s: libm::hypot(out.slope_per_s[k], out.slope_per_s[k - 1]),
-            rise_per_s: f64::from(events[k].polarity) * out.slope_per_s[k],
-        };
-        let quiet = |quiet: &Quiet| PredictedEvent {
-            t_ns: quiet.t_ns,
-            reference_ns: quiet.reference_ns,
-            polarity: 1.0,
-            threshold: 0.2,
-            excess: quiet.level - 0.2,
-            slope_per_s: quiet.slope_per_s,
-            rise_per_s: quiet.slope_per_s,
-        };
-        let row = case.place(pixel).1;
-        let frame = |l: usize| {
-            let exposure = times.exposure(l, row);
-            let dn = nominal.number.of(track.collected_in(exposure));
-            PredictedFrame {
-                start_ns: exposure.start.0,
-                end_ns: exposure.end.0,
-                residual_dn: dn - case.dn(l, pixel),
-                signal_dn: case.dn(l, pixel),
-            }
-        };
-        Predicted {
-            low_pass: nominal.pixel.front_end,
-            gain: nominal.number.gain,
-            frames: (0..case.frame_count()).map(frame).collect(),
-            events: (1..events.len()).map(event).collect(),
-            quiet: out.quiet.iter().map(quiet).collect(),
-        }
-    };
-    pixels.iter().map(of).collect()
 }
 
 #[test]

@@ -1,12 +1,14 @@
-//! Noise of the measurements of pixels whose light is free: of events, and of frame values.
+//! Noise of the measurements that a scene follows: of events, and of frame values.
 
 use super::predicted::{Predicted, PredictedEvent};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use rayon::prelude::*;
 
+/// The median of the absolute value of Student's t with three degrees of freedom.
+pub(crate) const MEDIAN_T: f64 = 0.765;
 /// Degrees of freedom of the events' Student-t distribution.
-pub(super) const NU: f64 = 3.0;
+pub(crate) const NU: f64 = 3.0;
 /// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
 const FIRST_SHARE: f64 = 0.02;
 const SHARES: (f64, f64) = (0.003, 0.3);
@@ -19,7 +21,7 @@ const MOST_LEVERAGE: f64 = 0.999;
 /// Slower rises than this, thresholds a second, count as it.
 const LEAST_RISE_PER_S: f64 = 10.0;
 /// The logarithm of a rise changes by no more than this with an effect.
-const MOST_OF_RISE: f64 = 1.0;
+pub(crate) const MOST_OF_RISE: f64 = 1.0;
 /// Share of events that a recording lacks, by which an instant without one may be missing one.
 const LOST: f64 = 1e-3;
 /// Beyond so many standard deviations a tail of the normal distribution is taken from its expansion.
@@ -31,7 +33,7 @@ const LEAST_DN: f64 = 0.3;
 const LEAST_SIGNAL_SHARE: f64 = 0.002;
 
 /// What an instant without an event adds to a Newton step.
-pub(super) struct QuietTerm {
+pub(crate) struct QuietTerm {
     pub weight: f64,
     pub residual: f64,
     pub log_probability: f64,
@@ -57,7 +59,7 @@ impl Noise {
     }
 
     /// Variance of an event's excess.
-    pub(super) fn event_variance(&self, event: &PredictedEvent) -> f64 {
+    pub(crate) fn event_variance(&self, event: &PredictedEvent) -> f64 {
         let threshold = self.threshold_share * event.threshold;
         let stamp = self.stamp_s * event.slope_per_s;
         let least = LEAST_SHARE * event.threshold;
@@ -69,7 +71,7 @@ impl Noise {
     ///
     /// With z the excess in the event's direction over its standard deviation: Phi(-z) for the step, and
     /// (1 - e) Phi(-z) + e for the probability, where e is the share of events that a recording lacks.
-    pub(super) fn quiet_term(&self, event: &PredictedEvent) -> QuietTerm {
+    pub(crate) fn quiet_term(&self, event: &PredictedEvent) -> QuietTerm {
         let deviation = self.event_variance(event).sqrt();
         let z = f64::max(event.polarity * event.excess / deviation, -FARTHEST);
         let silent = 0.5 * libm::erfc(z * core::f64::consts::FRAC_1_SQRT_2);
@@ -86,13 +88,13 @@ impl Noise {
     }
 
     /// Variance of a frame value, DN^2.
-    pub(super) fn frame_variance(&self, signal_dn: f64) -> f64 {
+    pub(crate) fn frame_variance(&self, signal_dn: f64) -> f64 {
         let share = LEAST_SIGNAL_SHARE * signal_dn;
         self.dark_dn2 + self.shot_dn * signal_dn.max(0.0) + LEAST_DN * LEAST_DN + share * share
     }
 
     /// Scales the noise of thresholds to the excesses and what the light leaves open of them.
-    pub(super) fn estimate_of_events(&mut self, predicted: &[Predicted], left: &[Vec<f64>]) {
+    pub(crate) fn estimate_of_events(&mut self, predicted: &[Predicted], left: &[Vec<f64>]) {
         let events = predicted.iter().zip(left).flat_map(|(of, left)| of.events.iter().zip(left));
         let relative: Vec<f64> = events
             .map(|(event, left)| (event.excess * event.excess + left) / self.event_variance(event))
@@ -112,7 +114,7 @@ impl Noise {
     /// Log densities of a pixel's events' times, each left out, and of none between them, nats. `event`: by
     /// how much the excess of each event and the logarithm of its rise change; `quiet`: the excess of each
     /// instant without one.
-    pub(super) fn log_density(
+    pub(crate) fn log_density(
         &self,
         predicted: &Predicted,
         leverage: &[f64],
@@ -134,7 +136,7 @@ impl Noise {
 
     /// Log density of an event's excess, nats, when the light was estimated with it and the event has a
     /// `leverage` on it.
-    pub(super) fn log_density_left_out(&self, event: &PredictedEvent, leverage: f64) -> f64 {
+    pub(crate) fn log_density_left_out(&self, event: &PredictedEvent, leverage: f64) -> f64 {
         let left = 1.0 - leverage.clamp(0.0, MOST_LEVERAGE);
         let (excess, variance) = (event.excess / left, self.event_variance(event) / left);
         let rise = f64::max(event.rise_per_s, LEAST_RISE_PER_S * event.threshold);
@@ -236,7 +238,7 @@ impl Differences {
 }
 
 /// The line through variances at levels whose errors are shares of themselves, neither number negative.
-fn line(levels: &[(f64, f64)]) -> (f64, f64) {
+pub(crate) fn line(levels: &[(f64, f64)]) -> (f64, f64) {
     let Some(least) = levels.iter().map(|level| level.1).min_by(f64::total_cmp) else { return (0.0, 0.0) };
     let (mut dark, mut shot) = (least, 0.0);
     for _ in 0..20 {

@@ -6,18 +6,15 @@ use super::super::setting::LARGEST_EFFECT_SIZE;
 use super::super::{Around, View, events_of, frames_of, median_of};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use photocurrent_scene::case::Case;
+use photocurrent_scene::free::{FreeScene, Predicted, PredictedEvent, PredictedFrame};
 use photocurrent_scene::light::Light;
 use photocurrent_scene::nominal::Nominal;
-use photocurrent_scene::pixels::{
-    Block, Noise, PixelLight, Predicted, PredictedEvent, PredictedFrame, frame_noise,
-};
-use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional};
-use photocurrent_sensor::map::MapFrame;
+use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional, frame_values};
+use photocurrent_sensor::map::{MapFrame, PixelEvent};
 use rayon::prelude::*;
 
 /// Light is predicted this often, ns; a knot every so many.
 pub(super) const STEP_NS: i64 = 100_000;
-const PER_KNOT: usize = 5;
 /// Events this soon after the begin have no reference that is known, ns.
 const SETTLING_NS: i64 = 2_000_000;
 /// Between events the voltage is held below its threshold this often, ns; and below that of the next event
@@ -28,15 +25,13 @@ const SOON_NS: i64 = 1_000_000;
 const NEAR: f64 = 0.2;
 /// Noise is a share of thresholds, which are at least this share of the stated ones.
 const LEAST_THRESHOLD: f64 = 0.1;
-/// Rounds of light between corrections of a size.
-const ROUNDS_EACH: usize = 3;
+/// A size that moves by less than this share needs no further correction.
+const STILL: f64 = 0.003;
 /// Standard errors are this much larger than the information has them: what sound recordings show.
 pub(super) const ERRORS: f64 = 3.0;
-/// Pixels with fewer events bring errors of frames only.
-pub(super) const FEWEST_OF_PIXEL: usize = 3;
 
 /// What stays the same from fit to fit.
-pub(super) struct Ground<'a> {
+pub(super) struct Ground<'a, L> {
     pub case: &'a Case,
     pub nominal: &'a Nominal,
     pub scales: &'a Scales,
@@ -46,7 +41,9 @@ pub(super) struct Ground<'a> {
     frames: Vec<Vec<(usize, f64)>>,
     /// Of each pixel the instants without an event.
     quiet: Vec<Vec<QuietInstant>>,
-    begin: PixelLight,
+    /// Steps of the scene between corrections of a size.
+    pub steps: usize,
+    begin: L,
 }
 
 /// An instant at which a pixel has no event.
@@ -71,35 +68,38 @@ pub(super) struct Rows {
     pub quiet: Vec<[f64; 2]>,
 }
 
-impl<'a> Ground<'a> {
+impl<'a, L: FreeScene> Ground<'a, L> {
+    /// On a scene as it begins; `keeps`: events of a pixel at an instant that may count; `with_quiet`: do
+    /// instants without an event?
     pub(super) fn new(
         case: &'a Case,
         nominal: &'a Nominal,
         scales: &'a Scales,
-        blocks: Vec<Block>,
-    ) -> Result<Ground<'a>, String> {
-        if case.frame_count() == 0 {
-            return Err("there are no frames".to_owned());
-        }
-        let noise = Noise::new(frame_noise(case, nominal));
-        let begin = PixelLight::begin(case, nominal, blocks, (STEP_NS, PER_KNOT), noise);
+        begin: L,
+        keeps: impl Fn(usize, i64) -> bool + Sync,
+        (steps, with_quiet): (usize, bool),
+    ) -> Result<Ground<'a, L>, String> {
         let (events, frames, quiet) = (Vec::new(), Vec::new(), Vec::new());
-        let mut ground = Ground { case, nominal, scales, events, frames, quiet, begin };
+        let mut ground = Ground { case, nominal, scales, events, frames, quiet, steps, begin };
         let stated = Prepared::new(case, &Trial::stated(nominal))?;
         let light = ground.begin.light(case);
         let pixels = ground.begin.pixels().to_vec();
         let view = View { case, light: &light, pixels: Vec::new(), is_known: true };
         let end_ns = case.span.1 - 3 * STEP_NS;
+        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
         let counted = |pixel: &u32| -> (Vec<usize>, Vec<usize>) {
             let pixel = *pixel as usize;
             let frames = frames_of(case, nominal, pixel);
-            let out = through(&view, &stated, pixel, (&frames, &[]), &mut Around::default());
+            let mut through = Through::new(&view, &instants, pixel, frames.clone(), Vec::new());
+            let out = through.see(&stated);
             let events = case.events.of(pixel);
             let counts = |k: &usize| {
                 out.is_armed[*k]
                     && out.is_armed[k - 1]
                     && events[k - 1].t_in_ns > case.span.0 + SETTLING_NS
                     && events[*k].t_in_ns < end_ns
+                    && keeps(pixel, events[*k].t_in_ns)
+                    && keeps(pixel, events[k - 1].t_in_ns)
             };
             let is_within = |l: &usize| {
                 !frames[*l].saturated
@@ -113,7 +113,9 @@ impl<'a> Ground<'a> {
         for (place, (events, frames)) in counted.into_iter().enumerate() {
             ground.events.push(events);
             ground.frames.push(frames.into_iter().map(|l| (l, signals[place][l])).collect());
-            ground.quiet.push(instants(case, nominal, pixels[place] as usize));
+            let quiet =
+                if with_quiet { quiet_instants(case, nominal, pixels[place] as usize) } else { Vec::new() };
+            ground.quiet.push(quiet);
         }
         Ok(ground)
     }
@@ -144,44 +146,105 @@ impl<'a> Ground<'a> {
         pixels.par_iter().map(of).collect()
     }
 
-    /// Number of events that count, in pixels that have some.
+    /// Does a pixel, by its place, have enough events?
+    pub(super) fn has_events(&self, place: usize) -> bool {
+        self.events[place].len() >= L::FEWEST_EVENTS
+    }
+
+    /// Are gains measured on its events?
+    pub(super) fn is_measured(&self, place: usize) -> bool {
+        self.has_events(place) && self.begin.is_measured(place)
+    }
+
+    /// Number of events that gains are measured on.
     pub(super) fn events(&self) -> usize {
-        self.events.iter().map(Vec::len).filter(|count| *count >= FEWEST_OF_PIXEL).sum()
+        self.count(|place| self.is_measured(place))
+    }
+
+    /// Number of events that scores are of.
+    pub(super) fn scored_events(&self) -> usize {
+        self.count(|place| self.has_events(place) && self.begin.takes_part(place))
+    }
+
+    fn count(&self, is: impl Fn(usize) -> bool) -> usize {
+        (0..self.events.len()).filter(|place| is(*place)).map(|place| self.events[place].len()).sum()
     }
 
     /// Median slope of the voltage at events, ln/s.
-    pub(super) fn slope_per_s(&self, fit: &Fit<'_>) -> Result<f64, String> {
-        let rows = fit.rows(&fit.trial, &fit.light.light(self.case))?;
+    pub(super) fn slope_per_s(&self, fit: &Fit<'_, L>) -> Result<f64, String> {
+        let rows = fit.rows(&[fit.prepared(&fit.trial)?], &fit.light.light(self.case));
         let mut slopes: Vec<f64> =
-            rows.iter().flat_map(|of| of.slope_per_s.iter().map(|slope| slope.abs())).collect();
+            rows.iter().flatten().flat_map(|of| of.slope_per_s.iter().map(|slope| slope.abs())).collect();
         Ok(median_of(&mut slopes))
     }
 }
 
-/// A pixel through a sensor.
-fn through(
-    view: &View<'_>,
-    prepared: &Prepared,
+/// A pixel of a view, ready to be seen through one sensor after another.
+struct Through<'a> {
+    view: &'a View<'a>,
+    instants: &'a [i64],
     pixel: usize,
-    (frames, quiet_ns): (&[MapFrame], &[i64]),
-    around: &mut Around,
-) -> Conditional {
-    let instants: Vec<i64> = (0..view.light.count).map(|k| view.light.instant(k)).collect();
-    let log: Vec<f64> = view.light.log[pixel].iter().map(|u| f64::from(*u)).collect();
-    let seen = prepared.kernel().map(|kernel| view.mixed(kernel, prepared, pixel, &instants, around));
-    let track = Track::new(&instants, &log, view.light.step_ns);
-    let events = events_of(view.case, pixel);
-    let look = Look {
-        site: view.case.site(pixel, 0),
-        track: &track,
-        seen: seen.as_deref(),
-        events: &events,
-        frames,
-        quiet_ns,
-    };
-    let mut out = Conditional::default();
-    conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
-    out
+    track: Track,
+    events: Vec<PixelEvent>,
+    frames: Vec<MapFrame>,
+    quiet_ns: Vec<i64>,
+    around: Around,
+    out: Conditional,
+}
+
+impl<'a> Through<'a> {
+    fn new(
+        view: &'a View<'a>,
+        instants: &'a [i64],
+        pixel: usize,
+        frames: Vec<MapFrame>,
+        quiet_ns: Vec<i64>,
+    ) -> Through<'a> {
+        let log: Vec<f64> = view.light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+        Through {
+            view,
+            instants,
+            pixel,
+            track: Track::new(instants, &log, view.light.step_ns),
+            events: events_of(view.case, pixel),
+            frames,
+            quiet_ns,
+            around: Around::default(),
+            out: Conditional::default(),
+        }
+    }
+
+    /// Its events and frame values.
+    fn see(&mut self, prepared: &Prepared) -> &Conditional {
+        let (view, pixel) = (self.view, self.pixel);
+        let seen = prepared
+            .kernel()
+            .map(|kernel| view.mixed(kernel, prepared, pixel, self.instants, &mut self.around));
+        let look = Look {
+            site: view.case.site(pixel, 0),
+            track: &self.track,
+            seen: seen.as_deref(),
+            events: &self.events,
+            frames: &self.frames,
+            quiet_ns: &self.quiet_ns,
+        };
+        conditional(&prepared.nominal, &prepared.effects, &look, &mut self.out);
+        &self.out
+    }
+
+    /// Its frame values alone.
+    fn see_frames(&mut self, prepared: &Prepared) -> &Conditional {
+        let look = Look {
+            site: self.view.case.site(self.pixel, 0),
+            track: &self.track,
+            seen: None,
+            events: &[],
+            frames: &self.frames,
+            quiet_ns: &[],
+        };
+        frame_values(&prepared.nominal, &prepared.effects, &look, &mut self.out);
+        &self.out
+    }
 }
 
 /// By how much the voltage lies beyond the ON threshold and beyond the OFF threshold.
@@ -193,7 +256,7 @@ fn beyond(quiet: &Quiet) -> [f64; 2] {
 }
 
 /// Instants of a pixel without an event.
-fn instants(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<QuietInstant> {
+fn quiet_instants(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<QuietInstant> {
     let events = case.events.of(pixel);
     let mut found = Vec::new();
     for (after, event) in events.iter().enumerate() {
@@ -215,55 +278,77 @@ fn instants(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<QuietInstant> {
 
 /// Light of the pixels under a sensor.
 #[derive(Clone)]
-pub(super) struct Fit<'a> {
-    pub ground: &'a Ground<'a>,
+pub(super) struct Fit<'a, L> {
+    pub ground: &'a Ground<'a, L>,
     pub trial: Trial,
-    pub light: PixelLight,
+    pub light: L,
     /// Effects that the trial has beyond the stated ones, with their sizes.
     pub applied: Vec<(usize, f64)>,
 }
 
 /// A fit of an effect with its size.
-pub(super) struct Exact<'a> {
+pub(super) struct Exact<'a, L> {
     pub candidate: usize,
     pub effect_size: f64,
     /// Standard error of it.
     pub error: f64,
-    pub fit: Fit<'a>,
+    pub fit: Fit<'a, L>,
     /// Of each pixel, nats.
     pub left_out: Vec<f64>,
 }
 
-impl<'a> Fit<'a> {
-    pub(super) fn begin(ground: &'a Ground<'a>, trial: &Trial) -> Fit<'a> {
+impl<'a, L: FreeScene> Fit<'a, L> {
+    pub(super) fn begin(ground: &'a Ground<'a, L>, trial: &Trial) -> Fit<'a, L> {
         Fit { ground, trial: trial.clone(), light: ground.begin.clone(), applied: Vec::new() }
     }
 
-    /// What a sensor makes of all pixels on a light.
-    pub(super) fn rows(&self, trial: &Trial, light: &Light) -> Result<Vec<Rows>, String> {
-        let found = self.conditionals(trial, light)?;
-        let of = |(place, out): (usize, Conditional)| self.ground.rows(place, &self.light, &out);
-        Ok(found.into_iter().enumerate().map(of).collect())
+    /// What sensors make of all pixels on a light: [sensor][place].
+    pub(super) fn rows(&self, prepared: &[Prepared], light: &Light) -> Vec<Vec<Rows>> {
+        self.through(prepared, light, |place, out| self.ground.rows(place, &self.light, out))
     }
 
-    fn conditionals(&self, trial: &Trial, light: &Light) -> Result<Vec<Conditional>, String> {
+    /// `of` what sensors make of each pixel on a light: [sensor][place].
+    fn through<T: Send>(
+        &self,
+        prepared: &[Prepared],
+        light: &Light,
+        of: impl Fn(usize, &Conditional) -> T + Sync,
+    ) -> Vec<Vec<T>> {
         let Ground { case, nominal, .. } = *self.ground;
-        let prepared = Prepared::new(case, trial)?;
         let view = View { case, light, pixels: Vec::new(), is_known: true };
-        let of = |(pixel, quiet): (&u32, &Vec<QuietInstant>)| {
+        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
+        let of_pixel = |(place, pixel): (usize, &u32)| -> Vec<T> {
             let frames = frames_of(case, nominal, *pixel as usize);
-            let quiet_ns: Vec<i64> = quiet.iter().map(|instant| instant.t_ns).collect();
-            through(&view, &prepared, *pixel as usize, (&frames, &quiet_ns), &mut Around::default())
+            let quiet_ns: Vec<i64> = self.ground.quiet[place].iter().map(|instant| instant.t_ns).collect();
+            let is_of_frames = quiet_ns.is_empty() && self.ground.events[place].is_empty();
+            let mut through = Through::new(&view, &instants, *pixel as usize, frames, quiet_ns);
+            prepared
+                .iter()
+                .map(|prepared| match is_of_frames {
+                    true => of(place, through.see_frames(prepared)),
+                    false => of(place, through.see(prepared)),
+                })
+                .collect()
         };
-        Ok(self.light.pixels().par_iter().zip(&self.ground.quiet).map(of).collect())
+        let found: Vec<Vec<T>> = self.light.pixels().par_iter().enumerate().map(of_pixel).collect();
+        let mut by_sensor: Vec<Vec<T>> = prepared.iter().map(|_| Vec::with_capacity(found.len())).collect();
+        for of_pixel in found {
+            by_sensor.iter_mut().zip(of_pixel).for_each(|(to, of)| to.push(of));
+        }
+        by_sensor
     }
 
-    /// The same with what a round needs.
+    /// A sensor, ready to be applied.
+    pub(super) fn prepared(&self, trial: &Trial) -> Result<Prepared, String> {
+        Prepared::new(self.ground.case, trial)
+    }
+
+    /// What the fit's own sensor makes of all pixels, with what a round needs.
     pub(super) fn predicted(&self) -> Result<Vec<Predicted>, String> {
         let light = self.light.light(self.ground.case);
-        let found = self.conditionals(&self.trial, &light)?;
-        let of = |(place, out): (usize, Conditional)| self.ground.predicted(place, &self.light, &out);
-        Ok(found.into_iter().enumerate().map(of).collect())
+        let prepared = self.prepared(&self.trial)?;
+        let of = |place: usize, out: &Conditional| self.ground.predicted(place, &self.light, out);
+        Ok(self.through(&[prepared], &light, of).pop().unwrap_or_default())
     }
 
     /// So many rounds of light.
@@ -271,6 +356,9 @@ impl<'a> Fit<'a> {
         for _ in 0..count {
             let predicted = self.predicted()?;
             self.light.round(&predicted);
+            if self.light.has_settled() {
+                break;
+            }
         }
         Ok(())
     }
@@ -286,7 +374,12 @@ impl<'a> Fit<'a> {
 
     /// The same so many times: what an effect's exact fit takes.
     pub(super) fn settled(&mut self, times: usize) -> Result<(), String> {
-        (0..times).try_for_each(|_| self.settle(ROUNDS_EACH))
+        (0..times).try_for_each(|_| self.settle(self.ground.steps))
+    }
+
+    /// What events miss their thresholds by, a median share of them.
+    pub(super) fn left(&self) -> Result<f64, String> {
+        Ok(self.light.left(&self.predicted()?))
     }
 
     /// Log density of each pixel's events when the light is estimated from everything else, nats.
@@ -297,11 +390,6 @@ impl<'a> Fit<'a> {
     /// The trial with an effect of a size beyond those that it has.
     pub(super) fn with(&self, candidate: usize, effect_size: f64) -> Trial {
         self.trial.and(&CANDIDATES[candidate], effect_size, self.ground.scales)
-    }
-
-    /// Does the trial mix the light of neighbours, with weights that bend where its size is nothing?
-    pub(super) fn is_mixing(&self, trial: &Trial) -> bool {
-        Prepared::new(self.ground.case, trial).is_ok_and(|prepared| prepared.kernel().is_some())
     }
 
     /// The size of an effect that the trial has; 0 where it has none.
@@ -315,27 +403,30 @@ impl<'a> Fit<'a> {
         candidate: usize,
         begin: f64,
         corrections: usize,
-    ) -> Result<Exact<'a>, String> {
+    ) -> Result<Exact<'a, L>, String> {
         let is_switch = CANDIDATES[candidate].signs == Signs::Switch;
         let mut effect_size = if is_switch { 1.0 } else { bounded(candidate, begin) };
         let mut error = 0.0;
+        let mut is_still = is_switch;
         let mut fit = self.clone();
         for turn in 0..corrections {
             fit.trial = self.with(candidate, effect_size);
             fit.applied = self.applied.clone();
             fit.applied.push((candidate, effect_size));
-            fit.settle(ROUNDS_EACH)?;
-            if is_switch || turn + 1 == corrections {
+            fit.settle(self.ground.steps)?;
+            if is_still || turn + 1 == corrections {
                 continue;
             }
             let scored = fit.score(&[candidate], None)?;
             if let Some(step) = scored.sizes[0] {
                 let most = 1.0 + effect_size.abs();
+                is_still = step.abs() < STILL * effect_size.abs();
                 effect_size = bounded(candidate, effect_size + step.clamp(-most, most));
                 error = ERRORS / scored.information[0].sqrt();
             }
         }
         let left_out = fit.left_out()?;
+        fit.light.release();
         Ok(Exact { candidate, effect_size, error, fit, left_out })
     }
 }
@@ -347,16 +438,16 @@ pub(super) fn bounded(candidate: usize, effect_size: f64) -> f64 {
     effect_size.clamp(least, most)
 }
 
-impl Exact<'_> {
+impl<L: FreeScene> Exact<'_, L> {
     /// Takes the place of a first size and gain; `level`: densities without the effect.
-    pub(super) fn replace(&self, one: &mut Ranked, level: &[f64], ground: &Ground<'_>) {
+    pub(super) fn replace(&self, one: &mut Ranked, level: &[f64], ground: &Ground<'_, L>) {
         let gains: Vec<f64> = self
             .left_out
             .iter()
             .zip(level)
-            .zip(&ground.events)
-            .filter(|(_, events)| events.len() >= FEWEST_OF_PIXEL)
-            .map(|((with, without), _)| with - without)
+            .enumerate()
+            .filter(|(place, _)| ground.is_measured(*place))
+            .map(|(_, (with, without))| with - without)
             .collect();
         let events = ground.events() as f64;
         let sum: f64 = gains.iter().sum();
@@ -371,8 +462,8 @@ impl Exact<'_> {
     }
 }
 
-impl Ground<'_> {
-    fn rows(&self, place: usize, light: &PixelLight, out: &Conditional) -> Rows {
+impl<L: FreeScene> Ground<'_, L> {
+    fn rows(&self, place: usize, light: &L, out: &Conditional) -> Rows {
         let events = self.case.events.of(light.pixels()[place] as usize);
         let slope = |k: &usize| f64::from(events[*k].polarity) * out.slope_per_s[*k];
         Rows {
@@ -404,7 +495,7 @@ impl Ground<'_> {
         chosen
     }
 
-    fn predicted(&self, place: usize, light: &PixelLight, out: &Conditional) -> Predicted {
+    fn predicted(&self, place: usize, light: &L, out: &Conditional) -> Predicted {
         let pixel = light.pixels()[place] as usize;
         let (events, frames) = (self.case.events.of(pixel), frames_of(self.case, self.nominal, pixel));
         let least = LEAST_THRESHOLD * self.scales.threshold;

@@ -1,5 +1,6 @@
-//! Sound and faulty recordings on the light of their pixels: waves that run in all directions, so that no
-//! picture predicts the frames, with 5 electrons a DN and 2 DN of read noise.
+//! Sound and faulty recordings with 5 electrons a DN and 2 DN of read noise in their frames: on one moving
+//! picture a photograph that shakes, on the light of pixels waves that run in all directions, so that no
+//! picture predicts the frames.
 
 use super::*;
 use crate::candidates::Candidate;
@@ -11,6 +12,7 @@ use crate::sample::Sample;
 use crate::scenes::MadeUp;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_scene::picture::PictureSetting;
 
 /// Log light of waves: wave numbers along x and y, one over pixels, and angular frequencies, 1/s.
 fn water(x: f64, y: f64, t_s: f64) -> f64 {
@@ -58,7 +60,7 @@ fn recording(effect: Option<(&str, &str, f64)>) -> Case {
 fn nothing_is_claimed_of_a_sound_recording() {
     let case = recording(None);
     let nominal = case.nominal().unwrap();
-    let found = evidence(&case, &nominal).unwrap();
+    let found = on_pixels(&case, &nominal).unwrap();
     assert!(found.scene == "pixels" && found.events > 300, "{}", found.events);
     let decided = decide(&found, &nominal, &Decision::default()).unwrap();
     assert!(!decided.detected, "{:?}", found.first);
@@ -69,7 +71,7 @@ fn a_ball_that_passes_within_a_millisecond_gains_nothing_by_other_thresholds() {
     // Light that may swing further where no event is, and densities in volts, gained 0.7 nats an event here
     // by thresholds of half their size.
     let case = MadeUp::of_any(7, 98, Extent { width: 64, height: 48 }, 0.12).recording().unwrap();
-    let found = evidence(&case, &case.nominal().unwrap()).unwrap();
+    let found = on_pixels(&case, &case.nominal().unwrap()).unwrap();
     let thresholds = ["threshold_scale", "threshold_drift", "threshold_gradient", "black_level"];
     let of_thresholds = found.ranked.iter().filter(|one| thresholds.contains(&CANDIDATES[one.candidate].id));
     let gains: Vec<f64> = of_thresholds.map(Ranked::beyond).collect();
@@ -84,7 +86,7 @@ fn effects_are_named_with_their_sizes_where_nothing_moves_as_one() {
     for (id, parameter, size) in [("leak_events", "rate", 1.0), ("threshold_asymmetry", "fraction", -0.7)] {
         let case = recording(Some((id, parameter, size)));
         let nominal = case.nominal().unwrap();
-        let found = evidence(&case, &nominal).unwrap();
+        let found = on_pixels(&case, &nominal).unwrap();
         let first = found.first.clone().unwrap();
         assert_eq!(CANDIDATES[first.candidate].id, id);
         // Within the standard error that is stated, or a tenth.
@@ -103,7 +105,7 @@ fn the_probability_that_an_event_is_explained_is_that_of_students_t() {
 #[test]
 fn without_frames_there_is_no_light_to_begin_with() {
     let case = Case { frames: None, ..recording(None) };
-    let why = evidence(&case, &case.nominal().unwrap()).unwrap_err();
+    let why = on_pixels(&case, &case.nominal().unwrap()).unwrap_err();
     assert!(why.contains("no frames"), "{why}");
 }
 
@@ -128,4 +130,82 @@ fn where_no_picture_predicts_the_frames_the_light_of_pixels_decides() {
         Seen::Nothing(why) => assert!(!why.is_empty()),
         Seen::NotAsked => panic!("a scene was chosen"),
     }
+}
+
+/// A photograph that shakes, recorded by a sensor with one effect, or as described.
+fn photograph(effect: Option<(&str, &str, f64)>) -> Case {
+    let extent = Extent { width: 44, height: 33 };
+    let made = MadeUp::photograph(5, 0, extent, 0.1).with_frame_noise(Some((5.0, 2.0)));
+    let plain = made.recording().unwrap();
+    let Some((id, parameter, size)) = effect else { return plain };
+    let nominal = plain.nominal().unwrap();
+    let scales = Scales::of(&plain, &nominal);
+    let trial = Trial::with(&nominal, Candidate::find(id, parameter).unwrap(), size, &scales);
+    made.recording_through(Some(&trial)).unwrap()
+}
+
+fn joint(case: &Case) -> Evidence {
+    let nominal = case.nominal().unwrap();
+    let picture = MovingPicture::fit(case, &nominal, &PictureSetting::default()).unwrap();
+    on_picture(case, &nominal, &picture).unwrap()
+}
+
+#[test]
+fn nothing_gains_on_a_picture_of_noisy_frames_and_events() {
+    let case = photograph(None);
+    let found = joint(&case);
+    let nominal = case.nominal().unwrap();
+    assert!(found.scene == "joint" && found.events > 300, "{}", found.events);
+    // Frames alone miss thresholds by ten times as much.
+    assert!(found.median < 0.02, "{}", found.median);
+    let best = found.ranked.iter().map(Ranked::beyond).fold(0.0, f64::max);
+    assert!(best < 0.01, "{best}");
+    assert!(!decide(&found, &nominal, &Decision::default()).unwrap().detected, "{:?}", found.first);
+}
+
+#[test]
+fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() {
+    let effects = [("threshold_asymmetry", "fraction", -0.5), ("black_level", "black_level_dn", 1.0)];
+    for (id, parameter, size) in effects {
+        let case = photograph(Some((id, parameter, size)));
+        let found = joint(&case);
+        let first = found.first.clone().unwrap();
+        assert_eq!(CANDIDATES[first.candidate].id, id, "{first:?}");
+        // Within the standard error that is stated, or a tenth.
+        let off = (first.effect_size - size).abs();
+        assert!(off < f64::max(first.error, 0.1 * size.abs()), "{first:?}");
+        let decided = decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap();
+        assert!(decided.detected, "{first:?}");
+    }
+}
+
+#[test]
+fn the_picture_that_explains_more_decides() {
+    use crate::integrity::Integrity;
+    use crate::stages::{Proposed, Seen};
+    use crate::whole::{OnScene, on_frames, proposed};
+    let case = photograph(Some(("threshold_asymmetry", "fraction", -0.5)));
+    let nominal = case.nominal().unwrap();
+    let seen = on_frames(&case, &nominal, &Integrity::default(), &OnScene::default());
+    let Seen::Evidence(found) = &seen else { panic!("no evidence") };
+    let joint = found.on_joint.as_deref().expect("frames have noise");
+    assert!(joint.left[0] < found.left[0] && found.on_pixels.is_none(), "{:?} {:?}", joint.left, found.left);
+    let Proposed::Decided(decided) = proposed(seen, &nominal, &Decision::default()) else {
+        panic!("nothing is decided")
+    };
+    assert_eq!(decided.name, "joint");
+    assert_eq!(CANDIDATES[decided.proposals[0].candidate].id, "threshold_asymmetry");
+}
+
+#[test]
+fn pixels_are_drawn_until_enough_events_take_part_and_others_are_held_out() {
+    let case = photograph(None);
+    let gate = gate::Gate::open();
+    let (is_trained, is_measured) = choose::pixels(&case, &gate, (2_000, 700));
+    let events = |is: &[bool]| -> usize {
+        is.iter().enumerate().filter(|(_, is)| **is).map(|(pixel, _)| case.events.of(pixel).len()).sum()
+    };
+    assert!((1_200..2_800).contains(&events(&is_trained)), "{}", events(&is_trained));
+    assert!((350..1_050).contains(&events(&is_measured)), "{}", events(&is_measured));
+    assert!(is_trained.iter().zip(&is_measured).all(|(a, b)| !(*a && *b)));
 }

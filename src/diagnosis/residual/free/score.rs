@@ -1,9 +1,11 @@
 //! Efficient scores of effects, summed over pixels.
 
 use super::super::table::probe;
-use super::fit::{FEWEST_OF_PIXEL, Fit, Rows, STEP_NS, bounded};
+use super::fit::{Fit, Rows, STEP_NS, bounded};
 use crate::candidates::{CANDIDATES, Signs};
-use photocurrent_scene::pixels::{LEAST_RISE, Predicted, Score};
+use photocurrent_scene::free::{FreeScene, Predicted, Score};
+use photocurrent_scene::pixels::LEAST_RISE;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Side of the blocks whose scores are compared, pixels.
@@ -49,33 +51,42 @@ impl Scored {
     }
 }
 
-impl Fit<'_> {
+impl<L: FreeScene> Fit<'_, L> {
     /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with
     /// each.
-    pub(super) fn score(&self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
+    pub(super) fn score(&mut self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
         let light = self.light.light(self.ground.case);
-        let base = self.rows(&self.trial, &light)?;
-        let quiet: Vec<Vec<(usize, usize)>> =
-            base.iter().enumerate().map(|(place, rows)| self.ground.silent(place, rows)).collect();
         let mut wanted: Vec<usize> = candidates.to_vec();
         wanted.extend(free);
-        let mut kept = Vec::new();
-        let mut moved: Vec<Moved> = Vec::new();
+        // Steps of candidates: forward, and back where it bends at the size that it has.
+        let mut kept: Vec<(usize, f64, Option<f64>)> = Vec::new();
+        let mut prepared = vec![self.prepared(&self.trial)?];
         for candidate in wanted {
             let (step, from) = (probe(candidate), self.size_of(candidate));
             // One that cannot be combined with what is there is no candidate.
-            let with = self.with(candidate, from + step);
-            if let Ok(rows) = self.rows(&with, &light) {
-                let is_two_sided = CANDIDATES[candidate].signs == Signs::Both && self.is_mixing(&with);
-                let back = match is_two_sided {
-                    true => self.rows(&self.with(candidate, from - step), &light).ok(),
-                    false => None,
-                };
-                let step = if back.is_some() { 2.0 * step } else { step };
-                kept.push(candidate);
-                moved.push(Moved { rows, back, step });
-            }
+            let Ok(with) = self.prepared(&self.with(candidate, from + step)) else { continue };
+            let is_two_sided = CANDIDATES[candidate].signs == Signs::Both && with.kernel().is_some();
+            let back = match is_two_sided {
+                true => self.prepared(&self.with(candidate, from - step)).ok(),
+                false => None,
+            };
+            kept.push((candidate, step, back.as_ref().map(|_| -step)));
+            prepared.push(with);
+            prepared.extend(back);
         }
+        let mut rows = self.rows(&prepared, &light).into_iter();
+        let base = rows.next().unwrap_or_default();
+        let quiet: Vec<Vec<(usize, usize)>> =
+            base.iter().enumerate().map(|(place, rows)| self.ground.silent(place, rows)).collect();
+        let moved: Vec<Moved> = kept
+            .iter()
+            .map(|(_, step, back)| Moved {
+                rows: rows.next().unwrap_or_default(),
+                back: back.and_then(|_| rows.next()),
+                step: step - back.unwrap_or(0.0),
+            })
+            .collect();
+        let kept: Vec<usize> = kept.into_iter().map(|(candidate, ..)| candidate).collect();
         let effects = kept.len();
         let threshold = self.ground.scales.threshold;
         // As in the fit.
@@ -104,12 +115,16 @@ impl Fit<'_> {
             }
             columns
         };
-        let columns: Vec<Vec<f32>> = (0..base.len()).map(of_pixel).collect();
+        let columns: Vec<Vec<f32>> = (0..base.len()).into_par_iter().map(of_pixel).collect();
         let predicted = self.predicted()?;
+        self.light.prepare(&predicted);
         let scores = self.light.score(&predicted, &columns, effects);
         let is_with_free = free.is_some() && kept.last().copied() == free;
         let mut scored = self.summed(kept, is_with_free, &scores);
-        scored.gains = self.gains(&scored, effects, &predicted, &columns);
+        // Of one alone, whose size is corrected, nothing is ranked.
+        if effects > 1 {
+            scored.gains = self.gains(&scored, effects, &predicted, &columns);
+        }
         Ok(scored)
     }
 
@@ -129,8 +144,8 @@ impl Fit<'_> {
         let sizes: Vec<f64> = (0..effects).map(|k| size(k).unwrap_or(0.0)).collect();
         let mut gains = vec![0.0; effects];
         let of_pixels = self.light.gains(predicted, columns, &sizes);
-        for (found, events) in of_pixels.iter().zip(&self.ground.events) {
-            if let Some(found) = found.as_ref().filter(|_| events.len() >= FEWEST_OF_PIXEL) {
+        for (place, found) in of_pixels.iter().enumerate() {
+            if let Some(found) = found.as_ref().filter(|_| self.ground.is_measured(place)) {
                 gains.iter_mut().zip(found).for_each(|(to, gain)| *to += gain);
             }
         }
@@ -145,7 +160,7 @@ impl Fit<'_> {
         let width = self.ground.case.extent.width;
         for (place, found) in scores.iter().enumerate() {
             let Some(found) = found else { continue };
-            if self.ground.events[place].len() < FEWEST_OF_PIXEL {
+            if !self.ground.has_events(place) {
                 continue;
             }
             let pixel = self.light.pixels()[place];

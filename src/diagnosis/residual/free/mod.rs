@@ -1,0 +1,288 @@
+//! Which effects explain a recording on a scene of frames and events together
+//! ([`photocurrent_scene::free`]): every effect is scored against what the scene would take over.
+//!
+//! The scene is one moving picture ([`on_picture`]), or the light of each pixel, free in time
+//! ([`on_pixels`]), where nothing moves as one.
+//!
+//! 1. What is looked at (`choose`). Of a picture: pixels by chance, some whose events take part in the fit
+//!    and some whose events are held out. Of pixels: blocks with many events, spread over the array, and the
+//!    busiest 0.15 s.
+//! 2. The scene, its prior and the noise with the description as it is (`fit`).
+//! 3. Score and information of every effect: a first size for each, and its gain when the scene follows
+//!    by one step (`score`).
+//! 4. The best are fitted exactly: scene and size in turn, and the description for as many rounds. The gain
+//!    is that of the density in time of each event that is held out, or, on the light of pixels, when that is
+//!    estimated from everything else, and of the probability that none fired between events.
+//! 5. With the best one applied, score and information of all others with its own size free.
+
+mod choose;
+mod fit;
+mod score;
+
+use super::evidence::{Evidence, KINDS, Ranked};
+use super::fit::{MEDIAN_T, probability_t};
+use super::table::is_physics;
+use crate::candidates::{CANDIDATES, Scales, Trial};
+use fit::{ERRORS, Exact, Fit, Ground, STEP_NS};
+use photocurrent_scene::case::Case;
+use photocurrent_scene::free::{FreeScene, Noise, frame_noise};
+use photocurrent_scene::joint::JointPicture;
+use photocurrent_scene::moving::MovingPicture;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::pixels::PixelLight;
+use photocurrent_scene::{Scene, gate};
+use rayon::prelude::*;
+use score::Scored;
+
+/// How much work is done on a scene.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    /// Rounds with the description as it is, before effects are scored.
+    rounds: usize,
+    /// Corrections of a size.
+    corrections: usize,
+    /// The same of a second effect.
+    corrections_of_second: usize,
+    /// So many effects are fitted exactly by their gain, and so many by the agreement of places.
+    by_gain: usize,
+    by_agreement: usize,
+    /// And so many second ones.
+    second: usize,
+    /// What gains less to first order is not fitted, nats an event; nor what gains less than this share
+    /// of the best.
+    least_gain: f64,
+    worth: f64,
+    /// Does the scene become more probable where a front end that is faster need not sharpen it?
+    is_sharpened: bool,
+}
+
+/// On the light of pixels.
+const ON_PIXELS: Plan = Plan {
+    rounds: 11,
+    corrections: 3,
+    corrections_of_second: 2,
+    by_gain: 6,
+    by_agreement: 3,
+    second: 2,
+    least_gain: 0.0,
+    worth: 0.0,
+    is_sharpened: true,
+};
+/// Steps of that light between corrections of a size, and a knot every so many instants.
+const STEPS_ON_PIXELS: usize = 3;
+const PER_KNOT: usize = 5;
+/// On a moving picture.
+const ON_PICTURE: Plan = Plan {
+    rounds: 9,
+    corrections: 3,
+    corrections_of_second: 2,
+    by_gain: 5,
+    by_agreement: 2,
+    second: 2,
+    least_gain: 0.002,
+    worth: 0.25,
+    is_sharpened: false,
+};
+const STEPS_ON_PICTURE: usize = 2;
+/// Of a moving picture's events about so many take part in the fit, and so many measure gains.
+const TRAINED: usize = 24_000;
+const MEASURED: usize = 8_000;
+/// Fewer events than this are no evidence.
+const FEWEST_EVENTS: usize = 300;
+/// An event is explained when it misses its threshold by no more than this share of it.
+const EXPLAINED: f64 = 0.02;
+/// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
+/// what is left.
+const BY_CHANCE: f64 = 2.0;
+
+/// Evidence on the light of pixels.
+///
+/// # Errors
+/// When there are no frames or too few events, or stated effects cannot be combined.
+pub fn on_pixels(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
+    if case.frame_count() == 0 {
+        return Err("there are no frames".to_owned());
+    }
+    let part = choose::window(case);
+    let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
+    let scales = Scales::of(case, nominal);
+    let noise = Noise::new(frame_noise(case, nominal));
+    let begin = PixelLight::begin(case, nominal, choose::blocks(case), (STEP_NS, PER_KNOT), noise);
+    let ground = Ground::new(case, nominal, &scales, begin, |_, _| true, (STEPS_ON_PIXELS, true))?;
+    on(&ground, &ON_PIXELS).map(|found| Evidence { scene: KINDS[3].to_owned(), span_ns, ..found })
+}
+
+/// Evidence on one moving picture, which follows frames and events from where frames alone have it.
+///
+/// # Errors
+/// When something moves before a still ground, there are too few events, stated effects cannot be combined,
+/// or half of the events remain unexplained with the best effect.
+pub fn on_picture(case: &Case, nominal: &Nominal, scene: &MovingPicture) -> Result<Evidence, String> {
+    let scales = Scales::of(case, nominal);
+    let gate = (scene as &dyn Scene).gate(case, gate::LEAST_DN, gate::SPREAD);
+    let (is_trained, is_measured) = choose::pixels(case, &gate, (TRAINED, MEASURED));
+    let noise = Noise::new(frame_noise(case, nominal));
+    let begin = JointPicture::begin(case, nominal, scene, is_trained.clone(), STEP_NS, noise)?;
+    let keeps =
+        |pixel: usize, t_ns: i64| (is_trained[pixel] || is_measured[pixel]) && gate.keeps(pixel, t_ns);
+    let ground = Ground::new(case, nominal, &scales, begin, keeps, (STEPS_ON_PICTURE, false))?;
+    let found = on(&ground, &ON_PICTURE)?;
+    if found.left[0] > EXPLAINED {
+        return Err(format!(
+            "events miss their thresholds by {:.3} of them on a picture of frames and events, and it decides \
+             where that is at most {EXPLAINED}",
+            found.left[0]
+        ));
+    }
+    Ok(Evidence { scene: KINDS[4].to_owned(), ..found })
+}
+
+/// Evidence on a scene that follows events.
+fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, String> {
+    let (case, events) = (ground.case, ground.events());
+    if events < FEWEST_EVENTS {
+        return Err(format!(
+            "{events} events follow another one in the pixels whose light is estimated; {FEWEST_EVENTS} are \
+             needed"
+        ));
+    }
+    let mut base = Fit::begin(ground, &Trial::stated(ground.nominal));
+    base.rounds(plan.rounds)?;
+    let all: Vec<usize> = (0..CANDIDATES.len()).filter(|n| !CANDIDATES[*n].is_random).collect();
+    let scored = base.score(&all, None)?;
+    let mut list = ranked(&scored, ground);
+    let mut nothing = base.clone();
+    nothing.settled(plan.corrections)?;
+    let level = nothing.left_out()?;
+    nothing.light.release();
+    let fitted = |candidate: usize| base.exact(candidate, scored.size(candidate)?, plan.corrections).ok();
+    let exact: Vec<Exact<'_, L>> =
+        worth_fitting(&list, &scored, plan).into_par_iter().filter_map(fitted).collect();
+    replace(&exact, &mut list, &level, ground, plan);
+    let first = list.iter().find(|one| one.is_exact && one.beyond() > 0.0).cloned();
+    let with = first.as_ref().and_then(|one| exact.iter().find(|fit| fit.candidate == one.candidate));
+    let second = with.map_or_else(|| Ok(Vec::new()), |with| second(with, ground, plan))?;
+    let median = nothing.left()?;
+    let left = with.map_or(Ok(median), |with| with.fit.left())?;
+    Ok(Evidence {
+        nats_per_event: level.iter().sum::<f64>() / events as f64,
+        share: events as f64 / case.events.len() as f64,
+        explained: explained(left / MEDIAN_T),
+        events,
+        median,
+        left: [left; 2],
+        slope_per_s: ground.slope_per_s(&nothing)?,
+        white: 1.0,
+        misfit: 1.0,
+        ranked: list,
+        first,
+        second,
+        ..Evidence::default()
+    })
+}
+
+/// Share of the events that are explained when what they miss their thresholds by has Student's distribution
+/// with three degrees of freedom and a scale of `share` of the threshold.
+fn explained(share: f64) -> f64 {
+    2.0 * probability_t(EXPLAINED / share) - 1.0
+}
+
+/// Is a front end described as slower than with this effect? Light that it need not sharpen is smoother, and
+/// so more probable: where edges pass fast, recordings without a fault gain up to 0.4 nats an event by it.
+fn is_faster(one: &Ranked) -> bool {
+    match CANDIDATES[one.candidate].id {
+        "time_constant" => one.effect_size < 0.0,
+        id => id == "large_signal_front_end",
+    }
+}
+
+/// Exact fits in the places of first sizes and gains, best first; `level`: densities of events without them.
+fn replace<L: FreeScene>(
+    exact: &[Exact<'_, L>],
+    list: &mut [Ranked],
+    level: &[f64],
+    ground: &Ground<'_, L>,
+    plan: &Plan,
+) {
+    for found in exact {
+        list.iter_mut()
+            .filter(|one| one.candidate == found.candidate)
+            .for_each(|one| found.replace(one, level, ground));
+    }
+    for one in list.iter_mut() {
+        one.is_material = CANDIDATES[one.candidate].is_material(ground.case, ground.nominal, one.value);
+        let is_absorbed = plan.is_sharpened && is_faster(one);
+        one.control_gain = if is_absorbed { f64::max(one.gain, 0.0) } else { BY_CHANCE * one.gain_error };
+    }
+    list.sort_by(Ranked::by_gain);
+}
+
+/// All other effects with one applied.
+fn second<L: FreeScene>(
+    with: &Exact<'_, L>,
+    ground: &Ground<'_, L>,
+    plan: &Plan,
+) -> Result<Vec<Ranked>, String> {
+    let others: Vec<usize> = (0..CANDIDATES.len())
+        .filter(|n| !CANDIDATES[*n].is_random && CANDIDATES[*n].id != CANDIDATES[with.candidate].id)
+        .collect();
+    let mut scene = with.fit.clone();
+    let scored = scene.score(&others, Some(with.candidate))?;
+    let mut list = ranked(&scored, ground);
+    let mut alone = scene.clone();
+    alone.settled(plan.corrections_of_second)?;
+    let level = alone.left_out()?;
+    let mut exact = Vec::new();
+    for one in list.iter().filter(|one| one.gain > plan.least_gain).take(plan.second) {
+        exact.extend(scene.exact(one.candidate, one.effect_size, plan.corrections_of_second).ok());
+    }
+    replace(&exact, &mut list, &level, ground, plan);
+    list.iter_mut().filter(|one| one.is_exact).for_each(|one| one.of_first = Some(with.effect_size));
+    Ok(list)
+}
+
+/// First sizes and gains, best first.
+fn ranked<L: FreeScene>(scored: &Scored, ground: &Ground<'_, L>) -> Vec<Ranked> {
+    let (scales, nominal, events) = (ground.scales, ground.nominal, ground.events());
+    let one = |n: usize| -> Option<Ranked> {
+        let candidate = scored.candidates[n];
+        let kind = &CANDIDATES[candidate];
+        let (size, information) = (scored.sizes[n]?, scored.information[n]);
+        Some(Ranked {
+            candidate,
+            effect_size: size,
+            error: ERRORS / information.sqrt(),
+            value: kind.value(size, scales, nominal),
+            gain: if is_physics(candidate, size) { scored.gains[n] / events as f64 } else { 0.0 },
+            information: information / (ERRORS * ERRORS * ground.scored_events() as f64),
+            unit: kind.value(1.0, scales, nominal) - kind.nominal_value(nominal),
+            ..Ranked::default()
+        })
+    };
+    let mut list: Vec<Ranked> = (0..scored.candidates.len()).filter_map(one).collect();
+    list.sort_by(Ranked::by_gain);
+    list
+}
+
+/// The best by gain, and by how well places agree.
+fn worth_fitting(ranked: &[Ranked], scored: &Scored, plan: &Plan) -> Vec<usize> {
+    let best = ranked.first().map_or(0.0, |one| one.gain);
+    let is_something = |one: &&Ranked| one.gain > f64::max(plan.least_gain, plan.worth * best);
+    let mut chosen: Vec<usize> =
+        ranked.iter().filter(is_something).take(plan.by_gain).map(|one| one.candidate).collect();
+    let mut by_agreement: Vec<(f64, usize)> = ranked
+        .iter()
+        .filter(is_something)
+        .filter_map(|one| Some((scored.agreement(one.candidate)?, one.candidate)))
+        .collect();
+    by_agreement.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    for (_, candidate) in by_agreement.into_iter().take(plan.by_agreement) {
+        if !chosen.contains(&candidate) {
+            chosen.push(candidate);
+        }
+    }
+    chosen
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,80 @@
+//! Scenes that are estimated from frames and events together: what an effect of the sensor changes of the
+//! measurements they follow in part, and it is known how far.
+
+mod noise;
+mod predicted;
+
+use crate::case::Case;
+use crate::light::Light;
+pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, line};
+pub use noise::{Noise, frame_noise};
+pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
+
+/// Efficient score of some effects, and its covariance: with H the normal matrix of the scene, g its
+/// gradient, B the columns of effects, W the weights, rho the residuals and G = J'W B it is B'W rho -
+/// G'H^-1 g, and the information is B'W B - G'H^-1 G.
+#[derive(Clone, Debug, Default)]
+pub struct Score {
+    /// Of each effect: derivative of half the weighted squares by its size, the scene adapted.
+    pub score: Vec<f64>,
+    /// Its information on all effects: K x K, the scene adapted.
+    pub information: Vec<f64>,
+    /// The diagonal when the scene is known.
+    pub known: Vec<f64>,
+}
+
+/// A scene that follows frames and events. The caller predicts the measurements at any sensor; only
+/// derivatives are taken here. `predicted` is always of each pixel, on the light as it stands.
+pub trait FreeScene: Clone + Send + Sync {
+    /// Pixels with fewer events than this bring errors of frames only.
+    const FEWEST_EVENTS: usize;
+
+    /// Its pixels (`y * width + x` of the array), in the order of everything that is predicted.
+    fn pixels(&self) -> &[u32];
+
+    /// The light of its pixels, empty elsewhere.
+    fn light(&self, case: &Case) -> Light;
+
+    /// Noise of the measurements.
+    fn noise(&self) -> &Noise;
+
+    /// Do the events of a pixel, by its place, take part in the scene and in scores?
+    fn takes_part(&self, place: usize) -> bool;
+
+    /// Are gains measured on them?
+    fn is_measured(&self, place: usize) -> bool;
+
+    /// What events miss their thresholds by on the scene, a median share of them.
+    fn left(&self, predicted: &[Predicted]) -> f64;
+
+    /// Has the noise of events settled, so that further rounds change little?
+    fn has_settled(&self) -> bool {
+        false
+    }
+
+    /// One round: a Newton step, then prior and noise.
+    fn round(&mut self, predicted: &[Predicted]);
+
+    /// A Newton step; prior and noise stay.
+    fn settle(&mut self, predicted: &[Predicted]);
+
+    /// Efficient score of effects: what each pixel's measurements add to it; none where they add nothing.
+    /// `columns`: for each pixel what an effect size of 1 changes of its frame values, its events' excesses,
+    /// the logarithms of the slopes at its events, and excesses where none fired, `effects` values for each.
+    fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>>;
+
+    /// What effects of a size each gain from each pixel, nats: as [`FreeScene::left_out`] with a Newton step,
+    /// and beyond what that step gains without one; none where nothing is measured. `columns` as in
+    /// [`FreeScene::score`].
+    fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>>;
+
+    /// Of each pixel the log density of its events' times when the scene is estimated from other
+    /// measurements, and of none between them, nats.
+    fn left_out(&self, predicted: &[Predicted]) -> Vec<f64>;
+
+    /// Makes ready for [`FreeScene::score`] and [`FreeScene::gains`], and for steps from here on.
+    fn prepare(&mut self, _predicted: &[Predicted]) {}
+
+    /// Gives back room that can be filled again.
+    fn release(&mut self) {}
+}

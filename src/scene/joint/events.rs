@@ -1,0 +1,125 @@
+//! Events as rows of the joint problem.
+
+use super::super::picture::motion::{DEGREES, apply, derivatives, map_of};
+use super::super::picture::spline::{ORDER, weights};
+use super::lines::Lines;
+use crate::case::Case;
+use crate::free::Predicted;
+use crate::picture::Picture;
+use rayon::prelude::*;
+
+/// Gauss-Laguerre instants of the front end's memory, in time constants before, and their shares.
+const LAGS: [(f64, f64); 3] = [
+    (0.415_774_556_783_479, 0.711_093_009_929_173),
+    (2.294_280_360_279_042, 0.278_517_733_569_241),
+    (6.289_945_082_937_479, 0.010_389_256_501_586),
+];
+
+/// Events as rows, in order of pixel and time.
+pub(super) struct OfEvents {
+    pub lines: Lines,
+    /// Pixel, number among its predicted events, and whether both of its places are on the picture and near
+    /// each other.
+    pub of: Vec<(u32, u32, bool)>,
+}
+
+/// Rows of all predicted events: what the voltage's change from reference to event derives from. The voltage
+/// is log light with the front end's lag, its time constant that of the light when it is read.
+pub(super) fn lines(case: &Case, picture: &Picture, predicted: &[Predicted], reach: usize) -> OfEvents {
+    let parts: Vec<OfEvents> = predicted
+        .par_chunks(64)
+        .enumerate()
+        .map(|(chunk, of)| {
+            let mut part = OfEvents { lines: Lines::new(), of: Vec::new() };
+            let (mut of_picture, mut of_rest) = (Vec::new(), Vec::new());
+            for (n, predicted) in of.iter().enumerate() {
+                let pixel = chunk * 64 + n;
+                for (k, event) in predicted.events.iter().enumerate() {
+                    let is_whole =
+                        [(1.0, event.t_ns), (-1.0, event.reference_ns)].iter().all(|(sign, t_ns)| {
+                            voltage(
+                                case,
+                                picture,
+                                predicted,
+                                (pixel, *t_ns, *sign),
+                                &mut of_picture,
+                                &mut of_rest,
+                            )
+                        });
+                    let is_near = is_whole && is_within(&of_picture, picture.grid.width, reach + 4);
+                    if !is_near {
+                        of_picture.clear();
+                        of_rest.clear();
+                    }
+                    part.lines.push(&mut of_picture, &mut of_rest);
+                    part.of.push((pixel as u32, k as u32, is_near));
+                }
+            }
+            part
+        })
+        .collect();
+    let mut all = OfEvents { lines: Lines::new(), of: Vec::new() };
+    for part in parts {
+        all.lines.extend(&part.lines);
+        all.of.extend(part.of);
+    }
+    all
+}
+
+/// Do coefficients lie within `most` of each other along both axes?
+fn is_within(of_picture: &[(u32, f32)], width: usize, most: usize) -> bool {
+    let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
+    for (at, _) in of_picture {
+        let (x, y) = (*at as usize % width, *at as usize / width);
+        low = (low.0.min(x), low.1.min(y));
+        high = (high.0.max(x), high.1.max(y));
+    }
+    high.0 - low.0.min(high.0) <= most && high.1 - low.1.min(high.1) <= most
+}
+
+/// Adds what the voltage of a pixel at an instant derives from, times a sign; false where the picture does
+/// not reach.
+fn voltage(
+    case: &Case,
+    picture: &Picture,
+    predicted: &Predicted,
+    (pixel, t_ns, sign): (usize, i64, f64),
+    of_picture: &mut Vec<(u32, f32)>,
+    of_rest: &mut Vec<(u16, f32)>,
+) -> bool {
+    let (x, y) = case.place(pixel);
+    let place = (f64::from(x) - picture.centre.0, f64::from(y) - picture.centre.1);
+    let shade = picture.shade(place);
+    let light = |t_ns: i64| {
+        let (px, py) = apply(&picture.motion.at(t_ns), place.0, place.1);
+        picture.grid.value(&picture.surface, px, py).map(|value| f64::max(value * shade, picture.least))
+    };
+    let Some(now) = light(t_ns) else { return false };
+    let tau_ns = 1e9 * (predicted.low_pass.tau_0_s + predicted.low_pass.alpha_s / now);
+    for (lag, share) in LAGS {
+        let at_ns = (t_ns - (lag * tau_ns) as i64).max(case.span.0);
+        let (knot, of_knots) = picture.motion.weights(at_ns);
+        let pose = picture.motion.pose(at_ns);
+        let map = map_of(&pose, picture.motion.half);
+        let (px, py) = apply(&map, place.0, place.1);
+        let Some((i, j, f, g)) = picture.grid.locate(px, py) else { return false };
+        let (wx, wy) = (weights(f), weights(g));
+        let value = picture.grid.value(&picture.surface, px, py).unwrap_or(0.0);
+        let by = sign * share / f64::max(value, picture.least / shade);
+        for (row, wy) in wy.iter().enumerate() {
+            for (column, wx) in wx.iter().enumerate() {
+                let at = (j + row) * picture.grid.width + i + column;
+                of_picture.push((at as u32, (by * wx * wy) as f32));
+            }
+        }
+        let (gx, gy) = picture.grid.gradient(&picture.surface, px, py);
+        let of_pose = derivatives(&map, &pose, picture.motion.half, place.0, place.1);
+        for (n, weight) in of_knots.iter().enumerate().take(ORDER) {
+            for (d, (dx, dy)) in of_pose.iter().enumerate() {
+                let change = by * weight * (gx * dx + gy * dy);
+                of_rest.push((((knot + n) * DEGREES + d) as u16, change as f32));
+            }
+        }
+    }
+    true
+}

@@ -1,0 +1,122 @@
+//! Rows of the joint problem: what each measurement derives from, of the picture and of the rest.
+
+use super::super::picture::rows::Rows;
+use std::ops::Range;
+
+/// Sparse rows: derivatives by coefficients of the picture, rising, and by motion and shading.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lines {
+    first: Vec<usize>,
+    at: Vec<u32>,
+    by: Vec<f32>,
+    rest_first: Vec<usize>,
+    rest_at: Vec<u16>,
+    rest_by: Vec<f32>,
+}
+
+impl Lines {
+    pub(super) fn new() -> Lines {
+        Lines { first: vec![0], rest_first: vec![0], ..Lines::default() }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    /// Frame values as the picture's own fit lays them, in its order.
+    pub(super) fn of_frames(rows: &Rows, width: usize, knots: usize) -> Lines {
+        let mut lines = Lines::new();
+        for r in 0..rows.count() {
+            let (corner, columns, stencil) = rows.line(r);
+            for (j, line) in stencil.chunks_exact(columns).enumerate() {
+                for (i, value) in line.iter().enumerate().filter(|(_, value)| **value != 0) {
+                    lines.at.push((corner + j * width + i) as u32);
+                    lines.by.push(f32::from(*value) * rows.unit[r]);
+                }
+            }
+            let rest = rows.indices(knots, rows.knot[r] as usize);
+            for (at, by) in rest.iter().zip(&rows.by_rest[r]).filter(|(_, by)| **by != 0) {
+                if let Some(at) = at {
+                    lines.rest_at.push(*at as u16);
+                    lines.rest_by.push(f32::from(*by) * rows.rest_unit[r]);
+                }
+            }
+            lines.end();
+        }
+        lines
+    }
+
+    /// Takes a row in: derivatives in any order, those by one unknown added up.
+    pub(super) fn push(&mut self, picture: &mut Vec<(u32, f32)>, rest: &mut Vec<(u16, f32)>) {
+        picture.sort_unstable_by_key(|(at, _)| *at);
+        let begun = self.at.len();
+        for (at, by) in picture.drain(..) {
+            if self.at.len() > begun && self.at.last() == Some(&at) {
+                *self.by.last_mut().expect("one was pushed") += by;
+            } else {
+                self.at.push(at);
+                self.by.push(by);
+            }
+        }
+        rest.sort_unstable_by_key(|(at, _)| *at);
+        let begun = self.rest_at.len();
+        for (at, by) in rest.drain(..) {
+            if self.rest_at.len() > begun && self.rest_at.last() == Some(&at) {
+                *self.rest_by.last_mut().expect("one was pushed") += by;
+            } else {
+                self.rest_at.push(at);
+                self.rest_by.push(by);
+            }
+        }
+        self.end();
+    }
+
+    fn end(&mut self) {
+        self.first.push(self.at.len());
+        self.rest_first.push(self.rest_at.len());
+    }
+
+    /// Rows of another list behind these.
+    pub(super) fn extend(&mut self, other: &Lines) {
+        let (begun, rest_begun) = (self.at.len(), self.rest_at.len());
+        self.first.extend(other.first[1..].iter().map(|at| at + begun));
+        self.rest_first.extend(other.rest_first[1..].iter().map(|at| at + rest_begun));
+        self.at.extend_from_slice(&other.at);
+        self.by.extend_from_slice(&other.by);
+        self.rest_at.extend_from_slice(&other.rest_at);
+        self.rest_by.extend_from_slice(&other.rest_by);
+    }
+
+    /// Derivatives of row `r` by the picture.
+    pub(super) fn picture(&self, r: usize) -> (&[u32], &[f32]) {
+        let of: Range<usize> = self.first[r]..self.first[r + 1];
+        (&self.at[of.clone()], &self.by[of])
+    }
+
+    /// And by the rest.
+    pub(super) fn rest(&self, r: usize) -> (&[u16], &[f32]) {
+        let of: Range<usize> = self.rest_first[r]..self.rest_first[r + 1];
+        (&self.rest_at[of.clone()], &self.rest_by[of])
+    }
+
+    /// Derivative of row `r` along a step of `picture` coefficients and of the rest behind them.
+    pub(super) fn along(&self, r: usize, step: &[f64], picture: usize) -> f64 {
+        let (at, by) = self.picture(r);
+        let (rest_at, rest_by) = self.rest(r);
+        let of_picture: f64 = at.iter().zip(by).map(|(at, by)| f64::from(*by) * step[*at as usize]).sum();
+        let of_rest: f64 = rest_at
+            .iter()
+            .zip(rest_by)
+            .map(|(at, by)| f64::from(*by) * step[picture + usize::from(*at)])
+            .sum();
+        of_picture + of_rest
+    }
+
+    /// Adds row `r` times a factor to a vector of all unknowns.
+    pub(super) fn add(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
+        let (at, by) = self.picture(r);
+        at.iter().zip(by).for_each(|(at, by)| to[*at as usize] += factor * f64::from(*by));
+        let (at, by) = self.rest(r);
+        at.iter().zip(by).for_each(|(at, by)| to[picture + usize::from(*at)] += factor * f64::from(*by));
+    }
+}

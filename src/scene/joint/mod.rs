@@ -1,0 +1,425 @@
+//! The scene of a recording as one moving picture, estimated from frames **and** events together.
+//!
+//! What frames with noise leave open of a picture, events decide: what the picture misses of their thresholds
+//! falls by a factor of ten. Unlike a [`crate::Scene`] it is not independent of the events, and absorbs an
+//! effect of the sensor in part; how much is known ([`FreeScene::score`]).
+//!
+//! - Unknowns s: coefficients of the picture, its motion, the array's shading. Rows: frame values, and events
+//!   e = V(t) - V_ref - p theta (`events`); J their derivatives (`lines`).
+//! - H = J'W J + P (`problem`; `normal`: its factor), P the prior: second differences of the picture with
+//!   a variance each, by expectation and maximisation with a posterior sample (`prior`); second
+//!   differences of the motion.
+//! - Steps along what nothing measures (a shading along which nothing moves, picture and motion shifted
+//!   together) are damped.
+//! - Noise of events: Student-t with three degrees of freedom, scaled to what is left of them; of frames: as
+//!   [`crate::free::frame_noise`] has it.
+//! - Some pixels' events take no part: what a sensor gains is measured on these (`score`).
+//!
+//! Source: Gauss-Newton on all unknowns at once (Triggs et al., Bundle adjustment - a modern synthesis,
+//! 2000); posterior samples by perturbation (Papandreou and Yuille, NIPS 2010).
+//!
+//! Limits: one affine motion; no still ground behind it; a surface sharper than its pitch is softened.
+
+mod events;
+mod lines;
+mod normal;
+mod prior;
+mod problem;
+mod score;
+
+use crate::case::Case;
+use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, PredictedEvent, Score, line};
+use crate::light::Light;
+use crate::moving::MovingPicture;
+use crate::nominal::Nominal;
+use crate::picture::{Picture, PictureSetting};
+use crate::scene::Scene;
+use crate::statistics::median;
+use normal::Factor;
+use photocurrent_core::random::Random;
+use prior::Prior;
+use problem::{FrameRows, Problem, Standing};
+use std::sync::Arc;
+
+/// About so many coefficients at most, and the finest and coarsest pitch, pixels.
+const MOST_COEFFICIENTS: f64 = 20_000.0;
+const PITCHES: (f64, f64) = (0.8, 1.3);
+/// No more coefficients than this, and no frame value that sees more in a line, in memory of some hundreds of
+/// megabytes.
+const LARGEST: usize = 45_000;
+const FARTHEST: usize = 24;
+/// Degrees of freedom of an event at most.
+const MOST_FREE: f64 = 0.7;
+/// A step that raises what is minimised is taken again by this share of it, so many times at most.
+const SHORTER: f64 = 0.4;
+const TIMES_SHORTER: usize = 2;
+/// A factor stands while the noise of events changes by less than this.
+const SAME_NOISE: f64 = 1.25;
+/// Noise that changes by less than this from round to round has settled.
+const SETTLED: f64 = 1.1;
+/// Bins of slopes in which the noise of events is estimated, and the least of it: as a share of
+/// thresholds, and seconds.
+const BINS: usize = 8;
+const LEAST_NOISE: (f64, f64) = (0.003, 1e-6);
+/// So many rounds at least.
+const FIRST_ROUNDS: u64 = 3;
+/// Seed of posterior samples.
+const SEED: u64 = 11;
+
+/// A moving picture that follows frames and events.
+#[derive(Clone)]
+pub struct JointPicture {
+    scene: Arc<MovingPicture>,
+    case: Arc<Case>,
+    nominal: Arc<Nominal>,
+    step_ns: i64,
+    /// All pixels of the array.
+    pixels: Vec<u32>,
+    /// Of each pixel: do its events take part? Otherwise gains are measured on them.
+    is_trained: Vec<bool>,
+    /// Of the measurements.
+    noise: Noise,
+    /// Median standard deviation of events, as a share of their thresholds; and that before the last round.
+    typical: f64,
+    typical_before: f64,
+    prior: Prior,
+    /// Share of its information that an event has about itself, in the mean.
+    free: f64,
+    rounds: u64,
+    /// Before the last step.
+    before: Option<Before>,
+    /// The factor of an earlier linearisation, while noise is about as it was.
+    factor: Option<Factored>,
+    /// Frame values as rows, once the picture hardly moves: their derivatives and weights stand from then on.
+    frames: Option<Arc<FrameRows>>,
+}
+
+/// A factor, and what the noise of events was.
+#[derive(Clone)]
+struct Factored {
+    factor: Arc<Factor>,
+    typical: f64,
+}
+
+/// A step that may be too long.
+#[derive(Clone, Debug)]
+struct Before {
+    scene: Arc<MovingPicture>,
+    step: Vec<f64>,
+    /// What it should lessen.
+    objective: f64,
+    times: usize,
+}
+
+impl JointPicture {
+    /// Begins with a picture that was fitted to the frames. `is_trained`: of each pixel of the array, do its
+    /// events take part? `step_ns`: instants of predicted light.
+    ///
+    /// # Errors
+    /// Where something moves before a still ground, or the picture is too large for a factor.
+    pub fn begin(
+        case: &Case,
+        nominal: &Nominal,
+        scene: &MovingPicture,
+        is_trained: Vec<bool>,
+        step_ns: i64,
+        noise: Noise,
+    ) -> Result<JointPicture, String> {
+        if !scene.picture.ground.is_empty() {
+            return Err("what moves before a still ground is no single picture".to_owned());
+        }
+        let Picture { grid, .. } = scene.picture;
+        let area = (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
+        let pitch = (area / MOST_COEFFICIENTS).sqrt().clamp(PITCHES.0, PITCHES.1);
+        let setting = PictureSetting { pitch, ..scene.setting };
+        let picture = scene.picture.on_pitch(case, nominal, &setting);
+        let count = picture.grid.coefficients();
+        let reach = problem::reach(case, nominal, &picture, &setting);
+        if count > LARGEST || reach > FARTHEST {
+            return Err(format!(
+                "a picture of {count} coefficients, of which a frame value sees {reach} in a line, is more \
+                 than frames and events together are fitted to: {LARGEST}, and {FARTHEST} in a line"
+            ));
+        }
+        let surface: Vec<f64> = picture.surface.iter().map(|c| f64::from(*c)).collect();
+        let prior = Prior::estimate(&picture.grid, &surface, None);
+        let scene = MovingPicture::new(picture, &setting, case, nominal);
+        Ok(JointPicture {
+            scene: Arc::new(scene),
+            case: Arc::new(case.clone()),
+            nominal: Arc::new(nominal.clone()),
+            step_ns,
+            pixels: (0..case.extent.pixels() as u32).collect(),
+            is_trained,
+            noise,
+            typical: f64::INFINITY,
+            typical_before: f64::INFINITY,
+            prior,
+            free: 0.0,
+            rounds: 0,
+            before: None,
+            factor: None,
+            frames: None,
+        })
+    }
+
+    fn picture(&self) -> &Picture {
+        &self.scene.picture
+    }
+
+    fn standing(&self) -> Standing<'_> {
+        let JointPicture { case, nominal, scene, is_trained, noise, prior, frames, .. } = self;
+        Standing { case, nominal, scene, is_trained, noise, prior, frames: frames.as_ref() }
+    }
+
+    /// The factor that is kept, where the noise is about as it was; or else one of the rows as they are.
+    fn kept(&self, problem: &Problem) -> Option<Factored> {
+        match self.factor.as_ref().filter(|kept| self.is_near(kept)) {
+            Some(kept) => Some(kept.clone()),
+            None => {
+                Some(Factored { factor: Arc::new(self.standing().factored(problem)?), typical: self.typical })
+            }
+        }
+    }
+
+    /// Has the scene been made ready for effects? Before each round has a factor of its own.
+    fn has_begun(&self) -> bool {
+        self.frames.is_some()
+    }
+
+    /// Is the noise of events about as it was for a factor?
+    fn is_near(&self, kept: &Factored) -> bool {
+        let ratio = self.typical / kept.typical;
+        ratio < SAME_NOISE && 1.0 / ratio < SAME_NOISE
+    }
+
+    /// Takes a step of all unknowns from a picture.
+    fn take(&mut self, from: &Arc<MovingPicture>, step: &[f64], share: f64) {
+        let mut picture = from.picture.clone();
+        picture.step(step, share);
+        self.scene = Arc::new(MovingPicture::new(picture, &from.setting, &self.case, &self.nominal));
+    }
+
+    /// Goes back part of the last step where it did not lessen what it should.
+    fn back(&mut self, predicted: &[Predicted]) -> bool {
+        let Some(before) = self.before.take() else { return false };
+        let now = self.standing().objective(predicted);
+        if now <= before.objective || before.times == TIMES_SHORTER {
+            return false;
+        }
+        let share = libm::pow(SHORTER, before.times as f64 + 1.0);
+        self.take(&before.scene, &before.step, share);
+        self.before = Some(Before { times: before.times + 1, ..before });
+        true
+    }
+
+    /// Events that take part, or those that do not.
+    fn events<'a>(
+        &'a self,
+        predicted: &'a [Predicted],
+        is: bool,
+    ) -> impl Iterator<Item = &'a PredictedEvent> {
+        let of = predicted.iter().zip(&self.is_trained).filter(move |(_, is_trained)| **is_trained == is);
+        of.flat_map(|(of, _)| &of.events)
+    }
+
+    /// The noise of events that take part, or of those that do not, from what is left of them, `free` of
+    /// their information being about themselves: robust scales in bins of slopes, as a part of thresholds
+    /// and a part of stamps.
+    fn event_noise(&self, predicted: &[Predicted], is_trained: bool, free: f64) -> Noise {
+        let of = |event: &PredictedEvent| {
+            let slope = event.slope_per_s / event.threshold;
+            (slope * slope, event.excess.abs() / event.threshold)
+        };
+        let mut sizes: Vec<(f64, f64)> = self.events(predicted, is_trained).map(of).collect();
+        if sizes.len() < BINS {
+            return self.noise;
+        }
+        sizes.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let level = |bin: &[(f64, f64)]| {
+            let mut of_bin: Vec<f64> = bin.iter().map(|one| one.1).collect();
+            let scale = median(&mut of_bin) / MEDIAN_T;
+            (bin[bin.len() / 2].0, scale * scale / (1.0 - free))
+        };
+        let levels: Vec<(f64, f64)> = sizes.chunks(sizes.len().div_ceil(BINS)).map(level).collect();
+        let (share, stamp) = line(&levels);
+        Noise {
+            threshold_share: share.sqrt().max(LEAST_NOISE.0),
+            stamp_s: stamp.sqrt().max(LEAST_NOISE.1),
+            ..self.noise
+        }
+    }
+
+    /// Takes the noise of events from what is left of them.
+    fn take_noise(&mut self, predicted: &[Predicted]) {
+        self.noise = self.event_noise(predicted, true, self.free);
+        let of = |event: &PredictedEvent| self.noise.event_variance(event).sqrt() / event.threshold;
+        let mut deviations: Vec<f64> = self.events(predicted, true).map(of).collect();
+        if !deviations.is_empty() {
+            (self.typical_before, self.typical) = (self.typical, median(&mut deviations));
+        }
+    }
+
+    fn newton(&mut self, predicted: &[Predicted], is_measured: bool) {
+        let problem = self.standing().problem(predicted);
+        if self.rounds < FIRST_ROUNDS {
+            self.factor = None;
+        }
+        let is_new = self.factor.is_none();
+        let Some(kept) = self.kept(&problem) else { return };
+        let is_new =
+            is_new || self.factor.as_ref().is_some_and(|one| !Arc::ptr_eq(&one.factor, &kept.factor));
+        let is_measured = is_measured && is_new;
+        let factor = kept.factor.clone();
+        self.factor = Some(kept);
+        let count = self.picture().grid.coefficients();
+        let mut sides = vec![self.standing().gradient(&problem)];
+        if is_measured {
+            let (of_events, sample) = self.probes(&problem, count);
+            sides.push(of_events);
+            sides.push(sample);
+        }
+        let probe = sides.get(1).cloned();
+        factor.solve(&mut sides);
+        if let Some(probe) = probe {
+            let events = problem.weight[problem.frames()..].iter().filter(|w| **w > 0.0).count().max(1);
+            let trace: f64 = probe.iter().zip(&sides[1]).map(|(a, b)| a * b).sum();
+            self.free = (trace / events as f64).clamp(0.0, MOST_FREE);
+        }
+        let step: Vec<f64> = sides[0].iter().map(|by| -by).collect();
+        let from = self.scene.clone();
+        self.before = Some(Before {
+            scene: from.clone(),
+            step: step.clone(),
+            objective: self.standing().objective(predicted),
+            times: 0,
+        });
+        self.take(&from, &step, 1.0);
+        if is_measured {
+            let now = self.standing().unknowns();
+            self.prior = Prior::estimate(&self.picture().grid, &now[..count], Some(&sides[2][..count]));
+            // The objective is that of another prior from here on.
+            self.before = None;
+        }
+        self.rounds += 1;
+    }
+
+    /// A probe of the degrees of freedom of events, and the right side of a posterior sample.
+    fn probes(&self, problem: &Problem, count: usize) -> (Vec<f64>, Vec<f64>) {
+        let mut random = Random::new(SEED, &[self.rounds]);
+        let all = self.standing().unknowns().len();
+        let (mut of_events, mut sample) = (vec![0.0; all], vec![0.0; all]);
+        for r in problem.used() {
+            let by = problem.weight[r].sqrt() * random.normal();
+            if r >= problem.frames() {
+                problem.add(r, by, &mut of_events, count);
+            }
+            problem.add(r, by, &mut sample, count);
+        }
+        self.prior.each(&self.picture().grid, |at, by, weight| {
+            let draw = weight.sqrt() * random.normal();
+            at.iter().zip(by).for_each(|(at, by)| sample[*at] += draw * by);
+        });
+        (of_events, sample)
+    }
+}
+
+impl FreeScene for JointPicture {
+    const FEWEST_EVENTS: usize = 0;
+
+    fn pixels(&self) -> &[u32] {
+        &self.pixels
+    }
+
+    fn light(&self, case: &Case) -> Light {
+        (&*self.scene as &dyn Scene).light(case, self.step_ns)
+    }
+
+    fn noise(&self) -> &Noise {
+        &self.noise
+    }
+
+    fn takes_part(&self, place: usize) -> bool {
+        self.is_trained[place]
+    }
+
+    fn is_measured(&self, place: usize) -> bool {
+        !self.is_trained[place]
+    }
+
+    fn left(&self, predicted: &[Predicted]) -> f64 {
+        let mut sizes: Vec<f64> =
+            self.events(predicted, false).map(|event| event.excess.abs() / event.threshold).collect();
+        if sizes.is_empty() { f64::NAN } else { median(&mut sizes) }
+    }
+
+    fn has_settled(&self) -> bool {
+        self.rounds >= FIRST_ROUNDS && self.typical_before / self.typical < SETTLED
+    }
+
+    fn round(&mut self, predicted: &[Predicted]) {
+        if self.back(predicted) {
+            return;
+        }
+        self.take_noise(predicted);
+        if self.rounds < FIRST_ROUNDS
+            || !self.has_begun()
+            || self.factor.as_ref().is_none_or(|kept| self.is_near(kept))
+        {
+            self.newton(predicted, true);
+        }
+    }
+
+    fn settle(&mut self, predicted: &[Predicted]) {
+        if !self.back(predicted) {
+            self.newton(predicted, false);
+        }
+    }
+
+    fn score(&self, predicted: &[Predicted], columns: &[Vec<f32>], effects: usize) -> Vec<Option<Score>> {
+        let standing = self.standing();
+        let problem = standing.problem(predicted);
+        match self.kept(&problem) {
+            Some(Factored { factor, .. }) => {
+                score::scores(&standing, &problem, &factor, predicted, (columns, effects))
+            }
+            None => predicted.iter().map(|_| None).collect(),
+        }
+    }
+
+    fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>> {
+        let standing = self.standing();
+        let problem = standing.problem(predicted);
+        let Some(Factored { factor, .. }) = self.kept(&problem) else {
+            return predicted.iter().map(|_| None).collect();
+        };
+        let left_out = |moved: &[Predicted]| self.left_out(moved);
+        let gains = score::gains(&standing, &problem, &factor, predicted, (columns, sizes), left_out);
+        gains.into_iter().enumerate().map(|(place, of)| self.is_measured(place).then_some(of)).collect()
+    }
+
+    fn prepare(&mut self, predicted: &[Predicted]) {
+        // What is predicted next may be another sensor's.
+        self.before = None;
+        let problem = self.standing().problem(predicted);
+        self.frames = Some(problem.of_frames.clone());
+        self.factor = None;
+        self.factor = self.kept(&problem);
+    }
+
+    fn release(&mut self) {
+        self.factor = None;
+    }
+
+    fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
+        let noise = self.event_noise(predicted, false, 0.0);
+        let of = |(place, of): (usize, &Predicted)| match self.is_measured(place) {
+            true => of.events.iter().map(|event| noise.log_density_left_out(event, 0.0)).sum(),
+            false => 0.0,
+        };
+        predicted.iter().enumerate().map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

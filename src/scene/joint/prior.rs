@@ -1,0 +1,79 @@
+//! How far second differences of the picture go: a variance for each, by expectation and maximisation.
+
+use super::super::picture::spline::Grid;
+
+/// Differences at each coefficient: along x, along y and across.
+const KINDS: usize = 3;
+/// The mean is over the coefficients up to this far on either side.
+const NEAR: usize = 2;
+/// Three differences stand on each coefficient, each with a variance: together they let it vary less than
+/// each alone, and each variance is as many times larger than the mean square.
+const SHARED: f64 = 3.0;
+/// Differences that are always possible, as a share of the picture's mean.
+const LEAST: f64 = 0.001;
+
+/// Variances of second differences, [kind][coefficient].
+#[derive(Clone, Debug)]
+pub(super) struct Prior {
+    variance: Vec<f64>,
+}
+
+/// The coefficients of a difference and their factors; none where it would leave the grid.
+fn difference(grid: &Grid, kind: usize, k: usize) -> Option<([usize; 4], [f64; 4], usize)> {
+    let (w, x, y) = (grid.width, k % grid.width, k / grid.width);
+    match kind {
+        0 => (x > 0 && x + 1 < w).then_some(([k.wrapping_sub(1), k, k + 1, 0], [1.0, -2.0, 1.0, 0.0], 3)),
+        1 => (y > 0 && y + 1 < grid.height).then_some((
+            [k.wrapping_sub(w), k, k + w, 0],
+            [1.0, -2.0, 1.0, 0.0],
+            3,
+        )),
+        _ => (x + 1 < w && y + 1 < grid.height).then_some((
+            [k, k + 1, k + w, k + w + 1],
+            [1.0, -1.0, -1.0, 1.0],
+            4,
+        )),
+    }
+}
+
+impl Prior {
+    /// From a picture, and a posterior sample of what measurements leave open of it.
+    pub(super) fn estimate(grid: &Grid, picture: &[f64], open: Option<&[f64]>) -> Prior {
+        let count = grid.coefficients();
+        let mean = picture[..count].iter().sum::<f64>() / count as f64;
+        let least = (LEAST * mean) * (LEAST * mean);
+        let mut variance = Vec::with_capacity(KINDS * count);
+        for kind in 0..KINDS {
+            let square = |k: usize| {
+                let Some((at, by, n)) = difference(grid, kind, k) else { return 0.0 };
+                let of = |values: &[f64]| -> f64 { (0..n).map(|i| by[i] * values[at[i]]).sum() };
+                let open = open.map_or(0.0, of);
+                of(picture) * of(picture) + open * open
+            };
+            let squares: Vec<f64> = (0..count).map(square).collect();
+            variance.extend((0..count).map(|k| {
+                let (x, y) = (k % grid.width, k / grid.width);
+                let (mut sum, mut n) = (0.0, 0.0);
+                for j in y.saturating_sub(NEAR)..(y + NEAR + 1).min(grid.height) {
+                    for i in x.saturating_sub(NEAR)..(x + NEAR + 1).min(grid.width) {
+                        (sum, n) = (sum + squares[j * grid.width + i], n + 1.0);
+                    }
+                }
+                SHARED * sum / n + least
+            }));
+        }
+        Prior { variance }
+    }
+
+    /// Every difference: its coefficients, rising, their factors, and one over its variance.
+    pub(super) fn each(&self, grid: &Grid, mut with: impl FnMut(&[usize], &[f64], f64)) {
+        let count = grid.coefficients();
+        for kind in 0..KINDS {
+            for k in 0..count {
+                if let Some((at, by, n)) = difference(grid, kind, k) {
+                    with(&at[..n], &by[..n], 1.0 / self.variance[kind * count + k]);
+                }
+            }
+        }
+    }
+}

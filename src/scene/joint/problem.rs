@@ -1,0 +1,284 @@
+//! The joint problem at a picture as it stands: rows with what they leave, and the normal equations.
+
+use super::events::{self, OfEvents};
+use super::lines::Lines;
+use super::normal::{Factor, Sums};
+use super::prior::Prior;
+use crate::case::Case;
+use crate::free::{NU, Noise, Predicted};
+use crate::moving::MovingPicture;
+use crate::nominal::Nominal;
+use crate::picture::motion::{DEGREES, RIGID};
+use crate::picture::{MOTION_WEIGHT, Picture, PictureSetting, ROBUST, STRETCH};
+use std::sync::Arc;
+
+/// Events whose two places lie further apart than so many coefficients along an axis take no part.
+const REACH: usize = 11;
+/// Nor do events that miss their threshold by more than so many of it.
+const FAR: f64 = 3.0;
+/// Standard deviations of a step of motion, pixels, and of shading.
+pub(super) const STEP_OF_MOTION: f64 = 0.12;
+pub(super) const STEP_OF_SHADING: f64 = 0.002;
+
+/// Frame values as rows.
+pub(super) struct FrameRows {
+    lines: Lines,
+    /// Which frame value each is, [frame][y][x].
+    index: Vec<u32>,
+    weight: Vec<f64>,
+    sums: Sums,
+}
+
+/// Rows with what they leave: frame values, then events.
+pub(super) struct Problem {
+    pub of_frames: Arc<FrameRows>,
+    pub events: Lines,
+    /// Pixel of each row.
+    pub pixel: Vec<u32>,
+    /// Which of the pixel's predicted frame values, or events, it is.
+    pub number: Vec<u32>,
+    pub residual: Vec<f64>,
+    /// 0: takes no part.
+    pub weight: Vec<f64>,
+}
+
+impl Problem {
+    /// Number of frame values, behind which events follow.
+    pub(super) fn frames(&self) -> usize {
+        self.of_frames.lines.len()
+    }
+
+    pub(super) fn rows(&self) -> usize {
+        self.weight.len()
+    }
+
+    /// Derivative of row `r` along a step of all unknowns.
+    pub(super) fn along(&self, r: usize, step: &[f64], picture: usize) -> f64 {
+        match r.checked_sub(self.frames()) {
+            None => self.of_frames.lines.along(r, step, picture),
+            Some(event) => self.events.along(event, step, picture),
+        }
+    }
+
+    /// Adds row `r` times a factor to a vector of all unknowns.
+    pub(super) fn add(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
+        match r.checked_sub(self.frames()) {
+            None => self.of_frames.lines.add(r, factor, to, picture),
+            Some(event) => self.events.add(event, factor, to, picture),
+        }
+    }
+
+    /// Where a row stands in the columns of its pixel.
+    pub(super) fn row_of(&self, r: usize, predicted: &[Predicted]) -> usize {
+        let number = self.number[r] as usize;
+        if r < self.frames() { number } else { predicted[self.pixel[r] as usize].frames.len() + number }
+    }
+
+    /// Rows that take part.
+    pub(super) fn used(&self) -> impl Iterator<Item = usize> {
+        (0..self.rows()).filter(|r| self.weight[*r] > 0.0)
+    }
+}
+
+/// How many coefficients a frame value of a picture sees in a line.
+pub(super) fn reach(case: &Case, nominal: &Nominal, picture: &Picture, setting: &PictureSetting) -> usize {
+    let laid = picture.laid(case, nominal, setting);
+    let lines = Lines::of_frames(&laid, picture.grid.width, picture.motion.knots.len());
+    let (columns, rows) = Sums::reach_of(&lines, picture.grid.width);
+    columns.max(rows)
+}
+
+/// A picture as it stands, with what its rows are weighed by.
+#[derive(Clone, Copy)]
+pub(super) struct Standing<'a> {
+    pub case: &'a Case,
+    pub nominal: &'a Nominal,
+    pub scene: &'a MovingPicture,
+    /// Of each pixel: do its events take part?
+    pub is_trained: &'a [bool],
+    pub noise: &'a Noise,
+    pub prior: &'a Prior,
+    /// Frame values as rows, where these stand.
+    pub frames: Option<&'a Arc<FrameRows>>,
+}
+
+impl Standing<'_> {
+    pub(super) fn picture(&self) -> &Picture {
+        &self.scene.picture
+    }
+
+    /// Number of the picture's coefficients.
+    pub(super) fn coefficients(&self) -> usize {
+        self.picture().grid.coefficients()
+    }
+
+    /// All unknowns: the picture's coefficients, then the rest.
+    pub(super) fn unknowns(&self) -> Vec<f64> {
+        let mut all: Vec<f64> = self.picture().surface.iter().map(|c| f64::from(*c)).collect();
+        all.extend(self.picture().rest());
+        all
+    }
+
+    /// Frame values as rows at the picture as it stands.
+    pub(super) fn frame_rows(&self, predicted: &[Predicted], places: &[u32]) -> FrameRows {
+        let picture = self.picture();
+        let laid = picture.laid(self.case, self.nominal, &self.scene.setting);
+        let (grid, knots) = (picture.grid, picture.motion.knots.len());
+        let lines = Lines::of_frames(&laid, grid.width, knots);
+        let pixels = self.case.extent.pixels();
+        let weight = |at: &u32| {
+            let frame = predicted[*at as usize % pixels].frames.get(places[*at as usize] as usize);
+            frame.map_or(0.0, |frame| {
+                let variance = self.noise.frame_variance(frame.signal_dn);
+                1.0 / variance / (1.0 + frame.residual_dn * frame.residual_dn / variance / (ROBUST * ROBUST))
+            })
+        };
+        let weight: Vec<f64> = laid.index.iter().map(weight).collect();
+        let mut reach = Sums::reach_of(&lines, grid.width);
+        reach = (reach.0.max(REACH + 4), reach.1.max(REACH + 4));
+        let mut sums = Sums::new(grid.width, grid.coefficients(), picture.rest().len(), reach);
+        sums.add_all(&lines, &weight);
+        FrameRows { lines, index: laid.index, weight, sums }
+    }
+
+    /// All rows at the picture as it stands, with residuals and weights.
+    pub(super) fn problem(&self, predicted: &[Predicted]) -> Problem {
+        let places = self.frame_places(predicted);
+        let of_frames = self.frames.cloned().unwrap_or_else(|| Arc::new(self.frame_rows(predicted, &places)));
+        let pixels = self.case.extent.pixels();
+        let frames = of_frames.lines.len();
+        let (mut pixel, mut number) = (Vec::with_capacity(frames), Vec::with_capacity(frames));
+        let (mut residual, mut weight) = (Vec::with_capacity(frames), of_frames.weight.clone());
+        for at in &of_frames.index {
+            let (of, place) = (*at as usize % pixels, places[*at as usize]);
+            pixel.push(of as u32);
+            number.push(place);
+            residual.push(predicted[of].frames.get(place as usize).map_or(0.0, |frame| frame.residual_dn));
+        }
+        let OfEvents { lines: events, of } = events::lines(self.case, self.picture(), predicted, REACH);
+        for (of, k, is_near) in &of {
+            let event = &predicted[*of as usize].events[*k as usize];
+            let variance = self.noise.event_variance(event);
+            let takes_part =
+                *is_near && self.is_trained[*of as usize] && event.excess.abs() < FAR * event.threshold;
+            pixel.push(*of);
+            number.push(*k);
+            residual.push(event.excess);
+            let full = (NU + 1.0) / variance / (NU + event.excess * event.excess / variance);
+            weight.push(if takes_part { full } else { 0.0 });
+        }
+        Problem { of_frames, events, pixel, number, residual, weight }
+    }
+
+    /// Which of a pixel's predicted frame values each frame value is, [frame][y][x].
+    pub(super) fn frame_places(&self, predicted: &[Predicted]) -> Vec<u32> {
+        let pixels = self.case.extent.pixels();
+        let mut places = vec![u32::MAX; self.case.frame_count() * pixels];
+        let Some(frames) = &self.case.frames else { return places };
+        for (pixel, predicted) in predicted.iter().enumerate() {
+            let row = self.case.place(pixel).1;
+            let mut k = 0;
+            for l in 0..self.case.frame_count() {
+                let start = frames.times.exposure(l, row).start.0;
+                if predicted.frames.get(k).is_some_and(|frame| frame.start_ns == start) {
+                    places[l * pixels + pixel] = k as u32;
+                    k += 1;
+                }
+            }
+        }
+        places
+    }
+
+    /// Weights of the motion's and the shading's priors: unknowns of the rest, factors, weight.
+    pub(super) fn each_of_rest(&self, mut with: impl FnMut(&[usize], &[f64], f64)) {
+        let knots = self.picture().motion.knots.len();
+        for k in 1..knots.saturating_sub(1) {
+            for d in 0..DEGREES {
+                let at = [(k - 1) * DEGREES + d, k * DEGREES + d, (k + 1) * DEGREES + d];
+                with(&at, &[1.0, -2.0, 1.0], MOTION_WEIGHT * MOTION_WEIGHT);
+            }
+        }
+        let rest = self.picture().rest();
+        for n in 0..rest.len() {
+            if n >= knots * DEGREES {
+                with(&[n], &[1.0], 1.0);
+            } else if n % DEGREES >= RIGID {
+                with(&[n], &[1.0], 1.0 / (STRETCH * STRETCH));
+            }
+        }
+    }
+
+    /// The factor of the normal equations; none where they are singular.
+    pub(super) fn factored(&self, problem: &Problem) -> Option<Factor> {
+        let (grid, rest) = (self.picture().grid, self.picture().rest().len());
+        let mut sums = problem.of_frames.sums.clone();
+        sums.add_all(&problem.events, &problem.weight[problem.frames()..]);
+        self.prior.each(&grid, |at, by, weight| sums.add_picture(at, by, weight));
+        self.each_of_rest(|at, by, weight| sums.add_rest(at, by, weight));
+        let motion = self.picture().motion.knots.len() * DEGREES;
+        for n in 0..rest {
+            let step = if n < motion { STEP_OF_MOTION } else { STEP_OF_SHADING };
+            sums.add_rest(&[n], &[1.0], 1.0 / (step * step));
+        }
+        sums.factor()
+    }
+
+    /// J'W rho and the pull of the priors.
+    pub(super) fn gradient(&self, problem: &Problem) -> Vec<f64> {
+        let grid = self.picture().grid;
+        let (count, now) = (grid.coefficients(), self.unknowns());
+        let mut gradient = vec![0.0; now.len()];
+        for r in problem.used() {
+            problem.add(r, problem.weight[r] * problem.residual[r], &mut gradient, count);
+        }
+        let pull = |first: usize, gradient: &mut Vec<f64>, at: &[usize], by: &[f64], weight: f64| {
+            let value: f64 = at.iter().zip(by).map(|(at, by)| by * now[first + at]).sum();
+            at.iter().zip(by).for_each(|(at, by)| gradient[first + at] += weight * value * by);
+        };
+        self.prior.each(&grid, |at, by, weight| pull(0, &mut gradient, at, by, weight));
+        self.each_of_rest(|at, by, weight| pull(count, &mut gradient, at, by, weight));
+        gradient
+    }
+
+    /// What steps lessen: misfit of frames and events under the noise as it stands, and roughness.
+    pub(super) fn objective(&self, predicted: &[Predicted]) -> f64 {
+        let (grid, now) = (self.picture().grid, self.unknowns());
+        let of_frames = |of: &Predicted| -> f64 {
+            of.frames
+                .iter()
+                .map(|frame| {
+                    let variance = self.noise.frame_variance(frame.signal_dn);
+                    0.5 * ROBUST
+                        * ROBUST
+                        * libm::log1p(frame.residual_dn * frame.residual_dn / variance / (ROBUST * ROBUST))
+                })
+                .sum()
+        };
+        let of_events = |of: &Predicted| -> f64 {
+            of.events
+                .iter()
+                .map(|event| {
+                    let far = FAR * event.threshold;
+                    let excess = event.excess.clamp(-far, far);
+                    let variance = self.noise.event_variance(event);
+                    0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
+                })
+                .sum()
+        };
+        let mut sum: f64 = predicted.iter().map(of_frames).sum();
+        sum += predicted
+            .iter()
+            .zip(self.is_trained)
+            .filter(|(_, is)| **is)
+            .map(|(of, _)| of_events(of))
+            .sum::<f64>();
+        let count = grid.coefficients();
+        let mut rough = |first: usize, at: &[usize], by: &[f64], weight: f64| {
+            let value: f64 = at.iter().zip(by).map(|(at, by)| by * now[first + at]).sum();
+            sum += 0.5 * weight * value * value;
+        };
+        self.prior.each(&grid, |at, by, weight| rough(0, at, by, weight));
+        self.each_of_rest(|at, by, weight| rough(count, at, by, weight));
+        sum
+    }
+}

@@ -1,0 +1,97 @@
+//! Efficient scores of effects on a joint picture, and what a step of everything with each gains.
+
+use super::normal::Factor;
+use super::problem::{Problem, Standing};
+use crate::free::{MOST_OF_RISE, Predicted, PredictedEvent, Score};
+use rayon::prelude::*;
+
+/// What each pixel's rows add to the scores of effects; none where that is nothing. `columns`: as in
+/// [`crate::free::FreeScene::score`], of so many effects.
+pub(super) fn scores(
+    standing: &Standing<'_>,
+    problem: &Problem,
+    factor: &Factor,
+    predicted: &[Predicted],
+    (columns, effects): (&[Vec<f32>], usize),
+) -> Vec<Option<Score>> {
+    let count = standing.coefficients();
+    let all = standing.unknowns().len();
+    let column =
+        |r: usize| &columns[problem.pixel[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
+    let mut sides = vec![vec![0.0; all]; effects];
+    for r in problem.used() {
+        for (side, by) in sides.iter_mut().zip(column(r)).filter(|(_, by)| **by != 0.0) {
+            problem.add(r, problem.weight[r] * f64::from(*by), side, count);
+        }
+    }
+    sides.push(standing.gradient(problem));
+    factor.solve(&mut sides);
+    let mut scores: Vec<Option<Score>> = predicted.iter().map(|_| None).collect();
+    let mut moved = vec![0.0; effects];
+    for r in problem.used() {
+        let column = column(r);
+        if column.iter().all(|by| *by == 0.0) {
+            continue;
+        }
+        let of = scores[problem.pixel[r] as usize].get_or_insert_with(|| Score {
+            score: vec![0.0; effects],
+            information: vec![0.0; effects * effects],
+            known: vec![0.0; effects],
+        });
+        let weight = problem.weight[r];
+        let left = problem.residual[r] - problem.along(r, &sides[effects], count);
+        for (k, moved) in moved.iter_mut().enumerate() {
+            *moved = f64::from(column[k]) - problem.along(r, &sides[k], count);
+        }
+        for (k, by) in column.iter().enumerate().filter(|(_, by)| **by != 0.0) {
+            let by = weight * f64::from(*by);
+            of.score[k] += by * left;
+            of.known[k] += by * f64::from(column[k]);
+            let to = &mut of.information[k * effects..][..effects];
+            to.iter_mut().zip(&moved).for_each(|(to, moved)| *to += by * moved);
+        }
+    }
+    scores
+}
+
+/// What effects of `sizes` gain from each pixel, nats, with a step of everything and beyond what that step
+/// gains without one. `left_out`: log densities of each pixel's events, given what is predicted.
+pub(super) fn gains(
+    standing: &Standing<'_>,
+    problem: &Problem,
+    factor: &Factor,
+    predicted: &[Predicted],
+    (columns, sizes): (&[Vec<f32>], &[f64]),
+    left_out: impl Fn(&[Predicted]) -> Vec<f64> + Sync,
+) -> Vec<Vec<f64>> {
+    let (effects, count) = (sizes.len(), standing.coefficients());
+    let mut sides = vec![standing.gradient(problem); effects + 1];
+    for r in problem.used() {
+        let column = &columns[problem.pixel[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
+        for ((side, by), size) in sides.iter_mut().zip(column).zip(sizes) {
+            let by = f64::from(*by) * size;
+            if by != 0.0 {
+                problem.add(r, problem.weight[r] * by, side, count);
+            }
+        }
+    }
+    factor.solve(&mut sides);
+    let with = |k: usize| -> Vec<f64> {
+        let mut moved = predicted.to_vec();
+        let size = sizes.get(k).copied().unwrap_or(0.0);
+        for r in problem.frames()..problem.rows() {
+            let (pixel, n) = (problem.pixel[r] as usize, problem.number[r] as usize);
+            let (frames, events) = (predicted[pixel].frames.len(), predicted[pixel].events.len());
+            let by = |row: usize| {
+                if k < effects { size * f64::from(columns[pixel][row * effects + k]) } else { 0.0 }
+            };
+            let event: &mut PredictedEvent = &mut moved[pixel].events[n];
+            event.excess += by(frames + n) - problem.along(r, &sides[k], count);
+            event.rise_per_s *= libm::exp(by(frames + events + n).clamp(-MOST_OF_RISE, MOST_OF_RISE));
+        }
+        left_out(&moved)
+    };
+    let all: Vec<Vec<f64>> = (0..=effects).into_par_iter().map(with).collect();
+    let of = |place: usize| (0..effects).map(|k| all[k][place] - all[effects][place]).collect();
+    (0..predicted.len()).map(of).collect()
+}

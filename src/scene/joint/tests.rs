@@ -1,0 +1,200 @@
+//! Rows against numerical derivatives, scores against the whole problem, and pictures under noise against the
+//! truth.
+
+use super::problem::{STEP_OF_MOTION, STEP_OF_SHADING};
+use super::*;
+use crate::picture::motion::DEGREES;
+use crate::testing::{self, predicted};
+use nalgebra::{DMatrix, DVector};
+use photocurrent_core::Extent;
+use photocurrent_sensor::front_end::FrontEnd;
+
+const STEP_NS: i64 = 50_000;
+
+/// The texture seen by a sensor with a short constant lag, with noise of `electrons` a DN and `read` DN
+/// in its frames.
+fn noisy(extent: Extent, frames: usize, (electrons, read): (f64, f64)) -> (Case, Nominal) {
+    let mut case = testing::texture(extent, frames);
+    let mut random = Random::new(8, &[]);
+    let noise = |_: usize, dn: f32| {
+        let variance = f64::from(dn) / electrons + read * read;
+        (f64::from(dn) + libm::sqrt(variance) * random.normal()).round() as f32
+    };
+    case.frames = case.frames.map(|frames| frames.map(noise));
+    let mut nominal = case.nominal().unwrap();
+    nominal.pixel.front_end = FrontEnd::IDEAL;
+    (case, nominal)
+}
+
+fn begin(case: &Case, nominal: &Nominal, noise: (f64, f64)) -> JointPicture {
+    let setting = PictureSetting::default();
+    let scene = MovingPicture::fit(case, nominal, &setting).unwrap();
+    // Every fourth pixel is held out.
+    let is_trained = (0..case.extent.pixels()).map(|pixel| pixel % 4 != 3).collect();
+    JointPicture::begin(case, nominal, &scene, is_trained, STEP_NS, Noise::new(noise)).unwrap()
+}
+
+fn now(case: &Case, nominal: &Nominal, joint: &JointPicture) -> Vec<Predicted> {
+    predicted(case, nominal, joint.pixels(), &joint.light(case))
+}
+
+#[test]
+fn rows_are_what_a_small_step_of_everything_changes() {
+    let (case, mut nominal) = noisy(Extent { width: 16, height: 12 }, 8, (1e9, 0.0));
+    nominal.pixel.front_end = FrontEnd { tau_0_s: 300e-6, alpha_s: 0.0 };
+    let joint = begin(&case, &nominal, (1.0, 0.0));
+    let before = now(&case, &nominal, &joint);
+    let problem = joint.standing().problem(&before);
+    let count = joint.picture().grid.coefficients();
+    let mut random = Random::new(3, &[]);
+    let knots = joint.picture().motion.knots.len() * DEGREES;
+    // A step of the picture, of the motion, of the shading.
+    for kind in 0..3 {
+        let size = |n: usize| match n.checked_sub(count) {
+            None if kind == 0 => 0.01 * 55.0,
+            Some(rest) if kind == 1 && rest < knots => 0.004,
+            Some(rest) if kind == 2 && rest >= knots => 0.002,
+            _ => 0.0,
+        };
+        let step: Vec<f64> =
+            (0..joint.standing().unknowns().len()).map(|n| size(n) * random.normal()).collect();
+        let moved = |share: f64| {
+            let mut moved = joint.clone();
+            moved.take(&joint.scene.clone(), &step, share);
+            now(&case, &nominal, &moved)
+        };
+        let (more, less) = (moved(0.5), moved(-0.5));
+        let (mut off, mut size) = ([0.0; 2], [0.0; 2]);
+        for r in problem.used() {
+            let (pixel, n) = (problem.pixel[r] as usize, problem.number[r] as usize);
+            let is_event = usize::from(r >= problem.frames());
+            let change = match is_event {
+                0 => more[pixel].frames[n].residual_dn - less[pixel].frames[n].residual_dn,
+                _ => more[pixel].events[n].excess - less[pixel].events[n].excess,
+            };
+            let found = problem.along(r, &step, count);
+            off[is_event] += (found - change) * (found - change);
+            size[is_event] += change * change;
+        }
+        for is_event in 0..2 {
+            let share = libm::sqrt(off[is_event] / size[is_event].max(1e-12));
+            // Shading cancels from one voltage to another; the lag is taken at three instants.
+            let is_nothing = kind == 2 && is_event == 1;
+            assert!(if is_nothing { off[1] < 1e-9 } else { share < 0.04 }, "{kind} {is_event}: {share}");
+        }
+    }
+}
+
+#[test]
+fn scores_are_those_of_the_whole_problem() {
+    let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (5.0, 2.0));
+    let mut joint = begin(&case, &nominal, (4.0, 0.2));
+    for _ in 0..2 {
+        let measured = now(&case, &nominal, &joint);
+        joint.round(&measured);
+    }
+    let measured = now(&case, &nominal, &joint);
+    joint.prepare(&measured);
+    let effects = 3;
+    let columns: Vec<Vec<f32>> = measured
+        .iter()
+        .enumerate()
+        .map(|(pixel, of)| {
+            let rows = of.frames.len() + 2 * of.events.len();
+            (0..rows * effects).map(|k| libm::sin(0.3 * pixel as f64 + 1.7 * k as f64) as f32).collect()
+        })
+        .collect();
+    let scores = joint.score(&measured, &columns, effects);
+    // The whole problem, dense.
+    let problem = joint.standing().problem(&measured);
+    let (count, all) = (joint.picture().grid.coefficients(), joint.standing().unknowns().len());
+    let mut normal = DMatrix::<f64>::zeros(all, all);
+    let square = |normal: &mut DMatrix<f64>, first: usize, at: &[usize], by: &[f64], weight: f64| {
+        for (a, by_a) in at.iter().zip(by) {
+            for (b, by_b) in at.iter().zip(by) {
+                normal[(first + a, first + b)] += weight * by_a * by_b;
+            }
+        }
+    };
+    joint.prior.each(&joint.picture().grid, |at, by, weight| square(&mut normal, 0, at, by, weight));
+    joint.standing().each_of_rest(|at, by, weight| square(&mut normal, count, at, by, weight));
+    let motion = joint.picture().motion.knots.len() * DEGREES;
+    for n in count..all {
+        let step = if n - count < motion { STEP_OF_MOTION } else { STEP_OF_SHADING };
+        normal[(n, n)] += 1.0 / (step * step);
+    }
+    let gradient = DVector::from_vec(joint.standing().gradient(&problem));
+    let mut through = DMatrix::<f64>::zeros(all, effects);
+    let (mut score, mut information) =
+        (DVector::<f64>::zeros(effects), DMatrix::<f64>::zeros(effects, effects));
+    for r in problem.used() {
+        let mut row = vec![0.0; all];
+        problem.add(r, 1.0, &mut row, count);
+        let (row, weight) = (DVector::from_vec(row), problem.weight[r]);
+        let at = problem.row_of(r, &measured) * effects;
+        let of = &columns[problem.pixel[r] as usize][at..at + effects];
+        let of = DVector::from_iterator(effects, of.iter().map(|by| f64::from(*by)));
+        normal.ger(weight, &row, &row, 1.0);
+        through.ger(weight, &row, &of, 1.0);
+        score += weight * problem.residual[r] * &of;
+        information.ger(weight, &of, &of, 1.0);
+    }
+    let factor = normal.cholesky().unwrap();
+    score -= through.tr_mul(&factor.solve(&gradient));
+    information -= through.tr_mul(&factor.solve(&through));
+    let sum = |of: &dyn Fn(&Score) -> f64| -> f64 { scores.iter().flatten().map(of).sum() };
+    for k in 0..effects {
+        let found = sum(&|one| one.score[k]);
+        assert!((found - score[k]).abs() < 1e-4 * information[(k, k)].abs(), "{found} is {}", score[k]);
+        for other in 0..effects {
+            let found = sum(&|one| one.information[k * effects + other]);
+            let expected = information[(k, other)];
+            assert!((found - expected).abs() < 1e-4 * information[(k, k)].abs(), "{found} is {expected}");
+        }
+    }
+}
+
+#[test]
+fn events_decide_what_noisy_frames_leave_open() {
+    let noise = (4.0, 0.2);
+    let (case, nominal) = noisy(Extent { width: 32, height: 24 }, 10, (5.0, 2.0));
+    let mut joint = begin(&case, &nominal, noise);
+    // What held-out events miss their thresholds by, as a share of them.
+    let left = |joint: &JointPicture| {
+        let of = now(&case, &nominal, joint);
+        let held = of.iter().enumerate().filter(|(place, _)| joint.is_measured(*place));
+        let mut sizes: Vec<f64> = held.flat_map(|(_, of)| &of.events).map(|e| e.excess.abs() / 0.2).collect();
+        crate::statistics::median(&mut sizes)
+    };
+    let frames_alone = left(&joint);
+    for _ in 0..5 {
+        let measured = now(&case, &nominal, &joint);
+        joint.round(&measured);
+    }
+    let both = left(&joint);
+    // Thresholds are passed by up to a step of 0.1 ms, at some 10 ln a second: half a hundredth of them.
+    assert!(both < 0.015 && both < 0.3 * frames_alone, "{frames_alone} to {both}");
+}
+
+#[test]
+fn what_moves_before_a_ground_is_refused() {
+    let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (1e9, 0.0));
+    let mut scene = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+    scene.picture.ground = vec![1.0; case.extent.pixels()];
+    let begun =
+        JointPicture::begin(&case, &nominal, &scene, vec![true; 120], STEP_NS, Noise::new((1.0, 0.0)));
+    assert!(begun.err().unwrap().contains("still ground"));
+}
+
+#[test]
+fn a_picture_that_is_too_large_is_refused() {
+    let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (1e9, 0.0));
+    let mut scene = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+    // As if it ran over some thousand pixels along both axes.
+    for (k, knot) in scene.picture.motion.knots.iter_mut().enumerate() {
+        (knot[0], knot[1]) = (300.0 * k as f64, 300.0 * k as f64);
+    }
+    let begun =
+        JointPicture::begin(&case, &nominal, &scene, vec![true; 120], STEP_NS, Noise::new((1.0, 0.0)));
+    assert!(begun.err().unwrap().contains("coefficients"));
+}
