@@ -124,10 +124,12 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
 pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
     match setting.scene {
         Estimated::Pixels => return seen(free::on_pixels(case, nominal)),
-        Estimated::Joint => return seen(on_joint(case, nominal, integrity, setting)),
+        Estimated::Joint => {
+            return seen(on_part(case, integrity, setting, |part| on_joint(part, nominal, setting)));
+        }
         _ => {}
     }
-    let found = match on_picture(case, nominal, integrity, setting) {
+    let found = match on_part(case, integrity, setting, |part| on_picture(part, nominal, setting)) {
         Ok(found) if setting.scene == Estimated::Picture || decides_alone(&found) => Ok(found),
         Err(why) if setting.scene == Estimated::Picture => Err(why),
         Ok(found) if found.on_joint.is_some() => Ok(found),
@@ -149,42 +151,37 @@ fn decides_alone(found: &Evidence) -> bool {
     f64::max(found.control_median, found.left[0]) < LEAVES_LITTLE
 }
 
-/// An error where the light flickers: a picture does not.
-fn steady(integrity: &Integrity, setting: &OnScene) -> Result<(), String> {
-    match integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
-        Some(flicker) => Err(format!(
+/// Evidence on the part of a recording that a picture is fitted to; an error where the light flickers, as a
+/// picture does not.
+fn on_part(
+    case: &Case,
+    integrity: &Integrity,
+    setting: &OnScene,
+    on: impl Fn(&Case) -> Result<Evidence, String>,
+) -> Result<Evidence, String> {
+    if let Some(flicker) = integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
+        return Err(format!(
             "the light flickers at {:.0} Hz by {:.0} %",
             flicker.frequency_hz,
             100.0 * flicker.depth
-        )),
-        None => Ok(()),
+        ));
     }
-}
-
-/// The same on one moving picture of frames and events together.
-fn on_joint(
-    case: &Case,
-    nominal: &Nominal,
-    integrity: &Integrity,
-    setting: &OnScene,
-) -> Result<Evidence, String> {
-    steady(integrity, setting)?;
     let part = case.busiest(setting.picture.most_values);
     let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
+    let mut found = on(case)?;
+    found.span_ns = span_ns;
+    found.on_joint.iter_mut().for_each(|joint| joint.span_ns = span_ns);
+    Ok(found)
+}
+
+/// Evidence on one moving picture of frames and events together.
+fn on_joint(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evidence, String> {
     let picture = MovingPicture::fit(case, nominal, &setting.picture)?;
-    free::on_picture(case, nominal, &picture).map(|found| Evidence { span_ns, ..found })
+    free::on_picture(case, nominal, &picture)
 }
 
 /// The same on a scene that is fitted to the frames alone.
-fn on_picture(
-    case: &Case,
-    nominal: &Nominal,
-    integrity: &Integrity,
-    setting: &OnScene,
-) -> Result<Evidence, String> {
-    steady(integrity, setting)?;
-    let part = case.busiest(setting.picture.most_values);
-    let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
+fn on_picture(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evidence, String> {
     let fitted = match setting.scene {
         Estimated::Parts => scene(case, nominal, &setting.picture, &setting.parts),
         _ => MovingPicture::fit(case, nominal, &setting.picture)
@@ -195,12 +192,11 @@ fn on_picture(
     let picture = scene.as_any().and_then(|any| any.downcast_ref::<MovingPicture>());
     let on_joint = match picture {
         Some(picture) if picture.is_alone() && !decides_alone(&found) => {
-            free::on_picture(case, nominal, picture).ok()
+            free::on_picture(case, nominal, picture).ok().map(Box::new)
         }
         _ => None,
     };
-    let on_joint = on_joint.map(|joint| Box::new(Evidence { span_ns, ..joint }));
-    Ok(Evidence { span_ns, on_joint, ..found })
+    Ok(Evidence { on_joint, ..found })
 }
 
 /// Evidence, or why there is none.

@@ -72,7 +72,7 @@ pub trait Scene: Sync {
         seed: u64,
     ) -> Result<Option<Box<dyn Scene>>, String>;
 
-    /// Itself, for what only one kind of scene has; none where nothing is asked of it.
+    /// Itself, for what only one kind of scene has; none of kinds that have nothing of the sort.
     fn as_any(&self) -> Option<&dyn Any> {
         None
     }

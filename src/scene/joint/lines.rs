@@ -48,26 +48,8 @@ impl Lines {
 
     /// Takes a row in: derivatives in any order, those by one unknown added up.
     pub(super) fn push(&mut self, picture: &mut Vec<(u32, f32)>, rest: &mut Vec<(u16, f32)>) {
-        picture.sort_unstable_by_key(|(at, _)| *at);
-        let begun = self.at.len();
-        for (at, by) in picture.drain(..) {
-            if self.at.len() > begun && self.at.last() == Some(&at) {
-                *self.by.last_mut().expect("one was pushed") += by;
-            } else {
-                self.at.push(at);
-                self.by.push(by);
-            }
-        }
-        rest.sort_unstable_by_key(|(at, _)| *at);
-        let begun = self.rest_at.len();
-        for (at, by) in rest.drain(..) {
-            if self.rest_at.len() > begun && self.rest_at.last() == Some(&at) {
-                *self.rest_by.last_mut().expect("one was pushed") += by;
-            } else {
-                self.rest_at.push(at);
-                self.rest_by.push(by);
-            }
-        }
+        merge(picture, &mut self.at, &mut self.by);
+        merge(rest, &mut self.rest_at, &mut self.rest_by);
         self.end();
     }
 
@@ -118,5 +100,20 @@ impl Lines {
         at.iter().zip(by).for_each(|(at, by)| to[*at as usize] += factor * f64::from(*by));
         let (at, by) = self.rest(r);
         at.iter().zip(by).for_each(|(at, by)| to[picture + usize::from(*at)] += factor * f64::from(*by));
+    }
+}
+
+/// Puts derivatives behind others by rising unknowns, those by one added up.
+fn merge<A: Ord + Copy>(row: &mut Vec<(A, f32)>, at: &mut Vec<A>, by: &mut Vec<f32>) {
+    row.sort_unstable_by_key(|(unknown, _)| *unknown);
+    let begun = at.len();
+    for (unknown, derivative) in row.drain(..) {
+        match by.last_mut() {
+            Some(sum) if at.len() > begun && at.last() == Some(&unknown) => *sum += derivative,
+            _ => {
+                at.push(unknown);
+                by.push(derivative);
+            }
+        }
     }
 }

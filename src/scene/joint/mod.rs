@@ -287,6 +287,9 @@ impl JointPicture {
             self.free = (trace / events as f64).clamp(0.0, MOST_FREE);
         }
         let step: Vec<f64> = sides[0].iter().map(|by| -by).collect();
+        if step.iter().any(|by| !by.is_finite()) {
+            return;
+        }
         let from = self.scene.clone();
         self.before = Some(Before {
             scene: from.clone(),

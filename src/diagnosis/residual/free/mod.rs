@@ -4,7 +4,7 @@
 //! The scene is one moving picture ([`on_picture`]), or the light of each pixel, free in time
 //! ([`on_pixels`]), where nothing moves as one.
 //!
-//! 1. What is looked at (`choose`). Of a picture: pixels by chance, some whose events take part in the fit
+//! 1. What is evaluated (`choose`). Of a picture: pixels by chance, some whose events take part in the fit
 //!    and some whose events are held out. Of pixels: blocks with many events, spread over the array, and the
 //!    busiest 0.15 s.
 //! 2. The scene, its prior and the noise with the description as it is (`fit`).
