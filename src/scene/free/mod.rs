@@ -35,9 +35,6 @@ pub trait FreeScene: Clone + Send + Sync {
     /// The light of its pixels, empty elsewhere.
     fn light(&self, case: &Case) -> Light;
 
-    /// Noise of the measurements.
-    fn noise(&self) -> &Noise;
-
     /// Do the events of a pixel, by its place, take part in the scene and in scores?
     fn takes_part(&self, place: usize) -> bool;
 

@@ -338,10 +338,6 @@ impl FreeScene for JointPicture {
         (&*self.scene as &dyn Scene).light(case, self.step_ns)
     }
 
-    fn noise(&self) -> &Noise {
-        &self.noise
-    }
-
     fn takes_part(&self, place: usize) -> bool {
         self.is_trained[place]
     }

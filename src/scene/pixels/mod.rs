@@ -177,10 +177,6 @@ impl FreeScene for PixelLight {
         light
     }
 
-    fn noise(&self) -> &Noise {
-        &self.noise
-    }
-
     fn takes_part(&self, _place: usize) -> bool {
         true
     }
