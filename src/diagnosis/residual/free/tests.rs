@@ -171,8 +171,8 @@ fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() 
         let found = joint(&case);
         let first = found.first.clone().unwrap();
         assert_eq!(CANDIDATES[first.candidate].id, id, "{first:?}");
-        // Within the standard error that is stated, or a tenth: three rounds of scene and size leave that much
-        // of a black level of 54 DN.
+        // Within the standard error that is stated, or a tenth: three rounds of scene and size leave that
+        // much of a black level of 54 DN.
         let off = (first.effect_size - size).abs();
         assert!(off < f64::max(first.error, 0.1 * size.abs()), "{first:?}");
         let decided = decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap();
