@@ -13,13 +13,13 @@ pub(crate) const WIDTH: usize = 8;
 
 /// One `f64` per lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(C, align(64))]
+#[repr(C)]
 pub(crate) struct Wide<const W: usize>(pub [f64; W]);
 
 /// What lanes do, as bits of a number per lane: as wide as a number of [`Wide`], so that comparisons become
 /// vector instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(C, align(64))]
+#[repr(C)]
 pub(crate) struct Flags<const W: usize>(pub [u64; W]);
 
 impl<const W: usize> Flags<W> {

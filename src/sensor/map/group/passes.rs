@@ -23,8 +23,11 @@ use crate::scalar::Scalar;
 use crate::wide::{Flags, Wide};
 use multiversion::multiversion;
 
-/// One step at given unknowns: the segment that ends there, and what is measured there, linearised.
+/// One step at given unknowns: the segment that ends there, and what is measured there, linearised. It
+/// begins at a cache line, like what is kept of steps below: numbers of eight lanes fill one each, those of
+/// one lane lie together.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
 pub(super) struct Line<const W: usize> {
     pub slopes: Slopes<Wide<W>>,
     /// What counts there: [`EVENT`], [`FRAME`], [`LIGHT`], `NO_EVENT` or nothing.
@@ -35,6 +38,7 @@ pub(super) struct Line<const W: usize> {
 
 /// The prior of the segment that ends at a step.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
 pub(super) struct Expected<const W: usize> {
     pub correlation: Wide<W>,
     /// 0 at steps without a segment.
@@ -48,6 +52,7 @@ pub(super) struct Expected<const W: usize> {
 
 /// What the backward pass needs of a step of the forward one.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 pub(super) struct Kept<const N: usize, const W: usize> {
     pub gain: [Wide<W>; N],
     pull: Wide<W>,
@@ -58,6 +63,7 @@ pub(super) struct Kept<const N: usize, const W: usize> {
 
 /// The same of a damping.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 pub(super) struct Damped<const N: usize, const W: usize> {
     gain: [Wide<W>; N],
     pull: Wide<W>,
