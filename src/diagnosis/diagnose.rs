@@ -16,6 +16,7 @@ use crate::unstated;
 use crate::verdict::{Answer, answered, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
+use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
@@ -346,7 +347,10 @@ fn looked_at_of(decided: &Decided) -> String {
     let when = decided.span_ns.map_or_else(String::new, |(from, to)| {
         format!(" from {:.2} to {:.2} s", from as f64 * 1e-9, to as f64 * 1e-9)
     });
-    format!("{scene}, {:.0} % of the events{when}", 100.0 * decided.share)
+    let place = decided.part.map_or_else(String::new, |Block { x, y, width, height }| {
+        format!(" in columns {x} to {} and rows {y} to {}", x + width - 1, y + height - 1)
+    });
+    format!("{scene}, {:.0} % of the events{when}{place}", 100.0 * decided.share)
 }
 
 /// What nothing was found out about.

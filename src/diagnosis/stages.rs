@@ -12,6 +12,7 @@ use crate::report::Detectable;
 use crate::residual::evidence::Evidence;
 use crate::residual::located::{Located, Locations};
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
+use photocurrent_scene::block::Block;
 use photocurrent_sensor::effects::catalogue;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -97,6 +98,9 @@ pub struct Decided {
     /// First and last instant that was evaluated, ns; none where it is the whole recording.
     #[serde(default)]
     pub span_ns: Option<(i64, i64)>,
+    /// The part of the array that was evaluated; none where it is all of it.
+    #[serde(default)]
+    pub part: Option<Block>,
     /// Does the recording differ from the description at all?
     pub detected: bool,
     /// For one more effect, best first.
@@ -358,6 +362,7 @@ mod tests {
         let decided = Decided {
             share: 0.83,
             span_ns: Some((0, 40_000_000)),
+            part: Some(Block { x: 3, y: 4, width: 20, height: 10 }),
             name: "picture".into(),
             detected: true,
             proposals: vec![proposal.clone()],

@@ -1,6 +1,7 @@
 //! A whole diagnosis in one call ([`diagnose`]), and its stages between direct tests and confirmation one by
 //! one: the evidence on a scene that frames state ([`on_frames`]), and what it comes to ([`proposed`]).
 
+use crate::candidates::CANDIDATES;
 use crate::decide::{Decision, decide};
 use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
 use crate::integrity::Integrity;
@@ -216,6 +217,12 @@ pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed 
     }
 }
 
+/// Is a decision of what is not sought on a picture of frames and events together?
+fn is_sought_there(alone: &Decided) -> bool {
+    let is_random = alone.proposals.first().is_some_and(|one| CANDIDATES[one.candidate].is_random);
+    alone.detected && (is_random || alone.unexplained.is_some())
+}
+
 /// What the evidence of all scenes comes to.
 fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Decided, String> {
     let on = |other: &Option<Box<Evidence>>| other.as_ref().map(|found| decide(found, nominal, decision));
@@ -225,7 +232,12 @@ fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<De
     if found.on_joint.as_deref().is_some_and(explains)
         && let Some(Ok(joint)) = on(&found.on_joint)
     {
-        return Ok(joint);
+        // Random effects, and what is in no catalogue, are sought on the picture of frames alone.
+        return if joint.detected {
+            Ok(joint)
+        } else {
+            Ok(alone.ok().filter(is_sought_there).unwrap_or(joint))
+        };
     }
     match (alone, on(&found.on_pixels)) {
         // What the picture does not show, the light of pixels may.

@@ -4,7 +4,7 @@
 //! Light that is predicted so is independent of the events that it is compared with.
 //!
 //! - [`case`]: a recording in memory: events by pixel, frames ([`grey`]: one value for each event pixel), the
-//!   description; [`nominal`]: the sensor that it states.
+//!   description; [`nominal`]: the sensor that it states; [`block`]: a rectangle of its pixels.
 //! - [`scene`]: what a scene is. [`moving`]: one moving [`picture`]. [`mosaic`]: that picture, or pictures of
 //!   parts where they predict frames better.
 //!   [`free`]: a scene that follows events as well: [`joint`], one moving picture of frames and events;
@@ -21,6 +21,7 @@
 #![warn(unreachable_pub)]
 
 pub mod activity;
+pub mod block;
 pub mod case;
 pub mod closed;
 pub mod film;

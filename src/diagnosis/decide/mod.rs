@@ -132,6 +132,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         name: found.scene.clone(),
         share: found.share,
         span_ns: found.span_ns,
+        part: found.part,
         detected: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },

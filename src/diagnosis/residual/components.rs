@@ -59,12 +59,12 @@ const MOST_LEFT: f64 = 0.5;
 const LEAST_PAIRS: usize = 200;
 
 /// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0
-/// where too few do. `cells`: what the events' pixels looked at.
-pub(super) fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
+/// where too few do. `pixel`, `polarity` and what the pixels looked at (`cells`), of each event.
+pub(super) fn white_share((pixel, polarity): (&[u32], &[i8]), residual: &[f64], cells: &[Cell]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     let most = 4.0 * median(&mut sizes);
     let mut order: Vec<((Cell, i8), u32, usize)> =
-        (0..residual.len()).map(|k| ((cells[k], events.polarity[k]), events.pixel[k], k)).collect();
+        (0..residual.len()).map(|k| ((cells[k], polarity[k]), pixel[k], k)).collect();
     order.sort_unstable();
     let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0);
     for pair in order.windows(2).filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1) {

@@ -4,6 +4,7 @@ use super::located::Located;
 use super::open::Open;
 pub use super::setting::EvidenceSetting;
 use crate::candidates::CANDIDATES;
+use photocurrent_scene::block::Block;
 use serde::{Deserialize, Serialize};
 
 /// Kinds of scenes that decisions have a model for, by their names.
@@ -106,6 +107,9 @@ pub struct Evidence {
     /// First and last instant that was looked at, ns; none where it is the whole recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub span_ns: Option<(i64, i64)>,
+    /// The part of the array that was evaluated; none where it is all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part: Option<Block>,
     /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
     #[serde(default)]
     pub nats_per_event: f64,

@@ -332,7 +332,7 @@ impl Seen<'_> {
             view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
         let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, CELL);
         let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
-        Ok(white_share(&events, &events.excess, &cells))
+        Ok(white_share((&events.pixel, &events.polarity), &events.excess, &cells))
     }
 
     /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is

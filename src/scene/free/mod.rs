@@ -6,6 +6,7 @@ mod predicted;
 
 use crate::case::Case;
 use crate::light::Light;
+use crate::scene::Cell;
 pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, line};
 pub use noise::{Noise, frame_noise};
 pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
@@ -43,6 +44,12 @@ pub trait FreeScene: Clone + Send + Sync {
 
     /// What events miss their thresholds by on the scene, a median share of them.
     fn left(&self, predicted: &[Predicted]) -> f64;
+
+    /// The cell of `side` pixels of the scene that one of its pixels sees at an instant, ns: what is wrong
+    /// with the scene is alike for all pixels on one cell. None where no two pixels see the same.
+    fn cell(&self, _case: &Case, _pixel: usize, _t_ns: i64, _side: f64) -> Option<Cell> {
+        None
+    }
 
     /// Has the noise of events settled, so that further rounds change little?
     fn has_settled(&self) -> bool {

@@ -18,14 +18,19 @@ const LAGS: [(f64, f64); 3] = [
 /// Events as rows, in order of pixel and time.
 pub(super) struct OfEvents {
     pub lines: Lines,
-    /// Pixel, number among its predicted events, and whether both of its places are on the picture and near
+    /// Place of the pixel, number among its predicted events, and whether both of its places are on the picture and near
     /// each other.
     pub of: Vec<(u32, u32, bool)>,
 }
 
 /// Rows of all predicted events: what the voltage's change from reference to event derives from. The voltage
 /// is log light with the front end's lag, its time constant that of the light when it is read.
-pub(super) fn lines(case: &Case, picture: &Picture, predicted: &[Predicted], reach: usize) -> OfEvents {
+pub(super) fn lines(
+    case: &Case,
+    picture: &Picture,
+    (pixels, predicted): (&[u32], &[Predicted]),
+    reach: usize,
+) -> OfEvents {
     let parts: Vec<OfEvents> = predicted
         .par_chunks(64)
         .enumerate()
@@ -33,7 +38,8 @@ pub(super) fn lines(case: &Case, picture: &Picture, predicted: &[Predicted], rea
             let mut part = OfEvents { lines: Lines::new(), of: Vec::new() };
             let (mut of_picture, mut of_rest) = (Vec::new(), Vec::new());
             for (n, predicted) in of.iter().enumerate() {
-                let pixel = chunk * 64 + n;
+                let place = chunk * 64 + n;
+                let pixel = pixels[place] as usize;
                 for (k, event) in predicted.events.iter().enumerate() {
                     let is_whole =
                         [(1.0, event.t_ns), (-1.0, event.reference_ns)].iter().all(|(sign, t_ns)| {
@@ -52,7 +58,7 @@ pub(super) fn lines(case: &Case, picture: &Picture, predicted: &[Predicted], rea
                         of_rest.clear();
                     }
                     part.lines.push(&mut of_picture, &mut of_rest);
-                    part.of.push((pixel as u32, k as u32, is_near));
+                    part.of.push((place as u32, k as u32, is_near));
                 }
             }
             part

@@ -18,32 +18,34 @@
 //! Source: Gauss-Newton on all unknowns at once (Triggs et al., Bundle adjustment - a modern synthesis,
 //! 2000); posterior samples by perturbation (Papandreou and Yuille, NIPS 2010).
 //!
-//! Limits: one affine motion; no still ground behind it; a surface sharper than its pitch is softened.
+//! Limits: one affine motion; no still ground behind it; a surface sharper than its pitch is softened, which
+//! is finer on a part of the array ([`Part`]).
 
 mod events;
 mod lines;
 mod normal;
+mod part;
 mod prior;
 mod problem;
 mod score;
 
+use crate::block::Block;
 use crate::case::Case;
 use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, PredictedEvent, Score, line};
 use crate::light::Light;
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::{Picture, PictureSetting};
-use crate::scene::Scene;
+use crate::scene::{Cell, Scene};
 use crate::statistics::median;
 use normal::Factor;
+pub use part::Part;
 use photocurrent_core::random::Random;
 use prior::Prior;
 use problem::{FrameRows, Problem, Standing};
+use rayon::prelude::*;
 use std::sync::Arc;
 
-/// About so many coefficients at most, and the finest and coarsest pitch, pixels.
-const MOST_COEFFICIENTS: f64 = 20_000.0;
-const PITCHES: (f64, f64) = (0.8, 1.3);
 /// No more coefficients than this, and no frame value that sees more in a line, in memory of some hundreds of
 /// megabytes.
 const LARGEST: usize = 45_000;
@@ -73,9 +75,11 @@ pub struct JointPicture {
     case: Arc<Case>,
     nominal: Arc<Nominal>,
     step_ns: i64,
-    /// All pixels of the array.
+    /// The part of the array, its pixels, and of each pixel of the array its place among them.
+    block: Block,
     pixels: Vec<u32>,
-    /// Of each pixel: do its events take part? Otherwise gains are measured on them.
+    place_of: Arc<Vec<u32>>,
+    /// Of each of its pixels: do its events take part? Otherwise gains are measured on them.
     is_trained: Vec<bool>,
     /// Of the measurements.
     noise: Noise,
@@ -112,29 +116,27 @@ struct Before {
 }
 
 impl JointPicture {
-    /// Begins with a picture that was fitted to the frames. `is_trained`: of each pixel of the array, do its
-    /// events take part? `step_ns`: instants of predicted light.
+    /// Begins with a picture that was fitted to the frames, on a part of the array. `is_trained`: of each pixel
+    /// of the array, do its events take part? `step_ns`: instants of predicted light.
     ///
     /// # Errors
     /// Where something moves before a still ground, or the picture is too large for a factor.
     pub fn begin(
         case: &Case,
         nominal: &Nominal,
-        scene: &MovingPicture,
-        is_trained: Vec<bool>,
+        (scene, part): (&MovingPicture, &Part),
+        is_trained: &[bool],
         step_ns: i64,
         noise: Noise,
     ) -> Result<JointPicture, String> {
         if !scene.picture.ground.is_empty() {
             return Err("what moves before a still ground is no single picture".to_owned());
         }
-        let Picture { grid, .. } = scene.picture;
-        let area = (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
-        let pitch = (area / MOST_COEFFICIENTS).sqrt().clamp(PITCHES.0, PITCHES.1);
+        let Part { block, pitch } = *part;
         let setting = PictureSetting { pitch, ..scene.setting };
-        let picture = scene.picture.on_pitch(case, nominal, &setting);
+        let picture = scene.picture.on_block(case, nominal, &setting, &block);
         let count = picture.grid.coefficients();
-        let reach = problem::reach(case, nominal, &picture, &setting);
+        let reach = problem::reach(case, nominal, &picture, &setting, &block);
         if count > LARGEST || reach > FARTHEST {
             return Err(format!(
                 "a picture of {count} coefficients, of which a frame value sees {reach} in a line, is more \
@@ -144,13 +146,18 @@ impl JointPicture {
         let surface: Vec<f64> = picture.surface.iter().map(|c| f64::from(*c)).collect();
         let prior = Prior::estimate(&picture.grid, &surface, None);
         let scene = MovingPicture::new(picture, &setting, case, nominal);
+        let pixels = block.pixels(case.extent);
+        let mut place_of = vec![u32::MAX; case.extent.pixels()];
+        (0..).zip(&pixels).for_each(|(place, pixel)| place_of[*pixel as usize] = place);
         Ok(JointPicture {
             scene: Arc::new(scene),
             case: Arc::new(case.clone()),
             nominal: Arc::new(nominal.clone()),
             step_ns,
-            pixels: (0..case.extent.pixels() as u32).collect(),
-            is_trained,
+            block,
+            is_trained: pixels.iter().map(|pixel| is_trained[*pixel as usize]).collect(),
+            pixels,
+            place_of: Arc::new(place_of),
             noise,
             typical: f64::INFINITY,
             typical_before: f64::INFINITY,
@@ -168,8 +175,21 @@ impl JointPicture {
     }
 
     fn standing(&self) -> Standing<'_> {
-        let JointPicture { case, nominal, scene, is_trained, noise, prior, frames, .. } = self;
-        Standing { case, nominal, scene, is_trained, noise, prior, frames: frames.as_ref() }
+        let JointPicture {
+            case,
+            nominal,
+            scene,
+            block,
+            pixels,
+            place_of,
+            is_trained,
+            noise,
+            prior,
+            frames,
+            ..
+        } = self;
+        let frames = frames.as_ref();
+        Standing { case, nominal, scene, block, pixels, place_of, is_trained, noise, prior, frames }
     }
 
     /// The factor that is kept, where the noise is about as it was; or else one of the rows as they are.
@@ -335,7 +355,12 @@ impl FreeScene for JointPicture {
     }
 
     fn light(&self, case: &Case) -> Light {
-        (&*self.scene as &dyn Scene).light(case, self.step_ns)
+        let mut light = Light::blank(case, self.step_ns);
+        let pixels: Vec<usize> = self.pixels.iter().map(|pixel| *pixel as usize).collect();
+        let rows = pixels.par_chunks(self.block.width);
+        let log: Vec<Vec<f32>> = rows.flat_map(|row| self.scene.log_light(case, self.step_ns, row)).collect();
+        pixels.iter().zip(log).for_each(|(pixel, log)| light.log[*pixel] = log);
+        light
     }
 
     fn takes_part(&self, place: usize) -> bool {
@@ -350,6 +375,10 @@ impl FreeScene for JointPicture {
         let mut sizes: Vec<f64> =
             self.events(predicted, false).map(|event| event.excess.abs() / event.threshold).collect();
         if sizes.is_empty() { f64::NAN } else { median(&mut sizes) }
+    }
+
+    fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Option<Cell> {
+        Some((&*self.scene as &dyn Scene).cell(case, pixel, t_ns, side))
     }
 
     fn has_settled(&self) -> bool {

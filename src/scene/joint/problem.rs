@@ -4,6 +4,7 @@ use super::events::{self, OfEvents};
 use super::lines::Lines;
 use super::normal::{Factor, Sums};
 use super::prior::Prior;
+use crate::block::Block;
 use crate::case::Case;
 use crate::free::{NU, Noise, Predicted};
 use crate::moving::MovingPicture;
@@ -33,8 +34,8 @@ pub(super) struct FrameRows {
 pub(super) struct Problem {
     pub of_frames: Arc<FrameRows>,
     pub events: Lines,
-    /// Pixel of each row.
-    pub pixel: Vec<u32>,
+    /// Pixel of each row, by its place.
+    pub place: Vec<u32>,
     /// Which of the pixel's predicted frame values, or events, it is.
     pub number: Vec<u32>,
     pub residual: Vec<f64>,
@@ -71,7 +72,7 @@ impl Problem {
     /// Where a row stands in the columns of its pixel.
     pub(super) fn row_of(&self, r: usize, predicted: &[Predicted]) -> usize {
         let number = self.number[r] as usize;
-        if r < self.frames() { number } else { predicted[self.pixel[r] as usize].frames.len() + number }
+        if r < self.frames() { number } else { predicted[self.place[r] as usize].frames.len() + number }
     }
 
     /// Rows that take part.
@@ -81,8 +82,14 @@ impl Problem {
 }
 
 /// How many coefficients a frame value of a picture sees in a line.
-pub(super) fn reach(case: &Case, nominal: &Nominal, picture: &Picture, setting: &PictureSetting) -> usize {
-    let laid = picture.laid(case, nominal, setting);
+pub(super) fn reach(
+    case: &Case,
+    nominal: &Nominal,
+    picture: &Picture,
+    setting: &PictureSetting,
+    block: &Block,
+) -> usize {
+    let laid = picture.laid(case, nominal, setting, block);
     let lines = Lines::of_frames(&laid, picture.grid.width, picture.motion.knots.len());
     let (columns, rows) = Sums::reach_of(&lines, picture.grid.width);
     columns.max(rows)
@@ -94,7 +101,11 @@ pub(super) struct Standing<'a> {
     pub case: &'a Case,
     pub nominal: &'a Nominal,
     pub scene: &'a MovingPicture,
-    /// Of each pixel: do its events take part?
+    /// The part of the array, its pixels, and of each pixel of the array its place among them.
+    pub block: &'a Block,
+    pub pixels: &'a [u32],
+    pub place_of: &'a [u32],
+    /// Of each of them: do its events take part?
     pub is_trained: &'a [bool],
     pub noise: &'a Noise,
     pub prior: &'a Prior,
@@ -119,15 +130,19 @@ impl Standing<'_> {
         all
     }
 
+    /// The place of the pixel that a frame value, [frame][y][x], is of.
+    fn place_of(&self, at: u32) -> usize {
+        self.place_of[at as usize % self.case.extent.pixels()] as usize
+    }
+
     /// Frame values as rows at the picture as it stands.
     pub(super) fn frame_rows(&self, predicted: &[Predicted], places: &[u32]) -> FrameRows {
         let picture = self.picture();
-        let laid = picture.laid(self.case, self.nominal, &self.scene.setting);
+        let laid = picture.laid(self.case, self.nominal, &self.scene.setting, self.block);
         let (grid, knots) = (picture.grid, picture.motion.knots.len());
         let lines = Lines::of_frames(&laid, grid.width, knots);
-        let pixels = self.case.extent.pixels();
         let weight = |at: &u32| {
-            let frame = predicted[*at as usize % pixels].frames.get(places[*at as usize] as usize);
+            let frame = predicted[self.place_of(*at)].frames.get(places[*at as usize] as usize);
             frame.map_or(0.0, |frame| {
                 let variance = self.noise.frame_variance(frame.signal_dn);
                 1.0 / variance / (1.0 + frame.residual_dn * frame.residual_dn / variance / (ROBUST * ROBUST))
@@ -145,29 +160,29 @@ impl Standing<'_> {
     pub(super) fn problem(&self, predicted: &[Predicted]) -> Problem {
         let places = self.frame_places(predicted);
         let of_frames = self.frames.cloned().unwrap_or_else(|| Arc::new(self.frame_rows(predicted, &places)));
-        let pixels = self.case.extent.pixels();
         let frames = of_frames.lines.len();
-        let (mut pixel, mut number) = (Vec::with_capacity(frames), Vec::with_capacity(frames));
+        let (mut place, mut number) = (Vec::with_capacity(frames), Vec::with_capacity(frames));
         let (mut residual, mut weight) = (Vec::with_capacity(frames), of_frames.weight.clone());
         for at in &of_frames.index {
-            let (of, place) = (*at as usize % pixels, places[*at as usize]);
-            pixel.push(of as u32);
-            number.push(place);
-            residual.push(predicted[of].frames.get(place as usize).map_or(0.0, |frame| frame.residual_dn));
+            let (of, n) = (self.place_of(*at), places[*at as usize]);
+            place.push(of as u32);
+            number.push(n);
+            residual.push(predicted[of].frames.get(n as usize).map_or(0.0, |frame| frame.residual_dn));
         }
-        let OfEvents { lines: events, of } = events::lines(self.case, self.picture(), predicted, REACH);
+        let OfEvents { lines: events, of } =
+            events::lines(self.case, self.picture(), (self.pixels, predicted), REACH);
         for (of, k, is_near) in &of {
             let event = &predicted[*of as usize].events[*k as usize];
             let variance = self.noise.event_variance(event);
             let takes_part =
                 *is_near && self.is_trained[*of as usize] && event.excess.abs() < FAR * event.threshold;
-            pixel.push(*of);
+            place.push(*of);
             number.push(*k);
             residual.push(event.excess);
             let full = (NU + 1.0) / variance / (NU + event.excess * event.excess / variance);
             weight.push(if takes_part { full } else { 0.0 });
         }
-        Problem { of_frames, events, pixel, number, residual, weight }
+        Problem { of_frames, events, place, number, residual, weight }
     }
 
     /// Which of a pixel's predicted frame values each frame value is, [frame][y][x].
@@ -175,7 +190,8 @@ impl Standing<'_> {
         let pixels = self.case.extent.pixels();
         let mut places = vec![u32::MAX; self.case.frame_count() * pixels];
         let Some(frames) = &self.case.frames else { return places };
-        for (pixel, predicted) in predicted.iter().enumerate() {
+        for (pixel, predicted) in self.pixels.iter().zip(predicted) {
+            let pixel = *pixel as usize;
             let row = self.case.place(pixel).1;
             let mut k = 0;
             for l in 0..self.case.frame_count() {

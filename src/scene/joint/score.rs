@@ -17,7 +17,7 @@ pub(super) fn scores(
     let count = standing.coefficients();
     let all = standing.unknowns().len();
     let column =
-        |r: usize| &columns[problem.pixel[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
+        |r: usize| &columns[problem.place[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
     let mut sides = vec![vec![0.0; all]; effects];
     for r in problem.used() {
         for (side, by) in sides.iter_mut().zip(column(r)).filter(|(_, by)| **by != 0.0) {
@@ -33,7 +33,7 @@ pub(super) fn scores(
         if column.iter().all(|by| *by == 0.0) {
             continue;
         }
-        let of = scores[problem.pixel[r] as usize].get_or_insert_with(|| Score {
+        let of = scores[problem.place[r] as usize].get_or_insert_with(|| Score {
             score: vec![0.0; effects],
             information: vec![0.0; effects * effects],
             known: vec![0.0; effects],
@@ -67,7 +67,7 @@ pub(super) fn gains(
     let (effects, count) = (sizes.len(), standing.coefficients());
     let mut sides = vec![standing.gradient(problem); effects + 1];
     for r in problem.used() {
-        let column = &columns[problem.pixel[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
+        let column = &columns[problem.place[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
         for ((side, by), size) in sides.iter_mut().zip(column).zip(sizes) {
             let by = f64::from(*by) * size;
             if by != 0.0 {
@@ -80,12 +80,12 @@ pub(super) fn gains(
         let mut moved = predicted.to_vec();
         let size = sizes.get(k).copied().unwrap_or(0.0);
         for r in problem.frames()..problem.rows() {
-            let (pixel, n) = (problem.pixel[r] as usize, problem.number[r] as usize);
-            let (frames, events) = (predicted[pixel].frames.len(), predicted[pixel].events.len());
+            let (place, n) = (problem.place[r] as usize, problem.number[r] as usize);
+            let (frames, events) = (predicted[place].frames.len(), predicted[place].events.len());
             let by = |row: usize| {
-                if k < effects { size * f64::from(columns[pixel][row * effects + k]) } else { 0.0 }
+                if k < effects { size * f64::from(columns[place][row * effects + k]) } else { 0.0 }
             };
-            let event: &mut PredictedEvent = &mut moved[pixel].events[n];
+            let event: &mut PredictedEvent = &mut moved[place].events[n];
             event.excess += by(frames + n) - problem.along(r, &sides[k], count);
             event.rise_per_s *= libm::exp(by(frames + events + n).clamp(-MOST_OF_RISE, MOST_OF_RISE));
         }

@@ -26,12 +26,23 @@ fn noisy(extent: Extent, frames: usize, (electrons, read): (f64, f64)) -> (Case,
     (case, nominal)
 }
 
+/// The whole array.
+fn all(case: &Case) -> Part {
+    Part { block: Block::all(case.extent), pitch: 0.8 }
+}
+
 fn begin(case: &Case, nominal: &Nominal, noise: (f64, f64)) -> JointPicture {
+    begin_on(case, nominal, noise, None)
+}
+
+/// On a part of the array; on all of it without one.
+fn begin_on(case: &Case, nominal: &Nominal, noise: (f64, f64), part: Option<Part>) -> JointPicture {
     let setting = PictureSetting::default();
     let scene = MovingPicture::fit(case, nominal, &setting).unwrap();
     // Every fourth pixel is held out.
-    let is_trained = (0..case.extent.pixels()).map(|pixel| pixel % 4 != 3).collect();
-    JointPicture::begin(case, nominal, &scene, is_trained, STEP_NS, Noise::new(noise)).unwrap()
+    let is_trained: Vec<bool> = (0..case.extent.pixels()).map(|pixel| pixel % 4 != 3).collect();
+    let part = part.unwrap_or_else(|| all(case));
+    JointPicture::begin(case, nominal, (&scene, &part), &is_trained, STEP_NS, Noise::new(noise)).unwrap()
 }
 
 fn now(case: &Case, nominal: &Nominal, joint: &JointPicture) -> Vec<Predicted> {
@@ -66,7 +77,7 @@ fn rows_are_what_a_small_step_of_everything_changes() {
         let (more, less) = (moved(0.5), moved(-0.5));
         let (mut off, mut size) = ([0.0; 2], [0.0; 2]);
         for r in problem.used() {
-            let (pixel, n) = (problem.pixel[r] as usize, problem.number[r] as usize);
+            let (pixel, n) = (problem.place[r] as usize, problem.number[r] as usize);
             let is_event = usize::from(r >= problem.frames());
             let change = match is_event {
                 0 => more[pixel].frames[n].residual_dn - less[pixel].frames[n].residual_dn,
@@ -86,14 +97,20 @@ fn rows_are_what_a_small_step_of_everything_changes() {
 }
 
 #[test]
-fn scores_are_those_of_the_whole_problem() {
+fn scores_are_those_of_the_whole_problem_on_the_array_and_on_a_part() {
     let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (5.0, 2.0));
-    let mut joint = begin(&case, &nominal, (4.0, 0.2));
+    let block = Block { x: 3, y: 1, width: 8, height: 9 };
+    for part in [None, Some(Part { block, pitch: 0.9 })] {
+        scores_are_those_of_the_whole_problem(&case, &nominal, begin_on(&case, &nominal, (4.0, 0.2), part));
+    }
+}
+
+fn scores_are_those_of_the_whole_problem(case: &Case, nominal: &Nominal, mut joint: JointPicture) {
     for _ in 0..2 {
-        let measured = now(&case, &nominal, &joint);
+        let measured = now(case, nominal, &joint);
         joint.round(&measured);
     }
-    let measured = now(&case, &nominal, &joint);
+    let measured = now(case, nominal, &joint);
     joint.prepare(&measured);
     let effects = 3;
     let columns: Vec<Vec<f32>> = measured
@@ -132,7 +149,7 @@ fn scores_are_those_of_the_whole_problem() {
         problem.add(r, 1.0, &mut row, count);
         let (row, weight) = (DVector::from_vec(row), problem.weight[r]);
         let at = problem.row_of(r, &measured) * effects;
-        let of = &columns[problem.pixel[r] as usize][at..at + effects];
+        let of = &columns[problem.place[r] as usize][at..at + effects];
         let of = DVector::from_iterator(effects, of.iter().map(|by| f64::from(*by)));
         normal.ger(weight, &row, &row, 1.0);
         through.ger(weight, &row, &of, 1.0);
@@ -181,8 +198,9 @@ fn what_moves_before_a_ground_is_refused() {
     let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (1e9, 0.0));
     let mut scene = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
     scene.picture.ground = vec![1.0; case.extent.pixels()];
-    let begun =
-        JointPicture::begin(&case, &nominal, &scene, vec![true; 120], STEP_NS, Noise::new((1.0, 0.0)));
+    let part = all(&case);
+    let noise = Noise::new((1.0, 0.0));
+    let begun = JointPicture::begin(&case, &nominal, (&scene, &part), &[true; 120], STEP_NS, noise);
     assert!(begun.err().unwrap().contains("still ground"));
 }
 
@@ -194,7 +212,31 @@ fn a_picture_that_is_too_large_is_refused() {
     for (k, knot) in scene.picture.motion.knots.iter_mut().enumerate() {
         (knot[0], knot[1]) = (300.0 * k as f64, 300.0 * k as f64);
     }
-    let begun =
-        JointPicture::begin(&case, &nominal, &scene, vec![true; 120], STEP_NS, Noise::new((1.0, 0.0)));
+    let part = all(&case);
+    let noise = Noise::new((1.0, 0.0));
+    let begun = JointPicture::begin(&case, &nominal, (&scene, &part), &[true; 120], STEP_NS, noise);
     assert!(begun.err().unwrap().contains("coefficients"));
+}
+
+#[test]
+fn on_a_part_its_pixels_have_the_light_that_they_have_on_the_whole_array() {
+    let (case, nominal) = noisy(Extent { width: 24, height: 20 }, 6, (1e9, 0.0));
+    let whole = begin(&case, &nominal, (1.0, 0.0));
+    let block = Block { x: 5, y: 4, width: 14, height: 12 };
+    let pitch = whole.picture().grid.pitch;
+    let part = begin_on(&case, &nominal, (1.0, 0.0), Some(Part { block, pitch }));
+    assert!(part.picture().grid.coefficients() < whole.picture().grid.coefficients());
+    let (all, light) = (whole.light(&case), part.light(&case));
+    for pixel in 0..case.extent.pixels() {
+        let is_in = block.pixels(case.extent).contains(&(pixel as u32));
+        assert_eq!(light.log[pixel].is_empty(), !is_in, "{pixel}");
+        let off = light.log[pixel].iter().zip(&all.log[pixel]).map(|(a, b)| (a - b).abs());
+        // The grids begin at other places.
+        assert!(off.fold(0.0, f32::max) < 0.03, "{pixel}");
+    }
+    // Every measurement of the part is one of the whole array, and no other.
+    let of = now(&case, &nominal, &part);
+    assert_eq!(of.len(), 14 * 12);
+    let problem = part.standing().problem(&of);
+    assert!(problem.frames() > 4 * 14 * 12 && problem.place.iter().all(|place| *place < 14 * 12));
 }

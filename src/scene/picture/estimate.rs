@@ -12,6 +12,7 @@ use super::setting::{
 use super::shading::{self, TERMS};
 use super::spline::Grid;
 use super::system::{Smoothness, Unknowns, add, again, draw, roughness, solve};
+use crate::block::Block;
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
@@ -174,18 +175,38 @@ impl Picture {
         fit.picture
     }
 
-    /// The same picture on a grid of the setting's pitch.
-    pub(crate) fn on_pitch(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Picture {
+    /// The grid of everything that a block of pixels sees during exposures.
+    pub(crate) fn covering(&self, case: &Case, block: &Block, pitch: f64) -> Grid {
+        cover(case, &self.motion, self.centre, pitch, block)
+    }
+
+    /// What a block of pixels sees of the picture, on a grid of the setting's pitch.
+    pub(crate) fn on_block(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        block: &Block,
+    ) -> Picture {
         let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(None));
         fit.picture = self.clone();
-        fit.refine();
+        fit.refine(block);
         fit.picture.coverage.clear();
         fit.picture
     }
 
-    /// Frame values as rows at the picture as it stands.
-    pub(crate) fn laid(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Rows {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(None));
+    /// Frame values of a block of pixels as rows at the picture as it stands.
+    pub(crate) fn laid(
+        &self,
+        case: &Case,
+        nominal: &Nominal,
+        setting: &PictureSetting,
+        block: &Block,
+    ) -> Rows {
+        let mut selected = vec![false; case.extent.pixels()];
+        block.pixels(case.extent).iter().for_each(|pixel| selected[*pixel as usize] = true);
+        let begin = Begin { selected: Some(&selected), ..self.begin(None) };
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), begin);
         fit.picture = self.clone();
         fit.lay(true)
     }
@@ -260,7 +281,7 @@ impl<'a> Fit<'a> {
     ) -> Fit<'a> {
         let centre =
             (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
-        let grid = cover(case, &motion, centre, setting.coarse_pitch);
+        let grid = cover(case, &motion, centre, setting.coarse_pitch, &Block::all(case.extent));
         let mut light: Vec<f64> = Vec::new();
         for l in 0..case.frame_count() {
             let seconds = exposure_s(case, l, 0);
@@ -318,7 +339,7 @@ impl<'a> Fit<'a> {
     /// And from there on the fine one.
     fn fine(mut self) -> Picture {
         let PictureSetting { rounds, steps, .. } = *self.setting;
-        self.refine();
+        self.refine(&Block::all(self.case.extent));
         self.rounds(rounds.0, rounds.0 + rounds.1, steps.1);
         self.picture
     }
@@ -337,9 +358,9 @@ impl<'a> Fit<'a> {
         sum / f64::max(count, 1.0)
     }
 
-    /// Lays the picture on the fine grid.
-    fn refine(&mut self) {
-        let fine = cover(self.case, &self.picture.motion, self.picture.centre, self.setting.pitch);
+    /// Lays what a block of pixels sees of the picture on the fine grid.
+    fn refine(&mut self, block: &Block) {
+        let fine = self.picture.covering(self.case, block, self.setting.pitch);
         let Picture { grid, surface, .. } = &self.picture;
         let value = |surface: &[f32], n: usize| {
             let x = fine.x0 + (n % fine.width) as f64 * fine.pitch;
@@ -571,16 +592,17 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// A grid over everything that the array sees during exposures.
-fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64) -> Grid {
+/// A grid over everything that a block of pixels sees during exposures.
+fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64, block: &Block) -> Grid {
     let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
-    let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
+    let begin = (block.x as f64, block.y as f64);
+    let end = (begin.0 + block.width as f64 - 1.0, begin.1 + block.height as f64 - 1.0);
     let times = &case.frames.as_ref().expect("frames are there").times;
     for l in 0..times.len() {
         let (first, last) = (times.exposure(l, 0).start.0, times.exposure(l, case.extent.height - 1).end.0);
         for n in 0..=4 {
             let map = motion.at(first + (last - first) * n / 4);
-            for (x, y) in [(0.0, 0.0), (width - 1.0, 0.0), (0.0, height - 1.0), (width - 1.0, height - 1.0)] {
+            for (x, y) in [begin, (end.0, begin.1), (begin.0, end.1), end] {
                 let (px, py) = apply(&map, x - centre.0, y - centre.1);
                 low = (f64::min(low.0, px), f64::min(low.1, py));
                 high = (f64::max(high.0, px), f64::max(high.1, py));

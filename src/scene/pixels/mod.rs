@@ -24,6 +24,7 @@ mod path;
 mod prior;
 mod step;
 
+use crate::block::Block;
 use crate::case::Case;
 use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, Score};
 use crate::light::Light;
@@ -40,19 +41,6 @@ const FIRST_DEVIATION: f64 = 0.03;
 const ROUNDS_BEFORE_PRIOR: usize = 2;
 /// And before the noise of events is.
 const ROUNDS_BEFORE_NOISE: usize = 4;
-
-/// A rectangle of pixels whose light is estimated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Block {
-    /// First column.
-    pub x: usize,
-    /// First row.
-    pub y: usize,
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-}
 
 /// The light of some pixels.
 #[derive(Clone, Debug)]
@@ -87,12 +75,7 @@ impl PixelLight {
     ) -> PixelLight {
         let instants = Light::instants(case, step_ns).count();
         let splines = Splines::new(case.span.0, step_ns, instants, per_knot);
-        let width = case.extent.width as usize;
-        let of_block = |block: &Block| {
-            let Block { x, y, width: w, height: h } = *block;
-            (y..y + h).flat_map(move |y| (x..x + w).map(move |x| (y * width + x) as u32))
-        };
-        let pixels: Vec<u32> = blocks.iter().flat_map(of_block).collect();
+        let pixels: Vec<u32> = blocks.iter().flat_map(|block| block.pixels(case.extent)).collect();
         let begin = |pixel: &u32| of_frames(case, nominal, &splines, *pixel as usize);
         let coefficients: Vec<f64> = pixels.par_iter().flat_map_iter(begin).collect();
         let seconds = pixels.len() * (splines.coefficients() - 2);

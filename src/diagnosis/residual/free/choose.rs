@@ -1,9 +1,9 @@
 //! Where and when light is estimated pixel by pixel.
 
 use photocurrent_core::random::Random;
+use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::gate::Gate;
-use photocurrent_scene::pixels::Block;
 
 /// Side of the blocks, pixels.
 const WIDTH: usize = 12;
@@ -66,24 +66,33 @@ pub(super) fn blocks(case: &Case) -> Vec<Block> {
 /// Seed of the choice of pixels.
 const SEED: u64 = 5;
 
-/// Pixels by chance until about so many of their events that a gate keeps take part, and so many are held
-/// out: of each pixel whether its events take part, and whether they are held out. Of few events a quarter
-/// is held out.
+/// Numbers of the events of each pixel that a gate keeps.
+pub(super) fn kept(case: &Case, gate: &Gate) -> Vec<usize> {
+    let of =
+        |pixel: usize| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count();
+    (0..case.extent.pixels()).map(of).collect()
+}
+
+/// Pixels of a block by chance until about so many of their events that are `kept` take part, and so many are
+/// held out: of each pixel of the array whether its events take part, and whether they are held out. Of few
+/// events a quarter is held out.
 pub(super) fn pixels(
     case: &Case,
-    gate: &Gate,
+    block: &Block,
+    kept: &[usize],
     (trained, measured): (usize, usize),
 ) -> (Vec<bool>, Vec<bool>) {
-    let kept =
-        |pixel: usize| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count();
-    let kept: Vec<usize> = (0..case.extent.pixels()).map(kept).collect();
-    let all = kept.iter().sum::<usize>().max(1) as f64;
+    let mut of_block = vec![0; kept.len()];
+    for pixel in block.pixels(case.extent) {
+        of_block[pixel as usize] = kept[pixel as usize];
+    }
+    let all = of_block.iter().sum::<usize>().max(1) as f64;
     let of_trained = f64::min(0.75, trained as f64 / all);
     let of_measured = f64::min(0.25, measured as f64 / all);
     let mut random = Random::new(SEED, &[]);
-    let drawn: Vec<f64> = kept.iter().map(|_| random.uniform()).collect();
+    let drawn: Vec<f64> = of_block.iter().map(|_| random.uniform()).collect();
     let is = |of: &dyn Fn(f64) -> bool| -> Vec<bool> {
-        drawn.iter().zip(&kept).map(|(drawn, kept)| *kept > 0 && of(*drawn)).collect()
+        drawn.iter().zip(&of_block).map(|(drawn, kept)| *kept > 0 && of(*drawn)).collect()
     };
     (is(&|drawn| drawn < of_trained), is(&|drawn| drawn > 1.0 - of_measured))
 }

@@ -1,8 +1,9 @@
 //! Light of pixels as a sensor sees it: rounds of light, and exact fits of an effect.
 
+use super::super::components::white_share;
 use super::super::evidence::Ranked;
 use super::super::prepared::Prepared;
-use super::super::setting::LARGEST_EFFECT_SIZE;
+use super::super::setting::{CELL, LARGEST_EFFECT_SIZE};
 use super::super::{Around, View, events_of, frames_of, median_of};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use photocurrent_scene::case::Case;
@@ -380,6 +381,28 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     /// What events miss their thresholds by, a median share of them.
     pub(super) fn left(&self) -> Result<f64, String> {
         Ok(self.light.left(&self.predicted()?))
+    }
+
+    /// The part of [`Fit::left`] that is wrong with the scene: what events of other pixels at the same place of
+    /// it share. All of it where too few do, or no two pixels see the same.
+    pub(super) fn wrong(&self) -> Result<f64, String> {
+        let predicted = self.predicted()?;
+        let case = self.ground.case;
+        let (mut pixel, mut polarity, mut residual, mut cells) = (vec![], vec![], vec![], vec![]);
+        for (place, of) in predicted.iter().enumerate().filter(|(place, _)| self.ground.is_measured(*place)) {
+            let at = self.light.pixels()[place];
+            for event in &of.events {
+                let Some(cell) = self.light.cell(case, at as usize, event.t_ns, CELL) else {
+                    return Ok(self.light.left(&predicted));
+                };
+                pixel.push(at);
+                polarity.push(if event.polarity > 0.0 { 1 } else { -1 });
+                residual.push(event.excess / event.threshold);
+                cells.push(cell);
+            }
+        }
+        let white = white_share((&pixel, &polarity), &residual, &cells);
+        Ok(self.light.left(&predicted) * libm::sqrt(1.0 - white))
     }
 
     /// Log density of each pixel's events when the light is estimated from everything else, nats.

@@ -12,6 +12,7 @@ use crate::sample::Sample;
 use crate::scenes::MadeUp;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_scene::closed::sketch::Motion;
 use photocurrent_scene::picture::PictureSetting;
 
 /// Log light of waves: wave numbers along x and y, one over pixels, and angular frequencies, 1/s.
@@ -135,7 +136,11 @@ fn where_no_picture_predicts_the_frames_the_light_of_pixels_decides() {
 /// A photograph that shakes, recorded by a sensor with one effect, or as described.
 fn photograph(effect: Option<(&str, &str, f64)>) -> Case {
     let extent = Extent { width: 44, height: 33 };
-    let made = MadeUp::photograph(5, 0, extent, 0.1).with_frame_noise(Some((5.0, 2.0)));
+    recorded(&MadeUp::photograph(5, 0, extent, 0.1).with_frame_noise(Some((5.0, 2.0))), effect)
+}
+
+/// A scene as recorded by a sensor with one effect, or as described.
+fn recorded(made: &MadeUp, effect: Option<(&str, &str, f64)>) -> Case {
     let plain = made.recording().unwrap();
     let Some((id, parameter, size)) = effect else { return plain };
     let nominal = plain.nominal().unwrap();
@@ -180,6 +185,30 @@ fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() 
     }
 }
 
+/// A star that turns, with sharp edges and noise in its frames.
+fn star(effect: Option<(&str, &str, f64)>) -> Case {
+    let extent = Extent { width: 48, height: 36 };
+    let is_star =
+        |index: &u64| matches!(MadeUp::new(5, *index, extent, 0.1).sketch.motion, Motion::Star { .. });
+    let index = (0..).find(is_star).unwrap();
+    recorded(&MadeUp::new(5, index, extent, 0.1).with_edge(0.4).with_frame_noise(Some((5.0, 2.0))), effect)
+}
+
+#[test]
+fn edges_that_the_grid_of_the_array_softens_are_followed_on_a_finer_one() {
+    let case = star(None);
+    let found = joint(&case);
+    assert!(found.left[0] < 0.02, "{}", found.left[0]);
+    let best = found.ranked.iter().map(Ranked::beyond).fold(0.0, f64::max);
+    // Of what a name needs less than half.
+    assert!(best < 0.07, "{best}");
+    assert!(!decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap().detected);
+    let case = star(Some(("threshold_asymmetry", "fraction", -0.5)));
+    let first = joint(&case).first.unwrap();
+    assert_eq!(CANDIDATES[first.candidate].id, "threshold_asymmetry");
+    assert!((first.effect_size + 0.5).abs() < 0.03, "{first:?}");
+}
+
 #[test]
 fn the_picture_that_explains_more_decides() {
     use crate::integrity::Integrity;
@@ -202,11 +231,16 @@ fn the_picture_that_explains_more_decides() {
 fn pixels_are_drawn_until_enough_events_take_part_and_others_are_held_out() {
     let case = photograph(None);
     let gate = gate::Gate::open();
-    let (is_trained, is_measured) = choose::pixels(&case, &gate, (2_000, 700));
+    let kept = choose::kept(&case, &gate);
+    let block = Block { x: 2, y: 3, width: 40, height: 30 };
+    let (is_trained, is_measured) = choose::pixels(&case, &block, &kept, (2_000, 700));
     let events = |is: &[bool]| -> usize {
         is.iter().enumerate().filter(|(_, is)| **is).map(|(pixel, _)| case.events.of(pixel).len()).sum()
     };
     assert!((1_200..2_800).contains(&events(&is_trained)), "{}", events(&is_trained));
     assert!((350..1_050).contains(&events(&is_measured)), "{}", events(&is_measured));
-    assert!(is_trained.iter().zip(&is_measured).all(|(a, b)| !(*a && *b)));
+    let within = block.pixels(case.extent);
+    for (pixel, (a, b)) in (0..).zip(is_trained.iter().zip(&is_measured)) {
+        assert!(!(*a && *b) && (!(*a || *b) || within.contains(&pixel)));
+    }
 }

@@ -1,0 +1,134 @@
+//! Where on the array a joint picture is estimated, and how finely: what a coarse grid cannot follow, a fine
+//! one can on a part of the array.
+
+use crate::block::Block;
+use crate::case::Case;
+use crate::moving::MovingPicture;
+
+/// About so many coefficients at most, of the whole array and of a part.
+const MOST_COEFFICIENTS: f64 = 20_000.0;
+const MOST_OF_PART: f64 = 26_000.0;
+/// Finest and coarsest pitch on the whole array, pixels: on a coarser one textures leave 2 % of a threshold.
+const PITCHES: (f64, f64) = (0.8, 1.0);
+/// Sides of a part are a share of the array's: each tried is this much of the one before.
+const SMALLER: f64 = 0.93;
+/// Shortest side of a part, pixels.
+const LEAST_SIDE: usize = 12;
+
+/// A part of the array, and how finely the picture is estimated there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    /// Its pixels.
+    pub block: Block,
+    /// Distance of coefficients, pixels.
+    pub pitch: f64,
+}
+
+impl Part {
+    /// The whole array as finely as coefficients allow, if that is fine enough; or else the busiest part.
+    pub fn first(case: &Case, scene: &MovingPicture, weight: &[usize]) -> Option<Part> {
+        let grid = scene.picture.grid;
+        let area = (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
+        let pitch = (area / MOST_COEFFICIENTS).sqrt().max(PITCHES.0);
+        match pitch <= PITCHES.1 {
+            true => Some(Part { block: Block::all(case.extent), pitch }),
+            false => Part::busiest(case, scene, PITCHES.0, weight),
+        }
+    }
+
+    /// The largest part that coefficients of a pitch allow, where the sum of `weight`, a number for each pixel
+    /// of the array, is largest; none where that is less than 12 pixels wide or high.
+    pub fn busiest(case: &Case, scene: &MovingPicture, pitch: f64, weight: &[usize]) -> Option<Part> {
+        let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+        let sums = Sums::of(weight, width);
+        let mut share = 1.0;
+        loop {
+            let side = |of: usize| (of as f64 * share).round() as usize;
+            let (w, h) = (side(width), side(height));
+            if w.min(h) < LEAST_SIDE {
+                return None;
+            }
+            let places = (0..=height - h).flat_map(|y| (0..=width - w).map(move |x| (x, y)));
+            let fits = |block: &Block| {
+                let count = scene.picture.covering(case, block, pitch).coefficients();
+                count as f64 <= MOST_OF_PART
+            };
+            let block = places
+                .map(|(x, y)| Block { x, y, width: w, height: h })
+                .filter(fits)
+                .max_by_key(|block| (sums.within(block), std::cmp::Reverse((block.y, block.x))));
+            if let Some(block) = block {
+                return Some(Part { block, pitch });
+            }
+            share *= SMALLER;
+        }
+    }
+}
+
+/// Sums of numbers over everything above and left of a place.
+struct Sums {
+    width: usize,
+    sums: Vec<usize>,
+}
+
+impl Sums {
+    fn of(values: &[usize], width: usize) -> Sums {
+        let stride = width + 1;
+        let mut sums = vec![0; stride * (values.len() / width + 1)];
+        for (n, value) in values.iter().enumerate() {
+            let at = (n / width + 1) * stride + n % width + 1;
+            sums[at] = value + sums[at - 1] + sums[at - stride] - sums[at - stride - 1];
+        }
+        Sums { width: stride, sums }
+    }
+
+    fn within(&self, block: &Block) -> usize {
+        let at = |x: usize, y: usize| self.sums[y * self.width + x];
+        let (right, below) = (block.x + block.width, block.y + block.height);
+        at(right, below) + at(block.x, block.y) - at(block.x, below) - at(right, block.y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::PictureSetting;
+    use crate::testing;
+    use photocurrent_core::Extent;
+
+    #[test]
+    fn the_largest_part_that_fits_is_where_the_weight_is() {
+        let case = testing::texture(Extent { width: 40, height: 32 }, 5);
+        let nominal = case.nominal().unwrap();
+        let scene = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+        // All of it in the corner.
+        let weight: Vec<usize> = (0..40 * 32).map(|n| usize::from(n % 40 > 30 && n / 40 > 24)).collect();
+        let [coarse, fine] =
+            [0.5, 0.2].map(|pitch| Part::busiest(&case, &scene, pitch, &weight).expect("a part fits"));
+        assert_eq!(coarse.block, Block::all(case.extent));
+        // On the finest pitch of the whole array that is still all of it.
+        assert_eq!(Part::first(&case, &scene, &weight).map(|part| part.block), Some(coarse.block));
+        let Block { x, y, width, height } = fine.block;
+        assert!(width < 40 && x + width == 40 && y + height == 32, "{fine:?}");
+        // A part a step larger would be too much.
+        let count = |width: usize, height: usize| {
+            let block = Block { x: 40 - width, y: 32 - height, width, height };
+            scene.picture.covering(&case, &block, 0.2).coefficients() as f64
+        };
+        assert!(count(width, height) <= MOST_OF_PART && count(width + 3, height + 3) > MOST_OF_PART);
+        assert!(Part::busiest(&case, &scene, 0.01, &weight).is_none());
+    }
+
+    #[test]
+    fn sums_over_rectangles_are_those_of_their_pixels() {
+        let values: Vec<usize> = (0..35).map(|n| n * n % 11).collect();
+        let sums = Sums::of(&values, 7);
+        for (x, y, width, height) in [(0, 0, 7, 5), (2, 1, 3, 4), (6, 4, 1, 1), (1, 2, 5, 1)] {
+            let sum: usize = (y..y + height)
+                .flat_map(|y| (x..x + width).map(move |x| (x, y)))
+                .map(|(x, y)| values[y * 7 + x])
+                .sum();
+            assert_eq!(sums.within(&Block { x, y, width, height }), sum);
+        }
+    }
+}
