@@ -58,9 +58,9 @@ impl Default for Model {
             something: [3.625, 0.770, 0.536],
             second: [1.663, 0.360, 0.243],
             discount: [2.0, 1.0],
-            softness: [-2.664, -0.988],
-            random: 0.132,
-            unnamed: [-0.492, 0.647, 0.662],
+            softness: [-2.588, -0.92],
+            random: 0.119,
+            unnamed: [-0.501, 0.649, 0.654],
             least_gain: LEAST_GAIN,
         }
     }
@@ -138,12 +138,12 @@ impl Model {
     /// The built-in numbers for the light of pixels: `photocurrent-calibrate --scene pixels`.
     pub fn of_pixels() -> Model {
         Model {
-            something: [4.487, 1.379, -0.497],
+            something: [4.686, 1.42, 0.0],
             second: [-0.187, 0.632, 0.641],
             discount: [3.0, 0.0],
-            softness: [-1.766, -0.281],
+            softness: [-1.891, -0.344],
             random: 0.0,
-            unnamed: [0.875, 0.344, 0.062],
+            unnamed: [1.0, 0.375, 0.062],
             least_gain: 0.05,
         }
     }
@@ -152,12 +152,12 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [2.95, 0.649, -2.26],
+            something: [3.836, 0.61, 0.0],
             second: [-0.186, 0.676, 0.505],
             discount: [3.0, 0.0],
-            softness: [-3.234, 0.602],
+            softness: [-2.938, 0.078],
             random: 0.0,
-            unnamed: [2.531, 0.781, 0.0],
+            unnamed: [2.281, 0.812, 0.0],
             least_gain: 0.002,
         }
     }
@@ -168,9 +168,9 @@ impl Model {
             something: [3.967, 1.088, 0.0],
             second: [1.693, 0.319, 0.471],
             discount: [0.0, 0.0],
-            softness: [-3.468, 0.098],
-            random: -2.325,
-            unnamed: [1.435, 1.756, 0.742],
+            softness: [-3.216, -0.102],
+            random: -2.206,
+            unnamed: [1.52, 1.763, 0.776],
             least_gain: LEAST_GAIN,
         }
     }

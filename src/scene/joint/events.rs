@@ -18,8 +18,8 @@ const LAGS: [(f64, f64); 3] = [
 /// Events as rows, in order of pixel and time.
 pub(super) struct OfEvents {
     pub lines: Lines,
-    /// Place of the pixel, number among its predicted events, and whether both of its places are on the picture and near
-    /// each other.
+    /// Place of the pixel, number among its predicted events, and whether both places that the event compares
+    /// are on the picture and near each other.
     pub of: Vec<(u32, u32, bool)>,
 }
 

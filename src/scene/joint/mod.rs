@@ -116,8 +116,8 @@ struct Before {
 }
 
 impl JointPicture {
-    /// Begins with a picture that was fitted to the frames, on a part of the array. `is_trained`: of each pixel
-    /// of the array, do its events take part? `step_ns`: instants of predicted light.
+    /// Begins with a picture that was fitted to the frames, on a part of the array. `is_trained`: of each
+    /// pixel of the array, do its events take part? `step_ns`: instants of predicted light.
     ///
     /// # Errors
     /// Where something moves before a still ground, or the picture is too large for a factor.

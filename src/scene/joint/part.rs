@@ -36,8 +36,8 @@ impl Part {
         }
     }
 
-    /// The largest part that coefficients of a pitch allow, where the sum of `weight`, a number for each pixel
-    /// of the array, is largest; none where that is less than 12 pixels wide or high.
+    /// The largest part that coefficients of a pitch allow, where the sum of `weight`, a number for each
+    /// pixel of the array, is largest; none where that is less than 12 pixels wide or high.
     pub fn busiest(case: &Case, scene: &MovingPicture, pitch: f64, weight: &[usize]) -> Option<Part> {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         let sums = Sums::of(weight, width);

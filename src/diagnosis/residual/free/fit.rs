@@ -383,8 +383,8 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(self.light.left(&self.predicted()?))
     }
 
-    /// The part of [`Fit::left`] that is wrong with the scene: what events of other pixels at the same place of
-    /// it share. All of it where too few do, or no two pixels see the same.
+    /// The part of [`Fit::left`] that is wrong with the scene: what events of other pixels at the same place
+    /// of it share. All of it where too few do, or no two pixels see the same.
     pub(super) fn wrong(&self) -> Result<f64, String> {
         let predicted = self.predicted()?;
         let case = self.ground.case;

@@ -112,6 +112,8 @@ const MEASURED: usize = 8_000;
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.
 const EXPLAINED: f64 = 0.02;
+/// A smaller scale than this share of a threshold is not distinguished.
+const LEAST_SHARE: f64 = 1e-3;
 /// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
 /// what is left.
 const BY_CHANCE: f64 = 2.0;
@@ -135,7 +137,8 @@ pub fn on_pixels(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
 }
 
 /// Evidence on one moving picture, which follows frames and events from where frames alone have it: on the
-/// whole array, or on a part of it on a finer grid where that leaves too much, until a finer one leaves no less.
+/// whole array, or on a part of it on a finer grid where that leaves too much, until a finer one leaves no
+/// less.
 ///
 /// # Errors
 /// When something moves before a still ground, there are too few events, stated effects cannot be combined,
@@ -274,12 +277,12 @@ fn wrong<L: FreeScene>(fit: &Fit<'_, L>, plan: &Plan) -> Result<f64, String> {
 /// Share of the events that are explained when what they miss their thresholds by has Student's distribution
 /// with three degrees of freedom and a scale of `share` of the threshold.
 fn explained(share: f64) -> f64 {
-    2.0 * probability_t(EXPLAINED / share) - 1.0
+    2.0 * probability_t(EXPLAINED / share.max(LEAST_SHARE)) - 1.0
 }
 
 /// Is a front end described as slower than with this effect? Light that it need not sharpen is smoother, and
-/// so more probable: where edges pass fast, recordings without a fault gain up to 0.4 nats an event by it, and
-/// one turning star gained 0.22 on a grid of 0.4 pixels.
+/// so more probable: where edges pass fast, recordings without a fault gain up to 0.4 nats an event by it,
+/// and one turning star gained 0.22 on a grid of 0.4 pixels.
 fn is_faster(one: &Ranked) -> bool {
     match CANDIDATES[one.candidate].id {
         "time_constant" => one.effect_size < 0.0,

@@ -101,6 +101,8 @@ fn effects_are_named_with_their_sizes_where_nothing_moves_as_one() {
 fn the_probability_that_an_event_is_explained_is_that_of_students_t() {
     // |t| < 2 with three degrees of freedom: 0.8607 in any table.
     assert!((explained(0.01) - 0.8607).abs() < 1e-4);
+    // Where nothing is left, all of them are.
+    assert!(explained(0.0) > 0.999 && explained(0.0) <= 1.0);
 }
 
 #[test]
