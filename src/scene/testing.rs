@@ -37,6 +37,22 @@ pub(crate) fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
 /// A recording of the texture with so many frames, without noise: events where the log light has moved by
 /// 0.2, frames that collect it behind a rolling shutter.
 pub(crate) fn texture(extent: Extent, frames: usize) -> Case {
+    recorded(extent, frames, STEP_NS, log_light)
+}
+
+/// The same of stripes that drift as the texture does, with edges of 0.4 pixels to either side; the events are
+/// within 10 us.
+pub(crate) fn stripes(extent: Extent, frames: usize) -> Case {
+    recorded(extent, frames, STEP_NS / 10, |x, y, t_ns| {
+        let (x, y) = (x + 60e-9 * t_ns as f64, y - 35e-9 * t_ns as f64);
+        let wave =
+            |a: f64, b: f64, c: f64| libm::tanh(libm::sin(a * x + b * y + c) / (0.4 * libm::hypot(a, b)));
+        4.0 + 0.3 * (wave(0.61, 0.25, 0.3) + wave(-0.29, 0.57, 1.1))
+    })
+}
+
+/// A recording of log light at a place, pixels, and an instant, ns.
+fn recorded(extent: Extent, frames: usize, step_ns: i64, log_light: impl Fn(f64, f64, i64) -> f64) -> Case {
     let end_ns = PERIOD_NS * frames as i64;
     let exposures: Vec<Exposure> =
         (0..frames as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + PERIOD_NS / 2)).collect();
@@ -45,7 +61,7 @@ pub(crate) fn texture(extent: Extent, frames: usize) -> Case {
     let at = |(x, y): (u32, u32), t_ns: i64| log_light(x.into(), y.into(), t_ns);
     let events = pixels().map(|pixel| {
         let (mut events, mut reference) = (Vec::new(), at(pixel, 0));
-        for t_in_ns in (0..end_ns).step_by(STEP_NS as usize) {
+        for t_in_ns in (0..end_ns).step_by(step_ns as usize) {
             let moved = at(pixel, t_in_ns) - reference;
             if moved.abs() >= 0.2 {
                 events.push(PixelEvent {

@@ -194,6 +194,24 @@ fn events_decide_what_noisy_frames_leave_open() {
 }
 
 #[test]
+fn a_finer_grid_follows_edges_that_a_coarse_one_softens() {
+    let case = testing::stripes(Extent { width: 32, height: 24 }, 8);
+    let mut nominal = case.nominal().unwrap();
+    nominal.pixel.front_end = FrontEnd::IDEAL;
+    let block = Block { x: 6, y: 4, width: 20, height: 16 };
+    let left = |pitch: f64| {
+        let mut joint = begin_on(&case, &nominal, (0.5, 0.0), Some(Part { block, pitch }));
+        for _ in 0..5 {
+            let measured = now(&case, &nominal, &joint);
+            joint.round(&measured);
+        }
+        joint.left(&now(&case, &nominal, &joint))
+    };
+    let (coarse, fine) = (left(1.0), left(0.4));
+    assert!(fine < 0.5 * coarse, "{coarse} to {fine}");
+}
+
+#[test]
 fn what_moves_before_a_ground_is_refused() {
     let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (1e9, 0.0));
     let mut scene = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();

@@ -12,7 +12,6 @@ use crate::sample::Sample;
 use crate::scenes::MadeUp;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
-use photocurrent_scene::closed::sketch::Motion;
 use photocurrent_scene::picture::PictureSetting;
 
 /// Log light of waves: wave numbers along x and y, one over pixels, and angular frequencies, 1/s.
@@ -185,30 +184,6 @@ fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() 
         let decided = decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap();
         assert!(decided.detected, "{first:?}");
     }
-}
-
-/// A star that turns, with sharp edges and noise in its frames.
-fn star(effect: Option<(&str, &str, f64)>) -> Case {
-    let extent = Extent { width: 48, height: 36 };
-    let is_star =
-        |index: &u64| matches!(MadeUp::new(5, *index, extent, 0.1).sketch.motion, Motion::Star { .. });
-    let index = (0..).find(is_star).unwrap();
-    recorded(&MadeUp::new(5, index, extent, 0.1).with_edge(0.4).with_frame_noise(Some((5.0, 2.0))), effect)
-}
-
-#[test]
-fn edges_that_the_grid_of_the_array_softens_are_followed_on_a_finer_one() {
-    let case = star(None);
-    let found = joint(&case);
-    assert!(found.left[0] < 0.02, "{}", found.left[0]);
-    let best = found.ranked.iter().map(Ranked::beyond).fold(0.0, f64::max);
-    // Of what a name needs less than half.
-    assert!(best < 0.07, "{best}");
-    assert!(!decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap().detected);
-    let case = star(Some(("threshold_asymmetry", "fraction", -0.5)));
-    let first = joint(&case).first.unwrap();
-    assert_eq!(CANDIDATES[first.candidate].id, "threshold_asymmetry");
-    assert!((first.effect_size + 0.5).abs() < 0.03, "{first:?}");
 }
 
 #[test]
