@@ -40,8 +40,8 @@ pub(crate) fn texture(extent: Extent, frames: usize) -> Case {
     recorded(extent, frames, STEP_NS, log_light)
 }
 
-/// The same of stripes that drift as the texture does, with edges of 0.4 pixels to either side; the events are
-/// within 10 us.
+/// The same of stripes that drift as the texture does, with edges of 0.4 pixels to either side; the events
+/// are within 10 us.
 pub(crate) fn stripes(extent: Extent, frames: usize) -> Case {
     recorded(extent, frames, STEP_NS / 10, |x, y, t_ns| {
         let (x, y) = (x + 60e-9 * t_ns as f64, y - 35e-9 * t_ns as f64);
