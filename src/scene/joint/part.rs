@@ -8,8 +8,9 @@ use crate::moving::MovingPicture;
 /// About so many coefficients at most, of the whole array and of a part.
 const MOST_COEFFICIENTS: f64 = 20_000.0;
 const MOST_OF_PART: f64 = 26_000.0;
-/// Finest and coarsest pitch on the whole array, pixels: on a coarser one textures leave 2 % of a threshold.
-const PITCHES: (f64, f64) = (0.8, 1.0);
+/// Finest and coarsest pitch on the whole array, pixels, and the most coefficients that it may have there.
+const PITCHES: (f64, f64) = (0.8, 1.3);
+const MOST_OF_ARRAY: f64 = 45_000.0;
 /// Sides of a part are a share of the array's: each tried is this much of the one before.
 const SMALLER: f64 = 0.93;
 /// Shortest side of a part, pixels.
@@ -25,12 +26,12 @@ pub struct Part {
 }
 
 impl Part {
-    /// The whole array as finely as coefficients allow, if that is fine enough; or else the busiest part.
+    /// The whole array as finely as coefficients allow, or else the busiest part.
     pub fn first(case: &Case, scene: &MovingPicture, weight: &[usize]) -> Option<Part> {
         let grid = scene.picture.grid;
         let area = (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
-        let pitch = (area / MOST_COEFFICIENTS).sqrt().max(PITCHES.0);
-        match pitch <= PITCHES.1 {
+        let pitch = (area / MOST_COEFFICIENTS).sqrt().clamp(PITCHES.0, PITCHES.1);
+        match area / (pitch * pitch) <= MOST_OF_ARRAY {
             true => Some(Part { block: Block::all(case.extent), pitch }),
             false => Part::busiest(case, scene, PITCHES.0, weight),
         }
