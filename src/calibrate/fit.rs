@@ -75,7 +75,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         if of_something[SOMETHING - 1] < 0.0 {
             // A scene that explains less of the events is no better reason: it is left out.
             let without: Vec<([f64; SOMETHING], bool)> =
-                something.iter().map(|(facts, is)| ([facts[0], facts[1], 0.0], *is)).collect();
+                something.iter().map(|([one, gain, _], is)| ([*one, *gain, 0.0], *is)).collect();
             of_something = newton(&without);
         }
         let of_second = newton(&second);

@@ -1,5 +1,6 @@
 //! The scene of a recording, whoever states it: a moving picture, patches of it, a known target, known light.
 
+use crate::block::Block;
 use crate::case::Case;
 use crate::gate::Gate;
 use crate::light::Light;
@@ -102,11 +103,16 @@ impl dyn Scene + '_ {
 
     /// Log photocurrent of every pixel at steady instants; empty where it is not known.
     pub fn light(&self, case: &Case, step_ns: i64) -> Light {
+        self.light_of(case, step_ns, &Block::all(case.extent))
+    }
+
+    /// The same of a block of pixels; empty elsewhere.
+    pub(crate) fn light_of(&self, case: &Case, step_ns: i64, block: &Block) -> Light {
         let mut light = Light::blank(case, step_ns);
-        let width = case.extent.width.max(1) as usize;
-        let rows: Vec<Vec<usize>> =
-            (0..case.extent.pixels()).collect::<Vec<_>>().chunks(width).map(<[usize]>::to_vec).collect();
-        light.log = rows.par_iter().flat_map(|pixels| self.log_light(case, step_ns, pixels)).collect();
+        let pixels: Vec<usize> = block.pixels(case.extent).iter().map(|pixel| *pixel as usize).collect();
+        let rows = pixels.par_chunks(block.width.max(1));
+        let log: Vec<Vec<f32>> = rows.flat_map(|row| self.log_light(case, step_ns, row)).collect();
+        pixels.iter().zip(log).for_each(|(pixel, log)| light.log[*pixel] = log);
         light
     }
 

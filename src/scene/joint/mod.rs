@@ -39,16 +39,14 @@ use crate::picture::{Picture, PictureSetting};
 use crate::scene::{Cell, Scene};
 use crate::statistics::median;
 use normal::Factor;
+use part::LARGEST;
 pub use part::Part;
 use photocurrent_core::random::Random;
 use prior::Prior;
 use problem::{FrameRows, Problem, Standing};
-use rayon::prelude::*;
 use std::sync::Arc;
 
-/// No more coefficients than this, and no frame value that sees more in a line, in memory of some hundreds of
-/// megabytes.
-const LARGEST: usize = 45_000;
+/// No frame value sees more coefficients in a line than this, in memory of some hundreds of megabytes.
 const FARTHEST: usize = 24;
 /// Degrees of freedom of an event at most.
 const MOST_FREE: f64 = 0.7;
@@ -355,12 +353,7 @@ impl FreeScene for JointPicture {
     }
 
     fn light(&self, case: &Case) -> Light {
-        let mut light = Light::blank(case, self.step_ns);
-        let pixels: Vec<usize> = self.pixels.iter().map(|pixel| *pixel as usize).collect();
-        let rows = pixels.par_chunks(self.block.width);
-        let log: Vec<Vec<f32>> = rows.flat_map(|row| self.scene.log_light(case, self.step_ns, row)).collect();
-        pixels.iter().zip(log).for_each(|(pixel, log)| light.log[*pixel] = log);
-        light
+        (&*self.scene as &dyn Scene).light_of(case, self.step_ns, &self.block)
     }
 
     fn takes_part(&self, place: usize) -> bool {

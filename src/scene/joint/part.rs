@@ -7,10 +7,11 @@ use crate::moving::MovingPicture;
 
 /// About so many coefficients at most, of the whole array and of a part.
 const MOST_COEFFICIENTS: f64 = 20_000.0;
-const MOST_OF_PART: f64 = 26_000.0;
-/// Finest and coarsest pitch on the whole array, pixels, and the most coefficients that it may have there.
+const MOST_OF_PART: usize = 26_000;
+/// Finest and coarsest pitch on the whole array, pixels.
 const PITCHES: (f64, f64) = (0.8, 1.3);
-const MOST_OF_ARRAY: f64 = 45_000.0;
+/// No picture has more coefficients than this.
+pub(super) const LARGEST: usize = 45_000;
 /// Sides of a part are a share of the array's: each tried is this much of the one before.
 const SMALLER: f64 = 0.93;
 /// Shortest side of a part, pixels.
@@ -31,8 +32,9 @@ impl Part {
         let grid = scene.picture.grid;
         let area = (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
         let pitch = (area / MOST_COEFFICIENTS).sqrt().clamp(PITCHES.0, PITCHES.1);
-        match area / (pitch * pitch) <= MOST_OF_ARRAY {
-            true => Some(Part { block: Block::all(case.extent), pitch }),
+        let block = Block::all(case.extent);
+        match scene.picture.covering(case, &block, pitch).coefficients() <= LARGEST {
+            true => Some(Part { block, pitch }),
             false => Part::busiest(case, scene, PITCHES.0, weight),
         }
     }
@@ -50,10 +52,8 @@ impl Part {
                 return None;
             }
             let places = (0..=height - h).flat_map(|y| (0..=width - w).map(move |x| (x, y)));
-            let fits = |block: &Block| {
-                let count = scene.picture.covering(case, block, pitch).coefficients();
-                count as f64 <= MOST_OF_PART
-            };
+            let fits =
+                |block: &Block| scene.picture.covering(case, block, pitch).coefficients() <= MOST_OF_PART;
             let block = places
                 .map(|(x, y)| Block { x, y, width: w, height: h })
                 .filter(fits)
@@ -114,7 +114,7 @@ mod tests {
         // A part a step larger would be too much.
         let count = |width: usize, height: usize| {
             let block = Block { x: 40 - width, y: 32 - height, width, height };
-            scene.picture.covering(&case, &block, 0.2).coefficients() as f64
+            scene.picture.covering(&case, &block, 0.2).coefficients()
         };
         assert!(count(width, height) <= MOST_OF_PART && count(width + 3, height + 3) > MOST_OF_PART);
         assert!(Part::busiest(&case, &scene, 0.01, &weight).is_none());

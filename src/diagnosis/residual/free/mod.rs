@@ -100,7 +100,7 @@ const ON_FINER: Plan = Plan { corrections: 6, is_sharpened: true, is_noise_count
 /// Where edges are too sharp for the grid of the whole array, a part of it is tried on a finer one, pixels.
 const FINER: [f64; 2] = [0.4, 0.27];
 /// A grid is fine enough where the one before left no more than this times what it leaves: what remains is
-/// noise.
+/// noise. Not calibrated, like [`HOPEFUL`].
 const FALLS: f64 = 1.25;
 /// An effect that explains what is left gains the logarithm of how much less is left: where the best one
 /// gains less than this share of what [`Plan::most_left`] takes, to first order, none does.
