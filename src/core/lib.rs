@@ -72,6 +72,7 @@ mod offsets;
 pub mod ports;
 pub mod quantity;
 pub mod random;
+mod ranges;
 #[cfg(feature = "graph")]
 pub mod schema;
 pub mod sensor;

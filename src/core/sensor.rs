@@ -9,6 +9,9 @@ use crate::document::{Item, Origin, Problem, Source, Tree, parse};
 use crate::error::NodeError;
 use crate::quantity::Duration;
 #[cfg(feature = "graph")]
+use crate::ranges;
+pub use crate::ranges::Range;
+#[cfg(feature = "graph")]
 use crate::schema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -103,6 +106,11 @@ pub struct Sensor {
     /// Anything beyond the paper's model, by catalogue id.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, serde_json::Map<String, serde_json::Value>>,
+    /// Of numbers that are known to lie in a range, by their TOML paths; their fields hold its middle. In TOML
+    /// the range stands in the field.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[cfg_attr(feature = "graph", schemars(skip))]
+    pub ranges: BTreeMap<String, Range>,
 }
 
 /// Photodiode to front-end voltage: `tau = tau_0 + alpha / i_pd`, Eq. (3).
@@ -231,6 +239,7 @@ impl Sensor {
             frames: Frames::default(),
             optics: Optics::default(),
             effects: BTreeMap::new(),
+            ranges: BTreeMap::new(),
         }
     }
 
@@ -240,10 +249,11 @@ impl Sensor {
     /// Every mistake, at its place.
     #[cfg(feature = "graph")]
     pub fn parse(source: &Arc<Source>) -> Result<Sensor, Vec<Problem>> {
-        let table = parse(source)?;
+        let mut table = parse(source)?;
+        let mut problems = Vec::new();
+        let ranges = ranges::take(&mut table, &mut problems);
         let tree = Tree { item: Item::Table(table), origin: Origin { source: source.clone(), span: 0..0 } };
         let schema = schemars::schema_for!(Sensor).to_value();
-        let mut problems = Vec::new();
         schema::validate(&tree, &schema, "field of a sensor description", &mut problems);
         let effects = tree.as_table().and_then(|table| table.get("effects")).and_then(Tree::as_table);
         for (key, _) in effects.iter().flat_map(|effects| &effects.entries) {
@@ -257,8 +267,9 @@ impl Sensor {
         if !problems.is_empty() {
             return Err(problems);
         }
-        serde_json::from_value(schema::to_json(&tree, &schema))
-            .map_err(|error| vec![Problem::at(&tree.origin, error.to_string())])
+        let sensor: Sensor = serde_json::from_value(schema::to_json(&tree, &schema))
+            .map_err(|error| vec![Problem::at(&tree.origin, error.to_string())])?;
+        Ok(Sensor { ranges, ..sensor })
     }
 
     /// With fields laid over, table by table, in the form of the TOML file.
@@ -278,7 +289,7 @@ impl Sensor {
     /// As the TOML text that [`Sensor::parse`] reads.
     #[cfg(feature = "graph")]
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("a sensor description is plain data")
+        ranges::to_toml(self).expect("a sensor description is plain data")
     }
 
     /// As JSON in field order, for digests and the cache.

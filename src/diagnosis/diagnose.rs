@@ -12,6 +12,8 @@ use crate::report::{BeforeAfter, Finding, Fit, NotTestable, Number, Provenance, 
 use crate::residual::located::Located;
 use crate::sample::Sample;
 use crate::stages::{Decided, Proposal, Proposed};
+use crate::units::readable;
+use crate::unknowns::{Estimate, is_left_open, with_estimates};
 use crate::unstated;
 use crate::verdict::{Answer, answered, verdict};
 use photocurrent_core::digest::DigestBuilder;
@@ -95,8 +97,9 @@ pub struct Diagnosis {
 pub fn check(case: &Case) -> Result<Integrity, NodeError> {
     let nominal = case.nominal()?;
     let mut integrity = integrity(case, Some(&nominal));
-    // What the description states is no departure from it.
-    integrity.findings.retain(|finding| !case.sensor.effects.contains_key(finding.id));
+    // What the description states is no departure from it, and what it leaves open is estimated.
+    let is_departure = |id: &str| !case.sensor.effects.contains_key(id) && !is_left_open(&case.sensor, id);
+    integrity.findings.retain(|finding| is_departure(finding.id));
     Ok(integrity)
 }
 
@@ -120,6 +123,10 @@ pub fn confirm(
     mut integrity: Integrity,
     proposed: Proposed,
 ) -> Result<Diagnosis, NodeError> {
+    let estimated = proposed.decided().map_or(&[][..], |decided| &decided.estimated);
+    let stated = &case.sensor;
+    let settled = Case { sensor: with_estimates(stated, estimated), ..case.clone() };
+    let case = &settled;
     let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
     let can_compare = can_compare(case, &integrity);
@@ -143,12 +150,15 @@ pub fn confirm(
             answer.verdict = Verdict::Insufficient;
         }
     }
-    let with = |findings: &[Finding]| description(case, &nominal, &scales, findings);
+    let with = |findings: &[Finding]| {
+        let found = description(case, &nominal, &scales, findings);
+        found.or_else(|| (case.sensor != *stated).then(|| case.sensor.clone()))
+    };
     let mut changed = with(&answer.findings);
     let predicted = |sensor: &Sensor| {
         sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
     };
-    let before = predicted(&case.sensor)?;
+    let before = predicted(stated)?;
     let mut after = changed.as_ref().map(&predicted).transpose()?.flatten();
     let is_worse = |after: &Option<Prediction>| {
         before
@@ -244,6 +254,7 @@ fn report(
             decided.detectability.iter().filter(|one| !is_found(&one.id)).cloned().collect()
         }),
         scene: integrity.scene.clone(),
+        estimated: decided.map_or_else(Vec::new, |decided| decided.estimated.clone()),
         sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),
         provenance: Provenance {
             recording_digest: digest(case),
@@ -270,6 +281,7 @@ pub fn broken(why: &str, seed: u64) -> Report {
         fit: Fit::default(),
         detectability: Vec::new(),
         scene: Vec::new(),
+        estimated: Vec::new(),
         not_testable: Vec::new(),
         next_experiment: vec![
             "record again, or repair the file: nothing can be said of a sensor whose data \
@@ -315,7 +327,18 @@ fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<
     } else {
         format!("; near the detection threshold, and not reported: {near}")
     };
-    format!("{said} ({}){near}", looked_at_of(decided))
+    format!("{said} ({}){near}{}", looked_at_of(decided), estimated(&decided.estimated))
+}
+
+/// What the description leaves open, as the end of a sentence.
+fn estimated(all: &[Estimate]) -> String {
+    let one = |one: &Estimate| {
+        let [value, low, high] =
+            [one.estimate, one.ci95[0], one.ci95[1]].map(|value| readable(value, &one.unit));
+        format!("{} {value} ({low} to {high})", one.field)
+    };
+    let all: Vec<String> = all.iter().map(one).collect();
+    if all.is_empty() { String::new() } else { format!("; estimated with the scene: {}", all.join(", ")) }
 }
 
 /// From this share of its detection threshold on, a test is said to have nearly reached it.

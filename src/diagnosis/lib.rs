@@ -25,6 +25,7 @@
 //! - `advice`: what to record next.
 //! - [`mod@diagnose`]: direct tests and confirmation; [`whole`]: all stages in one call ([`diagnose()`]).
 //! - [`stages`]: what passes between them, as documents.
+//! - [`unknowns`]: numbers that a description knows to lie in a range; [`unstated`]: those it lacks.
 //! - [`report`]: the results of a diagnosis, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
 //!
@@ -56,6 +57,7 @@ pub mod stages;
 #[cfg(any(test, feature = "simulated"))]
 pub mod targets;
 pub mod units;
+pub mod unknowns;
 pub mod unstated;
 pub mod verdict;
 pub mod whole;

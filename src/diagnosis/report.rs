@@ -5,6 +5,7 @@
 //! threads.
 
 use crate::candidates::Candidate;
+use crate::unknowns::Estimate;
 use photocurrent_core::Sensor;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::EffectDecl;
@@ -245,6 +246,9 @@ pub struct Report {
     pub detectability: Vec<Detectable>,
     /// Not mismatches, but worth knowing.
     pub scene: Vec<SceneProperty>,
+    /// Numbers that the description knows to lie in a range, estimated with the scene.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub estimated: Vec<Estimate>,
     /// What could not.
     pub not_testable: Vec<NotTestable>,
     /// What to record to know more.
@@ -406,6 +410,7 @@ mod tests {
             },
             detectability: Vec::new(),
             scene: Vec::new(),
+            estimated: Vec::new(),
             not_testable: Vec::new(),
             next_experiment: Vec::new(),
             residual_left: None,

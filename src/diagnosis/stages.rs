@@ -11,6 +11,7 @@ use crate::integrity::{Departure, Heldout, Integrity};
 use crate::report::Detectable;
 use crate::residual::evidence::Evidence;
 use crate::residual::located::{Located, Locations};
+use crate::unknowns::Estimate;
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
 use photocurrent_scene::block::Block;
 use photocurrent_sensor::effects::catalogue;
@@ -120,6 +121,9 @@ pub struct Decided {
     /// Where its answers are; empty where that was not measured.
     #[serde(default)]
     pub located: Locations,
+    /// What the description leaves open, estimated before.
+    #[serde(default)]
+    pub estimated: Vec<Estimate>,
 }
 
 /// What is decided on a scene.
@@ -378,6 +382,7 @@ mod tests {
             }],
             nats_per_event: Some(-2.0),
             ks: Some(0.1 + 0.2),
+            estimated: vec![Estimate { field: "front_end.alpha".into(), ..Estimate::default() }],
             residual_left: Some(0.25),
             located: Locations {
                 first: vec![(3, Located { polarity: "on".into(), ..Located::default() })],

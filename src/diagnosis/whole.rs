@@ -9,6 +9,7 @@ use crate::residual::evidence::{Evidence, EvidenceSetting};
 use crate::residual::free;
 use crate::residual::ranking::evidence;
 use crate::stages::{Decided, Proposed, Seen};
+use crate::unknowns::{Estimate, Unknown, of_estimates, unknowns, with_estimates};
 use crate::unstated::without_scene;
 use photocurrent_core::NodeError;
 use photocurrent_scene::Scene;
@@ -121,8 +122,54 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
 }
 
 /// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames, or on the light
-/// of each pixel.
+/// of each pixel; numbers that the description leaves open are estimated first.
 pub fn on_frames(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
+    let unknowns = unknowns(&case.sensor);
+    if unknowns.is_empty() {
+        return on_described(case, nominal, integrity, setting);
+    }
+    let estimated = match estimated(case, nominal, integrity, setting, &unknowns) {
+        Ok(estimated) => estimated,
+        Err(why) => {
+            return Seen::Nothing(format!("what the description leaves open is not estimated: {why}"));
+        }
+    };
+    let case = Case { sensor: with_estimates(&case.sensor, &estimated), ..case.clone() };
+    let nominal = match case.nominal() {
+        Ok(nominal) => nominal,
+        Err(error) => return Seen::Nothing(error.message),
+    };
+    match on_described(&case, &nominal, integrity, setting) {
+        Seen::Evidence(found) => Seen::Evidence(Box::new(Evidence { estimated, ..*found })),
+        other => other,
+    }
+}
+
+/// Numbers that the description leaves open, on one moving picture of frames and events, or else on the light
+/// of each pixel.
+fn estimated(
+    case: &Case,
+    nominal: &Nominal,
+    integrity: &Integrity,
+    setting: &OnScene,
+    unknowns: &[Unknown],
+) -> Result<Vec<Estimate>, String> {
+    let on_pixels = |why: String| {
+        let found = free::estimated_on_pixels(case, nominal, unknowns);
+        found.map_err(|other| format!("{why}; {other}"))
+    };
+    if setting.scene == Estimated::Pixels || flickers(integrity, setting).is_some() {
+        return on_pixels(String::new());
+    }
+    let part = case.busiest(setting.picture.most_values);
+    let part = part.as_ref().unwrap_or(case);
+    let on_picture = MovingPicture::fit(part, nominal, &setting.picture)
+        .and_then(|picture| free::estimated_on_picture(part, nominal, &picture, unknowns));
+    on_picture.or_else(on_pixels)
+}
+
+/// The same of a description that leaves nothing open.
+fn on_described(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: &OnScene) -> Seen {
     match setting.scene {
         Estimated::Pixels => return seen(free::on_pixels(case, nominal)),
         Estimated::Joint => {
@@ -160,12 +207,8 @@ fn on_part(
     setting: &OnScene,
     on: impl Fn(&Case) -> Result<Evidence, String>,
 ) -> Result<Evidence, String> {
-    if let Some(flicker) = integrity.scene.iter().find(|one| one.depth > setting.most_flicker) {
-        return Err(format!(
-            "the light flickers at {:.0} Hz by {:.0} %",
-            flicker.frequency_hz,
-            100.0 * flicker.depth
-        ));
+    if let Some(why) = flickers(integrity, setting) {
+        return Err(why);
     }
     let part = case.busiest(setting.picture.most_values);
     let (case, span_ns) = part.as_ref().map_or((case, None), |part| (part, Some(part.span)));
@@ -173,6 +216,12 @@ fn on_part(
     found.span_ns = span_ns;
     found.on_joint.iter_mut().for_each(|joint| joint.span_ns = span_ns);
     Ok(found)
+}
+
+/// How the light flickers, where it does.
+fn flickers(integrity: &Integrity, setting: &OnScene) -> Option<String> {
+    let flicker = integrity.scene.iter().find(|one| one.depth > setting.most_flicker)?;
+    Some(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth))
 }
 
 /// Evidence on one moving picture of frames and events together.
@@ -210,10 +259,15 @@ pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed 
     match seen {
         Seen::NotAsked => Proposed::NotAsked,
         Seen::Nothing(why) => Proposed::Nothing(why),
-        Seen::Evidence(found) => match of_all(&found, nominal, decision) {
-            Ok(decided) => Proposed::Decided(Box::new(decided)),
-            Err(why) => Proposed::Nothing(why),
-        },
+        Seen::Evidence(found) => {
+            let nominal = of_estimates(nominal, &found.estimated);
+            match of_all(&found, &nominal, decision) {
+                Ok(decided) => {
+                    Proposed::Decided(Box::new(Decided { estimated: found.estimated.clone(), ..decided }))
+                }
+                Err(why) => Proposed::Nothing(why),
+            }
+        }
     }
 }
 

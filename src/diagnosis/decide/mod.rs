@@ -147,6 +147,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
             second: located(&found.second),
             unnamed: curve.and_then(|curve| curve.located.clone()),
         },
+        estimated: Vec::new(),
     }
 }
 

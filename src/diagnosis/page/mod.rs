@@ -16,9 +16,12 @@ use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
 use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
-use crate::report::{BeforeAfter, Finding, Parameter, Report, Verdict, short as number, six_digits};
+use crate::report::{
+    BeforeAfter, Detectable, Finding, Parameter, Report, Verdict, short as number, six_digits,
+};
 use crate::stages::{Proposal, Proposed};
 use crate::units::{name_of, readable};
+use crate::unknowns::Estimate;
 use photocurrent_page::{Curve, Page, Panel, Script, Section, escaped};
 use photocurrent_scene::case::Case;
 use std::fmt::Write;
@@ -41,6 +44,7 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
     head(&mut lead, report);
     let sections = vec![
         part("missing", "What the description lacks", &mut |html| effects(html, report)),
+        part("estimated", "Estimated with the scene", &mut |html| estimated(html, report)),
         part("before-after", "Before and after", &mut |html| fits(html, report)),
         part("looked-at", "What was looked at", &mut |html| {
             if let Some(case) = case {
@@ -405,32 +409,63 @@ fn fits(html: &mut String, report: &Report) {
     html.push_str("</table></div>\n");
 }
 
+/// What the description leaves open.
+fn estimated(html: &mut String, report: &Report) {
+    let row = |one: &Estimate| {
+        let value = |value: f64| readable(value, &one.unit);
+        let [least, most] = one.range;
+        let interval = format!("{} to {}", value(one.ci95[0]), value(one.ci95[1]));
+        let stated = format!("{} to {}", value(least), value(most));
+        (one.field.clone(), None, vec![value(one.estimate), interval, stated])
+    };
+    let rows = report.estimated.iter().map(row).collect();
+    table(
+        html,
+        "Numbers that the description leaves open",
+        &["field"],
+        &["estimate", "95 % interval", "stated"],
+        rows,
+    );
+}
+
 /// What would have been found.
 fn detectable(html: &mut String, report: &Report) {
-    if report.detectability.is_empty() {
-        return;
-    }
-    html.push_str(
-        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Detection \
-                   limits\"><table><thead><tr><th scope=\"col\">effect</th><th scope=\"col\">parameter</th>",
-    );
-    for name in ["estimate", "standard error", "minimum detectable effect"] {
-        let _ = write!(html, "<th scope=\"col\" class=\"number\">{name}</th>");
-    }
-    html.push_str("</tr></thead>\n");
-    for one in &report.detectability {
+    let row = |one: &Detectable| {
         let cell =
             |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| readable(value, &one.unit));
         let cells =
-            [cell(one.estimate), cell(one.standard_error), readable(one.minimal_detectable, &one.unit)];
+            vec![cell(one.estimate), cell(one.standard_error), readable(one.minimal_detectable, &one.unit)];
+        (one.id.clone(), Some(name_of(&one.parameter).to_owned()), cells)
+    };
+    let rows = report.detectability.iter().map(row).collect();
+    let numbers = ["estimate", "standard error", "minimum detectable effect"];
+    table(html, "Detection limits", &["effect", "parameter"], &numbers, rows);
+}
+
+/// What a row of a table is of, what of that, and numbers.
+type Row = (String, Option<String>, Vec<String>);
+
+/// A table of numbers; nothing without rows.
+fn table(html: &mut String, label: &str, names: &[&str], numbers: &[&str], rows: Vec<Row>) {
+    if rows.is_empty() {
+        return;
+    }
+    let _ = write!(
+        html,
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"{label}\"><table><thead><tr>"
+    );
+    for name in names {
+        let _ = write!(html, "<th scope=\"col\">{name}</th>");
+    }
+    for name in numbers {
+        let _ = write!(html, "<th scope=\"col\" class=\"number\">{name}</th>");
+    }
+    html.push_str("</tr></thead>\n");
+    for (of, what, cells) in rows {
+        let what = what.map_or_else(String::new, |what| format!("<td>{}</td>", escaped(&what)));
         let cells: String =
             cells.iter().map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell))).collect();
-        let _ = writeln!(
-            html,
-            "<tr><th scope=\"row\">{}</th><td>{}</td>{cells}</tr>",
-            escaped(&one.id),
-            escaped(name_of(&one.parameter))
-        );
+        let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{what}{cells}</tr>", escaped(&of));
     }
     html.push_str("</table></div>\n");
 }

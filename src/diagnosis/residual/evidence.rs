@@ -4,6 +4,7 @@ use super::located::Located;
 use super::open::Open;
 pub use super::setting::EvidenceSetting;
 use crate::candidates::CANDIDATES;
+use crate::unknowns::Estimate;
 use photocurrent_scene::block::Block;
 use serde::{Deserialize, Serialize};
 
@@ -113,6 +114,9 @@ pub struct Evidence {
     /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
     #[serde(default)]
     pub nats_per_event: f64,
+    /// What the description leaves open, estimated before.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub estimated: Vec<Estimate>,
     /// Share of the events that counts.
     pub share: f64,
     /// On scenes that follow events: share of the evaluated events that miss their threshold by no more than

@@ -9,7 +9,7 @@
 //!
 //! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
 //! - `fit`: size and gain of each effect.
-//! - `components`: random effects.
+//! - `components`: random effects; `chance`: counted from what there is without them.
 //! - `open`: what no effect of the catalogue has.
 //! - `control`: what is found where nothing is.
 //! - `located`: where the gain of an effect is.
@@ -18,6 +18,7 @@
 //! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
 
 mod axis;
+mod chance;
 mod components;
 mod control;
 pub mod evidence;

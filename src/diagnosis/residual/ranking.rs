@@ -11,29 +11,21 @@
 //!    free per bin of every covariate (`open`).
 //! 6. With the best one applied, all others are fitted again, its own size with them.
 
-use super::components::{Ground, Part, parts, value as part_value};
+use super::chance::{Chance, of_noise};
+use super::components::{Ground, Part, parts};
 use super::control::{Behind, control};
-use super::evidence::{Evidence, NOISE, Ranked};
+use super::evidence::{Evidence, Ranked};
 use super::fit::EventNoise;
 use super::open::{self, Open};
-use super::setting::{
-    DEPENDENCES, EvidenceSetting, KNOWN_STEP_NS, LEAST_EVENT_NOISE, LEAST_NOISE, LEAST_SPREAD,
-    LEAST_UNSTATED_NOISE,
-};
-use super::table::{OF_PIXELS, Seen, Table, median_share};
-use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use super::setting::{DEPENDENCES, EvidenceSetting, KNOWN_STEP_NS, LEAST_NOISE, LEAST_SPREAD};
+use super::table::{Seen, Table, median_share};
+use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::rhythm::strongest_period_ns;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::gate::Gate;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::{Scene, gate};
-
-/// What wider noise of events alone gains, on a scene that is known: on a fitted one, what the scene gets
-/// wrong widens residuals, and its noise is the control's.
-fn of_noise(random: &[Ranked], is_known: bool) -> f64 {
-    let gain = |one: &Ranked| if NOISE.contains(&CANDIDATES[one.candidate].id) { one.beyond() } else { 0.0 };
-    if is_known { random.iter().map(gain).fold(0.0, f64::max) } else { 0.0 }
-}
+use std::borrow::Cow;
 
 /// Asks which effects explain the events of a recording.
 ///
@@ -71,7 +63,7 @@ pub fn evidence(
         control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
     let slope_per_s = median_slope(&table);
     let control_white = control_seen.white(&stated, control_source.as_ref())?;
-    let chance = Chance::new(&seen, nominal, &control_table, control_white, slope_per_s);
+    let chance = of_chance(&seen, nominal, &control_table, control_white, slope_per_s);
     let ranking = Ranking {
         nominal,
         stated: &stated,
@@ -85,12 +77,14 @@ pub fn evidence(
 
     let base = ranking.round(&seen, &table, &stated, None, setting.refined)?;
     let base_median = left_of(&seen, &table);
-    let mut noise = [of_noise(&base.random, source.is_known()), 0.0];
+    // On a fitted scene, what it gets wrong widens residuals, and its noise is the control's.
+    let noise_of = |round: &Round| if source.is_known() { of_noise(&round.random) } else { 0.0 };
+    let mut noise = [noise_of(&base), 0.0];
     let first = base.best(noise[0]).cloned();
     let (mut left, mut after) = ([base_median; 2], Round::default());
     if let Some(first) = &first {
         (after, left) = ranking.with_first(&mut seen, &table, &base.parts, first)?;
-        noise[1] = of_noise(&after.random, source.is_known());
+        noise[1] = noise_of(&after);
     }
     let lists = [base.ranked, after.ranked, base.random, after.random];
     let [ranked, second, random, random_second] = lists.map(|list| marked(case, nominal, list));
@@ -290,7 +284,8 @@ impl Ranking<'_> {
         let ranked =
             seen.rank(self.stated, table, self.control_table, first, refined, self.nominal, &places)?;
         let white = seen.white(trial, seen.source)?;
-        let (random, parts) = self.chance.beyond(table, white);
+        let columns = table.of_pixels();
+        let (random, parts) = self.chance.beyond(&ground(table, &columns, white, seen.scales.threshold));
         let mut open = seen.dependences(table, &laid[0]);
         open::beyond(&mut open, self.control_dependences);
         open.truncate(DEPENDENCES);
@@ -343,96 +338,32 @@ impl Ranking<'_> {
     }
 }
 
-/// Random effects, counted from what the control finds.
-struct Chance<'a> {
-    scales: &'a Scales,
+/// Random effects of a recording, counted from its control.
+fn of_chance<'a>(
+    seen: &Seen<'a>,
     nominal: &'a Nominal,
-    is_known: bool,
-    noise: EventNoise,
-    control: Vec<Part>,
+    control: &Table,
+    white: f64,
     slope_per_s: f64,
-    /// Events a second and a pixel.
-    rate: f64,
-    /// What one effect size of [`OF_PIXELS`] is.
-    effect_sizes: [f64; 2],
+) -> Chance<'a> {
+    let Seen { case, scales, is_known, .. } = *seen;
+    let least = LEAST_NOISE * scales.threshold;
+    let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
+    let control = parts(&ground(control, &control.of_pixels(), white, scales.threshold), &noise);
+    Chance { case, scales, nominal, is_known, slope_per_s, noise, control }
 }
 
-impl<'a> Chance<'a> {
-    fn new(
-        seen: &Seen<'a>,
-        nominal: &'a Nominal,
-        control: &Table,
-        white: f64,
-        slope_per_s: f64,
-    ) -> Chance<'a> {
-        let Seen { case, scales, is_known, .. } = *seen;
-        let least = LEAST_NOISE * scales.threshold;
-        let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
-        let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
-            Candidate::find(id, parameter).map_or(0.0, |candidate| {
-                candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal)
-            })
-        });
-        let rate = case.events.len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
-        let of_control = of_table(control, white, scales.threshold, &noise);
-        Chance { scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, effect_sizes }
+/// What parts of the distribution of a table's residuals are measured on; `columns`: [`Table::of_pixels`].
+fn ground<'a>(table: &'a Table, columns: &'a [Cow<'a, [f32]>; 2], white: f64, threshold: f64) -> Ground<'a> {
+    Ground {
+        events: &table.events,
+        residual: table.sharp(),
+        columns: [&columns[0], &columns[1]],
+        white,
+        threshold,
+        least: LEAST_NOISE * threshold,
+        least_spread: LEAST_SPREAD,
     }
-
-    /// Best first, and the parts themselves.
-    fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
-        let threshold = self.scales.threshold;
-        let parts = of_table(table, white, threshold, &self.noise);
-        // What a description does not state may be there; only on known light it is seen so sharply that it
-        // must be allowed for.
-        let unstated =
-            if self.is_known && self.nominal.threshold_noise == 0.0 { LEAST_UNSTATED_NOISE } else { 0.0 };
-        let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
-            "threshold_noise" => one.value > f64::max(LEAST_EVENT_NOISE, unstated) * threshold,
-            "timestamp_jitter" => one.value * self.slope_per_s > LEAST_EVENT_NOISE * threshold,
-            _ => true,
-        };
-        let mut found: Vec<Ranked> = parts
-            .iter()
-            .zip(&self.control)
-            .map(|(part, control)| Ranked {
-                candidate: part.candidate,
-                effect_size: part.size,
-                value: part_value(
-                    part,
-                    control.size,
-                    threshold,
-                    (self.effect_sizes[0], self.effect_sizes[1]),
-                    self.nominal,
-                    self.rate,
-                ),
-                gain: part.gain,
-                control_gain: control.gain.max(0.0),
-                control_effect_size: control.size,
-                is_exact: true,
-                ..Ranked::default()
-            })
-            .filter(matters)
-            .collect();
-        found.sort_by(Ranked::by_gain);
-        (found, parts)
-    }
-}
-
-fn of_table(table: &Table, white: f64, threshold: f64, noise: &EventNoise) -> Vec<Part> {
-    let least = LEAST_NOISE * threshold;
-    let [scale, refractory] = table.of_pixels();
-    parts(
-        &Ground {
-            events: &table.events,
-            residual: table.sharp(),
-            columns: [&scale, &refractory],
-            white,
-            threshold,
-            least,
-            least_spread: LEAST_SPREAD,
-        },
-        noise,
-    )
 }
 
 /// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at

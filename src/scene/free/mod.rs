@@ -8,7 +8,7 @@ use crate::case::Case;
 use crate::light::Light;
 use crate::scene::Cell;
 pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, line};
-pub use noise::{Noise, frame_noise};
+pub use noise::{LEAST_SHARE, Noise, frame_noise};
 pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
 
 /// Efficient score of some effects, and its covariance: with H the normal matrix of the scene, g its
@@ -45,9 +45,10 @@ pub trait FreeScene: Clone + Send + Sync {
     /// What events miss their thresholds by on the scene, a median share of them.
     fn left(&self, predicted: &[Predicted]) -> f64;
 
-    /// The cell of `side` pixels of the scene that one of its pixels sees at an instant, ns: what is wrong
-    /// with the scene is alike for all pixels on one cell. None where no two pixels see the same.
-    fn cell(&self, _case: &Case, _pixel: usize, _t_ns: i64, _side: f64) -> Option<Cell> {
+    /// The cell of the scene that one of its pixels sees at an instant, ns, smaller than what the scene
+    /// resolves: what is wrong with the scene is alike for all pixels on one cell. None where no two pixels see
+    /// the same.
+    fn cell(&self, _case: &Case, _pixel: usize, _t_ns: i64) -> Option<Cell> {
         None
     }
 

@@ -12,8 +12,8 @@ pub(crate) const NU: f64 = 3.0;
 /// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
 const FIRST_SHARE: f64 = 0.02;
 const SHARES: (f64, f64) = (0.003, 0.3);
-/// Always there, as a share of the threshold.
-const LEAST_SHARE: f64 = 0.01;
+/// Noise of thresholds that is always there, as a share of them.
+pub const LEAST_SHARE: f64 = 0.01;
 /// Noise of stamps, seconds.
 const STAMP_S: f64 = 20e-6;
 /// The light is estimated without an event that decides more than this of itself as if it decided this.

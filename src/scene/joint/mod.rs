@@ -61,6 +61,8 @@ const SETTLED: f64 = 1.1;
 /// thresholds, and seconds.
 const BINS: usize = 8;
 const LEAST_NOISE: (f64, f64) = (0.003, 1e-6);
+/// What a picture gets wrong at an edge is alike within this share of its pitch.
+const CELL: f64 = 0.4;
 /// So many rounds at least.
 const FIRST_ROUNDS: u64 = 3;
 /// Seed of posterior samples.
@@ -218,12 +220,17 @@ impl JointPicture {
         self.scene = Arc::new(MovingPicture::new(picture, &from.setting, &self.case, &self.nominal));
     }
 
-    /// Goes back part of the last step where it did not lessen what it should.
+    /// Goes back part of the last step where it did not lessen what it should, and all of it where shorter ones
+    /// do not, either.
     fn back(&mut self, predicted: &[Predicted]) -> bool {
         let Some(before) = self.before.take() else { return false };
-        let now = self.standing().objective(predicted);
-        if now <= before.objective || before.times == TIMES_SHORTER {
+        if self.standing().objective(predicted) <= before.objective {
             return false;
+        }
+        if before.times == TIMES_SHORTER {
+            self.scene = before.scene;
+            self.factor = None;
+            return true;
         }
         let share = libm::pow(SHORTER, before.times as f64 + 1.0);
         self.take(&before.scene, &before.step, share);
@@ -309,19 +316,13 @@ impl JointPicture {
             return;
         }
         let from = self.scene.clone();
-        self.before = Some(Before {
-            scene: from.clone(),
-            step: step.clone(),
-            objective: self.standing().objective(predicted),
-            times: 0,
-        });
         self.take(&from, &step, 1.0);
         if is_measured {
             let now = self.standing().unknowns();
             self.prior = Prior::estimate(&self.picture().grid, &now[..count], Some(&sides[2][..count]));
-            // The objective is that of another prior from here on.
-            self.before = None;
         }
+        let objective = Standing { scene: &from, ..self.standing() }.objective(predicted);
+        self.before = Some(Before { scene: from, step, objective, times: 0 });
         self.rounds += 1;
     }
 
@@ -370,7 +371,8 @@ impl FreeScene for JointPicture {
         if sizes.is_empty() { f64::NAN } else { median(&mut sizes) }
     }
 
-    fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Option<Cell> {
+    fn cell(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<Cell> {
+        let side = CELL * self.picture().grid.pitch;
         Some((&*self.scene as &dyn Scene).cell(case, pixel, t_ns, side))
     }
 

@@ -194,6 +194,31 @@ fn events_decide_what_noisy_frames_leave_open() {
 }
 
 #[test]
+fn a_step_that_leads_away_is_taken_back() {
+    let (case, nominal) = noisy(Extent { width: 20, height: 16 }, 8, (5.0, 2.0));
+    let mut joint = begin(&case, &nominal, (4.0, 0.2));
+    let left = |joint: &JointPicture| joint.left(&now(&case, &nominal, joint));
+    for _ in 0..3 {
+        let measured = now(&case, &nominal, &joint);
+        joint.round(&measured);
+    }
+    let before = joint.scene.clone();
+    let (settled, objective) = (left(&joint), joint.standing().objective(&now(&case, &nominal, &joint)));
+    // Half a pixel along the motion, which no step a sixth as long makes good.
+    let count = joint.picture().grid.coefficients();
+    let step: Vec<f64> =
+        (0..joint.standing().unknowns().len()).map(|n| if n < count { 0.0 } else { 0.5 }).collect();
+    joint.take(&before, &step, 1.0);
+    assert!(left(&joint) > 3.0 * settled);
+    joint.before = Some(Before { scene: before.clone(), step, objective, times: 0 });
+    for _ in 0..=TIMES_SHORTER {
+        let measured = now(&case, &nominal, &joint);
+        joint.settle(&measured);
+    }
+    assert!(Arc::ptr_eq(&joint.scene, &before) && joint.before.is_none() && joint.factor.is_none());
+}
+
+#[test]
 fn a_finer_grid_follows_edges_that_a_coarse_one_softens() {
     let case = testing::stripes(Extent { width: 32, height: 24 }, 8);
     let mut nominal = case.nominal().unwrap();

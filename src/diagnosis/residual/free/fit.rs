@@ -1,10 +1,10 @@
 //! Light of pixels as a sensor sees it: rounds of light, and exact fits of an effect.
 
-use super::super::components::white_share;
 use super::super::evidence::Ranked;
 use super::super::prepared::Prepared;
-use super::super::setting::{CELL, LARGEST_EFFECT_SIZE};
+use super::super::setting::LARGEST_EFFECT_SIZE;
 use super::super::{Around, View, events_of, frames_of, median_of};
+use super::own::Own;
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::free::{FreeScene, Predicted, PredictedEvent, PredictedFrame};
@@ -201,7 +201,11 @@ impl<'a> Through<'a> {
         frames: Vec<MapFrame>,
         quiet_ns: Vec<i64>,
     ) -> Through<'a> {
-        let log: Vec<f64> = view.light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+        let mut log: Vec<f64> = view.light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+        // A step that leads off the picture explains no event, and is taken back.
+        if log.is_empty() {
+            log = vec![0.0; instants.len()];
+        }
         Through {
             view,
             instants,
@@ -285,6 +289,8 @@ pub(super) struct Fit<'a, L> {
     pub light: L,
     /// Effects that the trial has beyond the stated ones, with their sizes.
     pub applied: Vec<(usize, f64)>,
+    /// Thresholds of each pixel's own, where these are estimated.
+    pub own: Option<Own>,
 }
 
 /// A fit of an effect with its size.
@@ -300,7 +306,7 @@ pub(super) struct Exact<'a, L> {
 
 impl<'a, L: FreeScene> Fit<'a, L> {
     pub(super) fn begin(ground: &'a Ground<'a, L>, trial: &Trial) -> Fit<'a, L> {
-        Fit { ground, trial: trial.clone(), light: ground.begin.clone(), applied: Vec::new() }
+        Fit { ground, trial: trial.clone(), light: ground.begin.clone(), applied: Vec::new(), own: None }
     }
 
     /// What sensors make of all pixels on a light: [sensor][place].
@@ -346,6 +352,24 @@ impl<'a, L: FreeScene> Fit<'a, L> {
 
     /// What the fit's own sensor makes of all pixels, with what a round needs.
     pub(super) fn predicted(&self) -> Result<Vec<Predicted>, String> {
+        let mut predicted = self.predicted_alike()?;
+        if let Some(own) = &self.own {
+            own.apply(&mut predicted);
+        }
+        Ok(predicted)
+    }
+
+    /// The same with thresholds of each pixel's own as what is predicted has them, where they are estimated.
+    fn predicted_anew(&mut self) -> Result<Vec<Predicted>, String> {
+        let mut predicted = self.predicted_alike()?;
+        if let Some(own) = &mut self.own {
+            own.estimate(&mut predicted);
+        }
+        Ok(predicted)
+    }
+
+    /// With thresholds that are the same in all pixels.
+    fn predicted_alike(&self) -> Result<Vec<Predicted>, String> {
         let light = self.light.light(self.ground.case);
         let prepared = self.prepared(&self.trial)?;
         let of = |place: usize, out: &Conditional| self.ground.predicted(place, &self.light, out);
@@ -355,7 +379,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     /// So many rounds of light.
     pub(super) fn rounds(&mut self, count: usize) -> Result<(), String> {
         for _ in 0..count {
-            let predicted = self.predicted()?;
+            let predicted = self.predicted_anew()?;
             self.light.round(&predicted);
             if self.light.has_settled() {
                 break;
@@ -367,7 +391,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     /// Rounds of which only the last changes prior and noise.
     fn settle(&mut self, count: usize) -> Result<(), String> {
         for _ in 1..count {
-            let predicted = self.predicted()?;
+            let predicted = self.predicted_anew()?;
             self.light.settle(&predicted);
         }
         self.rounds(1)
@@ -387,22 +411,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     /// of it share. All of it where too few do, or no two pixels see the same.
     pub(super) fn wrong(&self) -> Result<f64, String> {
         let predicted = self.predicted()?;
-        let case = self.ground.case;
-        let (mut pixel, mut polarity, mut residual, mut cells) = (vec![], vec![], vec![], vec![]);
-        for (place, of) in predicted.iter().enumerate().filter(|(place, _)| self.ground.is_measured(*place)) {
-            let at = self.light.pixels()[place];
-            for event in &of.events {
-                let Some(cell) = self.light.cell(case, at as usize, event.t_ns, CELL) else {
-                    return Ok(self.light.left(&predicted));
-                };
-                pixel.push(at);
-                polarity.push(if event.polarity > 0.0 { 1 } else { -1 });
-                residual.push(event.excess / event.threshold);
-                cells.push(cell);
-            }
-        }
-        let white = white_share((&pixel, &polarity), &residual, &cells);
-        Ok(self.light.left(&predicted) * libm::sqrt(1.0 - white))
+        Ok(self.light.left(&predicted) * libm::sqrt(1.0 - self.white(&predicted).unwrap_or(0.0)))
     }
 
     /// Log density of each pixel's events when the light is estimated from everything else, nats.

@@ -13,16 +13,23 @@
 //! 4. The best are fitted exactly: scene and size in turn, and the description for as many rounds. The gain
 //!    is that of the density in time of each event that is held out, or, on the light of pixels, when that is
 //!    estimated from everything else, and of the probability that none fired between events.
-//! 5. With the best one applied, score and information of all others with its own size free.
+//! 5. Random effects are parts of what held-out events miss (`random`); where thresholds differ from pixel to
+//!    pixel, each pixel's own are estimated with the scene (`own`).
+//! 6. With the best one applied, score and information of all others with its own size free.
 
 mod choose;
 mod fit;
+mod own;
+mod random;
 mod score;
+mod unknowns;
 
+use super::chance::of_noise;
 use super::evidence::{Evidence, KINDS, Ranked};
 use super::fit::{MEDIAN_T, probability_t};
 use super::table::is_physics;
 use crate::candidates::{CANDIDATES, Scales, Trial};
+use crate::unknowns::{Estimate, Unknown};
 use fit::{ERRORS, Exact, Fit, Ground, STEP_NS};
 use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
@@ -32,6 +39,7 @@ use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::pixels::PixelLight;
 use photocurrent_scene::{Scene, gate};
+use random::is_mismatch;
 use rayon::prelude::*;
 use score::Scored;
 use std::fmt;
@@ -108,6 +116,9 @@ const HOPEFUL: f64 = 0.3;
 /// Of a moving picture's events about so many take part in the fit, and so many measure gains.
 const TRAINED: usize = 24_000;
 const MEASURED: usize = 8_000;
+/// Thresholds that differ from pixel to pixel are estimated where to predict each event from the others of its
+/// pixel gains more than this, nats an event.
+const LEAST_MISMATCH: f64 = 0.01;
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.
@@ -123,6 +134,30 @@ const BY_CHANCE: f64 = 2.0;
 /// # Errors
 /// When there are no frames or too few events, or stated effects cannot be combined.
 pub fn on_pixels(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
+    with_pixels(case, nominal, |ground, span_ns| {
+        let found = on(ground, &ON_PIXELS).map_err(|why| why.to_string())?;
+        Ok(Evidence { scene: KINDS[3].to_owned(), span_ns, ..found })
+    })
+}
+
+/// Numbers that the description leaves open, estimated on the light of pixels.
+///
+/// # Errors
+/// As [`on_pixels`].
+pub fn estimated_on_pixels(
+    case: &Case,
+    nominal: &Nominal,
+    unknowns: &[Unknown],
+) -> Result<Vec<Estimate>, String> {
+    with_pixels(case, nominal, |ground, _| unknowns::estimate(ground, unknowns))
+}
+
+/// What is found on the light of pixels, and in which span of the recording; none where that is all of it.
+fn with_pixels<T>(
+    case: &Case,
+    nominal: &Nominal,
+    find: impl FnOnce(&Ground<'_, PixelLight>, Option<(i64, i64)>) -> Result<T, String>,
+) -> Result<T, String> {
     if case.frame_count() == 0 {
         return Err("there are no frames".to_owned());
     }
@@ -132,8 +167,7 @@ pub fn on_pixels(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
     let noise = Noise::new(frame_noise(case, nominal));
     let begin = PixelLight::begin(case, nominal, choose::blocks(case), (STEP_NS, PER_KNOT), noise);
     let ground = Ground::new(case, nominal, &scales, begin, |_, _| true, (STEPS_ON_PIXELS, true))?;
-    let found = on(&ground, &ON_PIXELS).map_err(|why| why.to_string())?;
-    Ok(Evidence { scene: KINDS[3].to_owned(), span_ns, ..found })
+    find(&ground, span_ns)
 }
 
 /// Evidence on one moving picture, which follows frames and events from where frames alone have it: on the
@@ -144,22 +178,25 @@ pub fn on_pixels(case: &Case, nominal: &Nominal) -> Result<Evidence, String> {
 /// When something moves before a still ground, there are too few events, stated effects cannot be combined,
 /// or half of the events remain unexplained with the best effect.
 pub fn on_picture(case: &Case, nominal: &Nominal, scene: &MovingPicture) -> Result<Evidence, String> {
-    let gate = (scene as &dyn Scene).gate(case, gate::LEAST_DN, gate::SPREAD);
-    let kept = choose::kept(case, &gate);
-    let first = Part::first(case, scene, &kept).map(|part| (ON_PICTURE, part));
-    let finer = |pitch: f64| Some((ON_FINER, Part::busiest(case, scene, pitch, &kept)?));
-    let mut best =
-        Err(Failure::Other("so much of the picture passes that no part of the array can be fitted".into()));
+    let counted = Counted::of(case, scene);
+    let first = Part::first(case, scene, &counted.kept).map(|part| (ON_PICTURE, part));
+    let finer = |pitch: f64| Some((ON_FINER, Part::busiest(case, scene, pitch, &counted.kept)?));
+    let mut best = Err(Failure::Other(NO_PART.into()));
     let mut before = f64::INFINITY;
     for (plan, part) in first.into_iter().chain(FINER.into_iter().filter_map(finer)) {
-        let found = on_part(case, nominal, (scene, &part), (&gate, &kept), &plan);
+        let is_whole = part.block == Block::all(case.extent);
+        let found = with_picture(case, nominal, (scene, &part), &counted, |ground| on(ground, &plan));
         let left = match &found {
             Ok(found) => found.left[0],
             Err(Failure::Leaves(left)) => *left,
             Err(Failure::Other(_)) => f64::INFINITY,
         };
         if found.is_ok() || best.is_err() {
-            best = found;
+            best = found.map(|found| Evidence {
+                scene: KINDS[4].to_owned(),
+                part: (!is_whole).then_some(part.block),
+                ..found
+            });
         }
         if left <= EXPLAINED || before < FALLS * left {
             break;
@@ -169,14 +206,47 @@ pub fn on_picture(case: &Case, nominal: &Nominal, scene: &MovingPicture) -> Resu
     best.map_err(|why| why.to_string())
 }
 
-/// The same on a part of the array; `gate`: which events count, and how many of each pixel that are.
-fn on_part(
+/// Numbers that the description leaves open, estimated on one moving picture.
+///
+/// # Errors
+/// As [`on_picture`].
+pub fn estimated_on_picture(
+    case: &Case,
+    nominal: &Nominal,
+    scene: &MovingPicture,
+    unknowns: &[Unknown],
+) -> Result<Vec<Estimate>, String> {
+    let counted = Counted::of(case, scene);
+    let part = Part::first(case, scene, &counted.kept).ok_or(NO_PART)?;
+    let estimate = |ground: &Ground<'_, JointPicture>| Ok(unknowns::estimate(ground, unknowns)?);
+    with_picture(case, nominal, (scene, &part), &counted, estimate).map_err(|why| why.to_string())
+}
+
+/// Why there is no moving picture of frames and events.
+const NO_PART: &str = "so much of the picture passes that no part of the array can be fitted";
+
+/// Which events count on a moving picture, and how many of each pixel that are.
+struct Counted {
+    gate: gate::Gate,
+    kept: Vec<usize>,
+}
+
+impl Counted {
+    fn of(case: &Case, scene: &MovingPicture) -> Counted {
+        let gate = (scene as &dyn Scene).gate(case, gate::LEAST_DN, gate::SPREAD);
+        let kept = choose::kept(case, &gate);
+        Counted { gate, kept }
+    }
+}
+
+/// What is found on a moving picture of a part of the array.
+fn with_picture<T>(
     case: &Case,
     nominal: &Nominal,
     (scene, part): (&MovingPicture, &Part),
-    (gate, kept): (&gate::Gate, &[usize]),
-    plan: &Plan,
-) -> Result<Evidence, Failure> {
+    Counted { gate, kept }: &Counted,
+    find: impl FnOnce(&Ground<'_, JointPicture>) -> Result<T, Failure>,
+) -> Result<T, Failure> {
     let scales = Scales::of(case, nominal);
     let (is_trained, is_measured) = choose::pixels(case, &part.block, kept, (TRAINED, MEASURED));
     let noise = Noise::new(frame_noise(case, nominal));
@@ -184,9 +254,7 @@ fn on_part(
     let keeps =
         |pixel: usize, t_ns: i64| (is_trained[pixel] || is_measured[pixel]) && gate.keeps(pixel, t_ns);
     let ground = Ground::new(case, nominal, &scales, begin, keeps, (STEPS_ON_PICTURE, false))?;
-    let found = on(&ground, plan)?;
-    let is_whole = part.block == Block::all(case.extent);
-    Ok(Evidence { scene: KINDS[4].to_owned(), part: (!is_whole).then_some(part.block), ..found })
+    find(&ground)
 }
 
 /// Why a scene decides nothing.
@@ -230,8 +298,10 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     let all: Vec<usize> = (0..CANDIDATES.len()).filter(|n| !CANDIDATES[*n].is_random).collect();
     let scored = base.score(&all, None)?;
     let mut list = ranked(&scored, ground);
+    let mut random = base.random()?;
+    let mut noise = [of_noise(&random), 0.0];
     let wrong = wrong(&base, plan)?;
-    let most = list.first().map_or(0.0, |best| best.gain);
+    let most = list.iter().chain(&random).map(Ranked::beyond).fold(0.0, f64::max);
     if wrong > plan.most_left && most < HOPEFUL * libm::log(wrong / plan.most_left) {
         return Err(Failure::Leaves(base.left()?));
     }
@@ -239,13 +309,27 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     nothing.settled(plan.corrections)?;
     let level = nothing.left_out()?;
     nothing.light.release();
-    let fitted = |candidate: usize| base.exact(candidate, scored.size(candidate)?, plan.corrections).ok();
-    let exact: Vec<Exact<'_, L>> =
-        worth_fitting(&list, &scored, plan).into_par_iter().filter_map(fitted).collect();
+    let mut to_fit: Vec<(usize, f64)> = worth_fitting(&list, &scored, plan)
+        .into_iter()
+        .filter_map(|candidate| Some((candidate, scored.size(candidate)?)))
+        .collect();
+    to_fit.extend(mismatch(&random, ground));
+    let fitted = |(candidate, size): (usize, f64)| match is_mismatch(candidate) {
+        true => base.with_own(candidate, size, plan.corrections).ok(),
+        false => base.exact(candidate, size, plan.corrections).ok(),
+    };
+    let exact: Vec<Exact<'_, L>> = to_fit.into_par_iter().filter_map(fitted).collect();
     replace(&exact, &mut list, &level, ground, plan);
-    let first = list.iter().find(|one| one.is_exact && one.beyond() > 0.0).cloned();
+    replace(&exact, &mut random, &level, ground, plan);
+    let first = first(&list, &random, noise[0]).cloned();
     let with = first.as_ref().and_then(|one| exact.iter().find(|fit| fit.candidate == one.candidate));
-    let second = with.map_or_else(|| Ok(Vec::new()), |with| second(with, ground, plan))?;
+    let (second, random_second) = match (&first, with) {
+        (Some(first), Some(with)) => (second(with, ground, plan)?, others(&with.fit.random()?, first)),
+        // Noise, and events too many or too few, change nothing of the others.
+        (Some(first), None) => (others(&list, first), others(&random, first)),
+        (None, _) => (Vec::new(), Vec::new()),
+    };
+    noise[1] = of_noise(&random_second);
     let median = nothing.left()?;
     let left = with.map_or(Ok(median), |with| with.fit.left())?;
     let wrong = self::wrong(with.map_or(&nothing, |with| &with.fit), plan)?;
@@ -265,13 +349,36 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
         ranked: list,
         first,
         second,
+        noise,
+        random,
+        random_second,
         ..Evidence::default()
     })
 }
 
-/// What events miss their thresholds by because of the scene, a median share of them.
+/// Thresholds that differ from pixel to pixel, where that gains anything, and about by how much.
+fn mismatch<L: FreeScene>(random: &[Ranked], ground: &Ground<'_, L>) -> Option<(usize, f64)> {
+    let found = random.iter().find(|one| is_mismatch(one.candidate) && one.beyond() > LEAST_MISMATCH)?;
+    let size = CANDIDATES[found.candidate].effect_size(found.value, ground.scales, ground.nominal);
+    Some((found.candidate, size))
+}
+
+/// The best effect, where wider noise of events alone gains `noise`.
+fn first<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) -> Option<&'a Ranked> {
+    let found = ranked.iter().chain(random).filter(|one| one.is_exact && one.beyond() > 0.0);
+    found.max_by(|a, b| a.standing(noise).total_cmp(&b.standing(noise)).then(Ranked::by_gain(b, a)))
+}
+
+/// Those of a list that are another effect.
+fn others(list: &[Ranked], first: &Ranked) -> Vec<Ranked> {
+    let id = |one: &Ranked| CANDIDATES[one.candidate].id;
+    list.iter().filter(|one| id(one) != id(first)).cloned().collect()
+}
+
+/// What events miss their thresholds by because of the scene, a median share of them. Where each pixel has
+/// thresholds of its own, what its few other events leave open of them is no fault of the scene.
 fn wrong<L: FreeScene>(fit: &Fit<'_, L>, plan: &Plan) -> Result<f64, String> {
-    if plan.is_noise_counted_off { fit.wrong() } else { fit.left() }
+    if plan.is_noise_counted_off || fit.own.is_some() { fit.wrong() } else { fit.left() }
 }
 
 /// Share of the events that are explained when what they miss their thresholds by has Student's distribution
@@ -321,7 +428,8 @@ fn second<L: FreeScene>(
         .filter(|n| !CANDIDATES[*n].is_random && CANDIDATES[*n].id != CANDIDATES[with.candidate].id)
         .collect();
     let mut scene = with.fit.clone();
-    let scored = scene.score(&others, Some(with.candidate))?;
+    let free = (!CANDIDATES[with.candidate].is_random).then_some(with.candidate);
+    let scored = scene.score(&others, free)?;
     let mut list = ranked(&scored, ground);
     let mut alone = scene.clone();
     alone.settled(plan.corrections_of_second)?;
@@ -331,7 +439,9 @@ fn second<L: FreeScene>(
         exact.extend(scene.exact(one.candidate, one.effect_size, plan.corrections_of_second).ok());
     }
     replace(&exact, &mut list, &level, ground, plan);
-    list.iter_mut().filter(|one| one.is_exact).for_each(|one| one.of_first = Some(with.effect_size));
+    list.iter_mut()
+        .filter(|one| one.is_exact && free.is_some())
+        .for_each(|one| one.of_first = Some(with.effect_size));
     Ok(list)
 }
 

@@ -1,7 +1,7 @@
 //! Efficient scores of effects, summed over pixels.
 
 use super::super::table::probe;
-use super::fit::{Fit, Rows, STEP_NS, bounded};
+use super::fit::{Fit, Ground, Rows, STEP_NS, bounded};
 use crate::candidates::{CANDIDATES, Signs};
 use photocurrent_scene::free::{FreeScene, Predicted, Score};
 use photocurrent_scene::pixels::LEAST_RISE;
@@ -14,11 +14,11 @@ const SIDE: u32 = 4;
 const ABSORBED: f64 = 1e-9;
 
 /// What a sensor makes of all pixels with a step of an effect.
-struct Moved {
-    rows: Vec<Rows>,
+pub(super) struct Moved {
+    pub rows: Vec<Rows>,
     /// With a step back, where the effect bends at the size that it has; what stands is that without a step.
-    back: Option<Vec<Rows>>,
-    step: f64,
+    pub back: Option<Vec<Rows>>,
+    pub step: f64,
 }
 
 /// Scores of some effects.
@@ -51,6 +51,43 @@ impl Scored {
     }
 }
 
+impl<L: FreeScene> Ground<'_, L> {
+    /// Columns of steps: of each pixel what a step of 1 changes of its rows, in the order of
+    /// [`FreeScene::score`]; `base`: what the sensor makes of all pixels without one.
+    pub(super) fn columns(&self, base: &[Rows], moved: &[Moved]) -> Vec<Vec<f32>> {
+        let effects = moved.len();
+        let threshold = self.scales.threshold;
+        // As in the fit.
+        let least = LEAST_RISE * threshold / (STEP_NS as f64 * 1e-9);
+        let log_slope = |slope: f64| libm::log(f64::max(slope, least));
+        let of_pixel = |place: usize| -> Vec<f32> {
+            let plain = &base[place];
+            let quiet = self.silent(place, plain);
+            let (frames, events) = (plain.dn.len(), plain.excess.len());
+            let mut columns = vec![0.0; (frames + 2 * events + quiet.len()) * effects];
+            for (k, Moved { rows, back, step }) in moved.iter().enumerate() {
+                let (with, plain) = (&rows[place], back.as_ref().map_or(plain, |back| &back[place]));
+                let mut put = |row: usize, change: f64| columns[row * effects + k] = (change / step) as f32;
+                (0..frames).for_each(|l| put(l, with.dn[l] - plain.dn[l]));
+                for (row, (n, side)) in quiet.iter().enumerate() {
+                    let change = with.quiet[*n][*side] - plain.quiet[*n][*side];
+                    let sign = if *side == 0 { 1.0 } else { -1.0 };
+                    put(frames + 2 * events + row, if change.is_finite() { sign * change } else { 0.0 });
+                }
+                for e in 0..events {
+                    put(frames + e, with.excess[e] - plain.excess[e]);
+                    put(
+                        frames + events + e,
+                        log_slope(with.slope_per_s[e]) - log_slope(plain.slope_per_s[e]),
+                    );
+                }
+            }
+            columns
+        };
+        (0..base.len()).into_par_iter().map(of_pixel).collect()
+    }
+}
+
 impl<L: FreeScene> Fit<'_, L> {
     /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with
     /// each.
@@ -76,8 +113,6 @@ impl<L: FreeScene> Fit<'_, L> {
         }
         let mut rows = self.rows(&prepared, &light).into_iter();
         let base = rows.next().unwrap_or_default();
-        let quiet: Vec<Vec<(usize, usize)>> =
-            base.iter().enumerate().map(|(place, rows)| self.ground.silent(place, rows)).collect();
         let moved: Vec<Moved> = kept
             .iter()
             .map(|(_, step, back)| Moved {
@@ -88,34 +123,7 @@ impl<L: FreeScene> Fit<'_, L> {
             .collect();
         let kept: Vec<usize> = kept.into_iter().map(|(candidate, ..)| candidate).collect();
         let effects = kept.len();
-        let threshold = self.ground.scales.threshold;
-        // As in the fit.
-        let least = LEAST_RISE * threshold / (STEP_NS as f64 * 1e-9);
-        let log_slope = |slope: f64| libm::log(f64::max(slope, least));
-        let of_pixel = |place: usize| -> Vec<f32> {
-            let plain = &base[place];
-            let (frames, events) = (plain.dn.len(), plain.excess.len());
-            let mut columns = vec![0.0; (frames + 2 * events + quiet[place].len()) * effects];
-            for (k, Moved { rows, back, step }) in moved.iter().enumerate() {
-                let (with, plain) = (&rows[place], back.as_ref().map_or(plain, |back| &back[place]));
-                let mut put = |row: usize, change: f64| columns[row * effects + k] = (change / step) as f32;
-                (0..frames).for_each(|l| put(l, with.dn[l] - plain.dn[l]));
-                for (row, (n, side)) in quiet[place].iter().enumerate() {
-                    let change = with.quiet[*n][*side] - plain.quiet[*n][*side];
-                    let sign = if *side == 0 { 1.0 } else { -1.0 };
-                    put(frames + 2 * events + row, if change.is_finite() { sign * change } else { 0.0 });
-                }
-                for e in 0..events {
-                    put(frames + e, with.excess[e] - plain.excess[e]);
-                    put(
-                        frames + events + e,
-                        log_slope(with.slope_per_s[e]) - log_slope(plain.slope_per_s[e]),
-                    );
-                }
-            }
-            columns
-        };
-        let columns: Vec<Vec<f32>> = (0..base.len()).into_par_iter().map(of_pixel).collect();
+        let columns = self.ground.columns(&base, &moved);
         let predicted = self.predicted()?;
         self.light.prepare(&predicted);
         let scores = self.light.score(&predicted, &columns, effects);

@@ -187,6 +187,56 @@ fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() 
 }
 
 #[test]
+fn thresholds_that_differ_from_pixel_to_pixel_are_found_with_their_spread() {
+    // Of a scene with many events: an eighth of the thresholds.
+    let extent = Extent { width: 44, height: 33 };
+    let made = (0..4).map(|index| MadeUp::new(5, index, extent, 0.15).with_frame_noise(Some((5.0, 2.0))));
+    let made = made.max_by_key(|made| made.recording().unwrap().events.len()).unwrap();
+    let case = recorded(&made, Some(("threshold_mismatch", "sigma", 0.75)));
+    let nominal = case.nominal().unwrap();
+    let found = joint(&case);
+    let first = found.first.clone().unwrap();
+    let kind = &CANDIDATES[first.candidate];
+    assert_eq!(kind.id, "threshold_mismatch", "{first:?}");
+    let truth = kind.value(0.75, &Scales::of(&case, &nominal), &nominal);
+    assert!((first.value / truth - 1.0).abs() < 0.15, "{} is {truth}", first.value);
+    // Each pixel with its own, events are explained as in a recording without differences.
+    assert!(found.median > 0.05 && found.left[0] < 0.02, "{} {:?}", found.median, found.left);
+    // And no other effect explains as much.
+    let others = found.ranked.iter().filter(|one| one.is_exact);
+    assert!(others.map(Ranked::beyond).fold(0.0, f64::max) < 0.5 * first.beyond());
+}
+
+#[test]
+fn numbers_that_lie_in_a_range_are_estimated_with_the_scene() {
+    use photocurrent_core::quantity::Duration;
+    use photocurrent_core::sensor::Range;
+    let mut case = photograph(None);
+    let truth = Nominal::of(&case.sensor);
+    let alpha_ns = (truth.pixel.front_end.alpha_s * 1e9) as i64;
+    let ranges = [
+        ("front_end.alpha", Range::Time([alpha_ns / 6, 2 * alpha_ns].map(Duration::new))),
+        ("comparator.threshold_on", Range::Number([0.8, 1.5].map(|by| by * truth.pixel.threshold_on))),
+    ];
+    case.sensor.ranges = ranges.into_iter().map(|(field, range)| (field.to_owned(), range)).collect();
+    // The middle stands for the number, which is wrong.
+    let unknowns = crate::unknowns::unknowns(&case.sensor);
+    let middle = |one: &Unknown| f64::midpoint(one.bounds()[0], one.bounds()[1]);
+    let nominal = unknowns.iter().fold(truth.clone(), |with, one| one.put(&with, middle(one)));
+    assert!((nominal.pixel.front_end.alpha_s / truth.pixel.front_end.alpha_s - 0.577).abs() < 0.01);
+    let picture = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+    for (found, truth) in estimated_on_picture(&case, &nominal, &picture, &unknowns)
+        .unwrap()
+        .iter()
+        .zip([truth.pixel.threshold_on, truth.pixel.front_end.alpha_s])
+    {
+        let [low, high] = found.ci95;
+        assert!((found.estimate / truth - 1.0).abs() < 0.05, "{found:?}: {truth}");
+        assert!(low < truth && truth < high && high < 1.6 * low, "{found:?}: {truth}");
+    }
+}
+
+#[test]
 fn the_picture_that_explains_more_decides() {
     use crate::integrity::Integrity;
     use crate::stages::{Proposed, Seen};

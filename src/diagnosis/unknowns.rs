@@ -1,0 +1,187 @@
+//! Numbers that a description knows to lie in a range ([`photocurrent_core::sensor::Range`]): they are estimated
+//! with the scene, and what is diagnosed then is the description with the estimates in it.
+
+use crate::report::six_digits;
+use photocurrent_core::Sensor;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::sensor::Range;
+use photocurrent_scene::nominal::Nominal;
+use serde::{Deserialize, Serialize};
+
+/// A number that is known to lie in a range.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unknown {
+    /// Its TOML path.
+    pub field: String,
+    /// The range.
+    pub range: Range,
+}
+
+/// A number that was estimated with the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Its TOML path in the sensor description.
+    pub field: String,
+    /// In `unit`.
+    pub estimate: f64,
+    /// 95 % interval, within the range.
+    pub ci95: [f64; 2],
+    /// What the description states of it: the least and the largest value.
+    pub range: [f64; 2],
+    /// `s`, or empty where the field has none.
+    pub unit: String,
+}
+
+/// What a description knows to lie in a range.
+pub fn unknowns(sensor: &Sensor) -> Vec<Unknown> {
+    sensor.ranges.iter().map(|(field, range)| Unknown { field: field.clone(), range: *range }).collect()
+}
+
+/// Effects that are nothing but another value of a field.
+const SAME: [(&str, &str); 6] = [
+    ("front_end.tau_0", "time_constant"),
+    ("front_end.alpha", "time_constant"),
+    ("comparator.threshold_on", "threshold_scale threshold_asymmetry"),
+    ("comparator.threshold_off", "threshold_scale threshold_asymmetry"),
+    ("readout.refractory", "refractory"),
+    ("frames.black_level_dn", "black_level"),
+];
+
+/// Is an effect nothing but another value of a number that the description leaves open?
+pub fn is_left_open(sensor: &Sensor, id: &str) -> bool {
+    let is_it = |(field, ids): &(&str, &str)| {
+        sensor.ranges.contains_key(*field) && ids.split(' ').any(|same| same == id)
+    };
+    SAME.iter().any(is_it)
+}
+
+impl Unknown {
+    /// Is it estimated as a logarithm? Where both ends are positive numbers.
+    fn is_log(&self) -> bool {
+        self.range.ends()[0] > 0.0 && self.field != "frames.black_level_dn"
+    }
+
+    /// Both ends as they are estimated.
+    pub fn bounds(&self) -> [f64; 2] {
+        self.range.ends().map(|end| if self.is_log() { libm::log(end) } else { end })
+    }
+
+    /// The sensor with a value in it, as it is estimated.
+    #[must_use]
+    pub fn put(&self, nominal: &Nominal, estimated: f64) -> Nominal {
+        put(nominal, &self.field, self.value(estimated))
+    }
+
+    /// In seconds or in the unit of the field.
+    pub fn value(&self, estimated: f64) -> f64 {
+        if self.is_log() { libm::exp(estimated) } else { estimated }
+    }
+
+    /// With its standard error, as it is estimated.
+    pub fn estimated(&self, at: f64, error: f64) -> Estimate {
+        let [low, high] = self.bounds();
+        let value = |at: f64| six_digits(self.value(at.clamp(low, high)));
+        Estimate {
+            field: self.field.clone(),
+            estimate: value(at),
+            ci95: [-1.96, 1.96].map(|sigmas| value(at + sigmas * error)),
+            range: self.range.ends().map(six_digits),
+            unit: self.range.unit().to_owned(),
+        }
+    }
+}
+
+/// A sensor with a value in a field, in seconds or in the unit of the field.
+fn put(nominal: &Nominal, field: &str, value: f64) -> Nominal {
+    let mut with = nominal.clone();
+    match field {
+        "front_end.tau_0" => with.pixel.front_end.tau_0_s = value,
+        "front_end.alpha" => with.pixel.front_end.alpha_s = value,
+        "comparator.threshold_on" => with.pixel.threshold_on = value,
+        "comparator.threshold_off" => with.pixel.threshold_off = value,
+        "readout.refractory" => with.pixel.refractory_ns = (value * 1e9).round() as i64,
+        "frames.black_level_dn" => with.number.black_level = value,
+        _ => {}
+    }
+    with
+}
+
+/// A sensor with estimates in the places of what its description leaves open.
+#[must_use]
+pub fn of_estimates(nominal: &Nominal, estimates: &[Estimate]) -> Nominal {
+    estimates.iter().fold(nominal.clone(), |with, one| put(&with, &one.field, one.estimate))
+}
+
+/// A description with estimates in the places of ranges.
+#[must_use]
+pub fn with_estimates(sensor: &Sensor, estimated: &[Estimate]) -> Sensor {
+    let mut sensor = sensor.clone();
+    for Estimate { field, estimate, .. } in estimated {
+        let time = || Some(Duration::new((estimate * 1e9).round() as i64));
+        match field.as_str() {
+            "front_end.tau_0" => sensor.front_end.tau_0 = time(),
+            "front_end.alpha" => sensor.front_end.alpha = time(),
+            "comparator.threshold_on" => sensor.comparator.threshold_on = Some(*estimate),
+            "comparator.threshold_off" => sensor.comparator.threshold_off = Some(*estimate),
+            "readout.refractory" => sensor.readout.refractory = time(),
+            "frames.black_level_dn" => sensor.frames.black_level_dn = Some(*estimate),
+            _ => continue,
+        }
+        sensor.ranges.remove(field);
+    }
+    sensor
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+
+    fn sensor() -> Sensor {
+        let mut sensor = testing::sensor();
+        let ranges = [
+            ("front_end.alpha", Range::Time([2_000_000, 20_000_000].map(Duration::new))),
+            ("frames.black_level_dn", Range::Number([-5.0, 30.0])),
+            ("comparator.threshold_on", Range::Number([0.1, 0.4])),
+        ];
+        sensor.ranges = ranges.into_iter().map(|(field, range)| (field.to_owned(), range)).collect();
+        sensor
+    }
+
+    #[test]
+    fn estimates_take_the_places_of_ranges_in_description_and_model_alike() {
+        let sensor = sensor();
+        let mut nominal = Nominal::of(&sensor);
+        let mut all = Vec::new();
+        for unknown in unknowns(&sensor) {
+            let [low, high] = unknown.bounds();
+            let at = low + 0.3 * (high - low);
+            nominal = unknown.put(&nominal, at);
+            all.push(unknown.estimated(at, 0.01 * (high - low)));
+        }
+        let with = with_estimates(&sensor, &all);
+        assert!(with.ranges.is_empty() && with != sensor);
+        let of = Nominal::of(&with);
+        assert!((of.pixel.front_end.alpha_s / nominal.pixel.front_end.alpha_s - 1.0).abs() < 1e-5);
+        assert!((of.pixel.threshold_on / nominal.pixel.threshold_on - 1.0).abs() < 1e-5);
+        assert!((of.number.black_level - nominal.number.black_level).abs() < 1e-4);
+        // 2 ms times 10 to the power of 0.3; -5 and 0.3 times 35.
+        assert!((of.pixel.front_end.alpha_s - 2e-3 * libm::pow(10.0, 0.3)).abs() < 1e-7);
+        assert!((of.number.black_level - 5.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_interval_ends_where_the_range_does() {
+        let sensor = sensor();
+        let unknown = unknowns(&sensor).into_iter().find(|one| one.field == "frames.black_level_dn").unwrap();
+        let found = unknown.estimated(28.0, 5.0);
+        assert_eq!((found.estimate, found.ci95[1], found.range), (28.0, 30.0, [-5.0, 30.0]));
+    }
+
+    #[test]
+    fn what_a_description_leaves_open_is_no_departure_from_it() {
+        let is = |id: &str| is_left_open(&sensor(), id);
+        assert!(is("time_constant") && is("black_level") && is("threshold_asymmetry"));
+        assert!(!is("refractory") && !is("clock_offset"));
+    }
+}
