@@ -1,5 +1,5 @@
-//! Numbers that a description knows to lie in a range ([`photocurrent_core::sensor::Range`]): they are estimated
-//! with the scene, and what is diagnosed then is the description with the estimates in it.
+//! Numbers that a description knows to lie in a range ([`photocurrent_core::sensor::Range`]): they are
+//! estimated with the scene, and what is diagnosed then is the description with the estimates in it.
 
 use crate::report::six_digits;
 use photocurrent_core::Sensor;

@@ -271,7 +271,8 @@ pub fn proposed(seen: Seen, nominal: &Nominal, decision: &Decision) -> Proposed 
     }
 }
 
-/// Is a decision of what is not sought on a picture of frames and events together?
+/// Is a decision of what is in no catalogue, or random? The one is not sought on a picture of frames and
+/// events together, and the other on fewer pixels.
 fn is_sought_there(alone: &Decided) -> bool {
     let is_random = alone.proposals.first().is_some_and(|one| CANDIDATES[one.candidate].is_random);
     alone.detected && (is_random || alone.unexplained.is_some())
@@ -286,7 +287,6 @@ fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<De
     if found.on_joint.as_deref().is_some_and(explains)
         && let Some(Ok(joint)) = on(&found.on_joint)
     {
-        // Random effects, and what is in no catalogue, are sought on the picture of frames alone.
         return if joint.detected {
             Ok(joint)
         } else {

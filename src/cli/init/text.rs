@@ -150,6 +150,11 @@ pub fn sensor(facts: &Facts) -> String {
         "# The camera of {file}: what its files state, and starting values for the rest. Made by \
          `photocurrent init`.\n\
          # Measured thresholds are better: photocurrent nodes estimate/thresholds.\n\
+         # A threshold or a time may be a range instead, threshold_on = [0.2, 0.4]: `photocurrent diagnose` \
+         estimates it, everything else takes its middle.\n\
+         # Without a front end (tau = tau_0 + alpha / photocurrent) `diagnose` compares nothing on a scene; \
+         a range is enough:\n\
+         # [front_end]\n# tau_0 = [\"1 us\", \"1 ms\"]\n# alpha = [\"1 ms\", \"1 s\"]\n\
          {camera}format = \"photocurrent-sensor/1\"\nname   = {}\n\n\
          [comparator]\n{}{}\n[readout]\n{}\n[frames]\n\
          gain = {gain:?} # sets the unit of photocurrent: 1 reads as 1 DN in a frame of this recording\n\

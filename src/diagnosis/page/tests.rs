@@ -236,6 +236,31 @@ fn what_nearly_reached_its_threshold_is_said_first() {
 }
 
 #[test]
+fn estimates_stand_in_report_page_and_fitted_description() {
+    use crate::unknowns::{Estimate, unknowns};
+    use photocurrent_core::quantity::Duration;
+    use photocurrent_core::sensor::Range;
+    let mut case = testing::case();
+    let range = Range::Time([1_000_000, 25_000_000].map(Duration::new));
+    case.sensor.ranges.insert("front_end.alpha".to_owned(), range);
+    let unknown = &unknowns(&case.sensor)[0];
+    let estimated: Vec<Estimate> = vec![unknown.estimated(libm::log(6e-3), 0.1)];
+    let decided = Decided { name: "joint".into(), estimated: estimated.clone(), ..Decided::default() };
+    let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+    assert_eq!(found.report.estimated, estimated);
+    // Found or not: the estimate is in the description, and nothing is open any more.
+    let fitted = found.fitted.as_ref().unwrap();
+    assert_eq!(fitted.front_end.alpha, Some(Duration::new(6_000_000)));
+    assert!(fitted.ranges.is_empty() && found.report.sensor_fitted.is_some());
+    let html = page(&found.report, Some(&case), Some(&found));
+    assert!(html.contains("Estimated with the scene") && html.contains("front_end.alpha"));
+    assert!(html.contains("1 ms to 25 ms") && found.report.summary.contains("front_end.alpha 6 ms"));
+    // Without a range there is no such table.
+    let without = diagnosed(&testing::case(), Proposed::NotAsked);
+    assert!(!page(&without.report, Some(&case), Some(&without)).contains("Estimated with the scene"));
+}
+
+#[test]
 fn text_of_a_file_cannot_become_markup() {
     let html = page(&broken("<script>alert(1)</script> & more", 1), None, None);
     assert!(

@@ -46,8 +46,8 @@ pub trait FreeScene: Clone + Send + Sync {
     fn left(&self, predicted: &[Predicted]) -> f64;
 
     /// The cell of the scene that one of its pixels sees at an instant, ns, smaller than what the scene
-    /// resolves: what is wrong with the scene is alike for all pixels on one cell. None where no two pixels see
-    /// the same.
+    /// resolves: what is wrong with the scene is alike for all pixels on one cell. None where no two
+    /// pixels see the same.
     fn cell(&self, _case: &Case, _pixel: usize, _t_ns: i64) -> Option<Cell> {
         None
     }

@@ -220,8 +220,8 @@ impl JointPicture {
         self.scene = Arc::new(MovingPicture::new(picture, &from.setting, &self.case, &self.nominal));
     }
 
-    /// Goes back part of the last step where it did not lessen what it should, and all of it where shorter ones
-    /// do not, either.
+    /// Goes back part of the last step where it did not lessen what it should, and all of it where shorter
+    /// ones do not, either.
     fn back(&mut self, predicted: &[Predicted]) -> bool {
         let Some(before) = self.before.take() else { return false };
         if self.standing().objective(predicted) <= before.objective {

@@ -116,8 +116,8 @@ const HOPEFUL: f64 = 0.3;
 /// Of a moving picture's events about so many take part in the fit, and so many measure gains.
 const TRAINED: usize = 24_000;
 const MEASURED: usize = 8_000;
-/// Thresholds that differ from pixel to pixel are estimated where to predict each event from the others of its
-/// pixel gains more than this, nats an event.
+/// Thresholds that differ from pixel to pixel are estimated where to predict each event from the others of
+/// its pixel gains more than this, nats an event.
 const LEAST_MISMATCH: f64 = 0.01;
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;

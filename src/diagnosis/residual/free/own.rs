@@ -49,8 +49,8 @@ fn side(event: &PredictedEvent) -> usize {
 }
 
 impl Own {
-    /// Estimates the spread anew, and takes each pixel's own thresholds off what is predicted, of each event as
-    /// the others of its pixel have them.
+    /// Estimates the spread anew, and takes each pixel's own thresholds off what is predicted, of each
+    /// event as the others of its pixel have them.
     pub(super) fn estimate(&mut self, predicted: &mut [Predicted]) {
         let (groups, weights) = self.groups(predicted);
         let seen: Vec<&Group> = groups.iter().flatten().filter(|group| group.weight > 0.0).collect();
@@ -60,7 +60,7 @@ impl Own {
         let precision = 1.0 / (self.spread * self.spread);
         let of = |group: &&Group| group.size * group.size + 1.0 / (group.weight + precision);
         let variance = seen.iter().map(of).sum::<f64>() / seen.len() as f64;
-        self.take_off((&groups, &weights), predicted);
+        self.subtract((&groups, &weights), predicted);
         self.spread = variance.sqrt().max(LEAST);
     }
 
@@ -68,11 +68,11 @@ impl Own {
     pub(super) fn apply(&self, predicted: &mut [Predicted]) {
         let (groups, weights) = self.groups(predicted);
         if groups.iter().flatten().filter(|group| group.weight > 0.0).count() >= FEWEST {
-            self.take_off((&groups, &weights), predicted);
+            self.subtract((&groups, &weights), predicted);
         }
     }
 
-    fn take_off(&self, (groups, weights): (&[[Group; 2]], &[f64]), predicted: &mut [Predicted]) {
+    fn subtract(&self, (groups, weights): (&[[Group; 2]], &[f64]), predicted: &mut [Predicted]) {
         let precision = 1.0 / (self.spread * self.spread);
         let mut weights = weights.iter();
         for (of, groups) in predicted.iter_mut().zip(groups) {

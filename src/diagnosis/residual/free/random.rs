@@ -53,8 +53,8 @@ impl<L: FreeScene> Fit<'_, L> {
         all
     }
 
-    /// Share of the squares of what events miss their thresholds by that is noise of single events, by all that
-    /// count, as pairs at one place of the scene are few; none where no two pixels see the same.
+    /// Share of the squares of what events miss their thresholds by that is noise of single events, by all
+    /// that count, as pairs at one place of the scene are few; none where no two pixels see the same.
     pub(super) fn white(&self, predicted: &[Predicted]) -> Option<f64> {
         let (mut pixel, mut polarity, mut residual, mut cells) = (vec![], vec![], vec![], vec![]);
         for (place, of) in predicted.iter().enumerate() {
