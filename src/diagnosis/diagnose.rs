@@ -154,32 +154,25 @@ pub fn confirm(
         let found = description(case, &nominal, &scales, findings);
         found.or_else(|| (case.sensor != *stated).then(|| case.sensor.clone()))
     };
-    let mut changed = with(&answer.findings);
     let predicted = |sensor: &Sensor| {
         sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
     };
     let before = predicted(stated)?;
-    let mut after = changed.as_ref().map(&predicted).transpose()?.flatten();
+    let after = |findings: &[Finding]| -> Result<Option<Prediction>, NodeError> {
+        Ok(with(findings).as_ref().map(&predicted).transpose()?.flatten())
+    };
     let is_worse = |after: &Option<Prediction>| {
         before
             .as_ref()
             .zip(after.as_ref())
             .is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
-    let mut withdrawn = Vec::new();
-    if is_worse(&after) {
-        for findings in fewer(&answer.findings) {
-            changed = with(&findings);
-            after = changed.as_ref().map(&predicted).transpose()?.flatten();
-            if findings.iter().all(Finding::is_direct) || !is_worse(&after) {
-                let is_left = |one: &&Finding| findings.iter().all(|left| left.id != one.id);
-                withdrawn.extend(answer.findings.iter().filter(is_left).map(|one| one.id.clone()));
-                answer.set(findings);
-                break;
-            }
-        }
+    let (findings, fitted, withdrawn) = kept(&answer.findings, after, is_worse)?;
+    if !withdrawn.is_empty() {
+        answer.set(findings);
     }
-    let predictions = Predictions { nominal: before, fitted: after };
+    let changed = with(&answer.findings);
+    let predictions = Predictions { nominal: before, fitted };
     let report = report(case, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
@@ -195,11 +188,48 @@ fn description(case: &Case, nominal: &Nominal, scales: &Scales, findings: &[Find
     found.iter().any(is_sought).then(|| fitted(&case.sensor, nominal, scales, &found))
 }
 
+/// Findings without those with which held-out frames are predicted worse, what is predicted then, and the ids
+/// of those that are withdrawn. `after`: what is predicted with findings.
+fn kept(
+    findings: &[Finding],
+    after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
+    is_worse: impl Fn(&Option<Prediction>) -> bool,
+) -> Result<(Vec<Finding>, Option<Prediction>, Vec<String>), NodeError> {
+    let (mut kept, mut predicted) = (findings.to_vec(), after(&systematic(findings))?);
+    if is_worse(&predicted) {
+        let fewer = fewer(findings);
+        for (n, left) in fewer.iter().enumerate() {
+            predicted = after(&systematic(left))?;
+            if n + 1 == fewer.len() || !is_worse(&predicted) {
+                kept.clone_from(left);
+                break;
+            }
+        }
+    }
+    if kept.iter().any(is_random) {
+        predicted = after(&kept)?;
+    }
+    let is_left = |one: &&Finding| kept.iter().all(|left| left.id != one.id);
+    let withdrawn = findings.iter().filter(is_left).map(|one| one.id.clone()).collect();
+    Ok((kept, predicted, withdrawn))
+}
+
+/// Is what an effect does random? Then it is not undone, and how well frames are predicted is no evidence of
+/// it.
+fn is_random(finding: &Finding) -> bool {
+    CANDIDATES.iter().any(|candidate| candidate.id == finding.id && candidate.is_random)
+}
+
+/// Findings of what is not random.
+fn systematic(findings: &[Finding]) -> Vec<Finding> {
+    findings.iter().filter(|one| !is_random(one)).cloned().collect()
+}
+
 /// Findings without one of those that an estimate of the scene made, the weakest left out first; at last
-/// without all of them. What direct tests found stays.
+/// without all of them. What direct tests found stays, and what is random.
 fn fewer(findings: &[Finding]) -> Vec<Vec<Finding>> {
-    let estimated: Vec<&str> =
-        findings.iter().filter(|one| !one.is_direct()).map(|finding| &finding.id[..]).collect();
+    let is_judged = |one: &&Finding| !one.is_direct() && !is_random(one);
+    let estimated: Vec<&str> = findings.iter().filter(is_judged).map(|finding| &finding.id[..]).collect();
     let without = |ids: &[&str]| {
         findings.iter().filter(|one| !ids.contains(&&one.id[..])).cloned().collect::<Vec<Finding>>()
     };

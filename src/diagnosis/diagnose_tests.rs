@@ -58,6 +58,18 @@ fn what_predicts_held_out_frames_worse_is_withdrawn() {
 }
 
 #[test]
+fn frames_are_no_evidence_of_what_is_random() {
+    let Proposed::Decided(decided) = clock(3e-3) else { panic!("something is decided") };
+    let candidate = CANDIDATES.iter().position(|one| one.id == "threshold_mismatch").unwrap();
+    // Noise that is so wide predicts frames worse, and what it is about is not known of any pixel.
+    let mismatch = Proposal { candidate, value: 0.3, ..decided.proposals[0].clone() };
+    let both = Decided { proposals: vec![mismatch], second: decided.proposals.clone(), ..*decided };
+    let found = diagnosed(&testing::case(), Proposed::Decided(Box::new(both)));
+    assert_eq!(found.report.effects[0].id, "threshold_mismatch");
+    assert_eq!((found.report.effects.len(), found.withdrawn), (1, vec!["clock_offset".to_owned()]));
+}
+
+#[test]
 fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
     let found = diagnosed(&testing::case(), Proposed::NotAsked);
     assert_eq!(found.report.verdict, Verdict::Consistent);

@@ -152,12 +152,12 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [3.836, 0.61, 0.0],
-            second: [-0.186, 0.676, 0.505],
-            discount: [3.0, 0.0],
-            softness: [-2.938, 0.078],
-            random: 0.0,
-            unnamed: [2.281, 0.812, 0.0],
+            something: [3.274, 0.549, 0.474],
+            second: [0.964, 0.167, 1.725],
+            discount: [0.5, 0.0],
+            softness: [-2.656, -0.688],
+            random: -1.5,
+            unnamed: [2.312, 0.75, 0.0],
             least_gain: 0.002,
         }
     }
