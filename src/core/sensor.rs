@@ -106,8 +106,8 @@ pub struct Sensor {
     /// Anything beyond the paper's model, by catalogue id.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, serde_json::Map<String, serde_json::Value>>,
-    /// Of numbers that are known to lie in a range, by their TOML paths; their fields hold its middle. In TOML
-    /// the range stands in the field.
+    /// Of numbers that are known to lie in a range, by their TOML paths; their fields hold its middle. In
+    /// TOML the range stands in the field.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[cfg_attr(feature = "graph", schemars(skip))]
     pub ranges: BTreeMap<String, Range>,
@@ -289,7 +289,24 @@ impl Sensor {
     /// As the TOML text that [`Sensor::parse`] reads.
     #[cfg(feature = "graph")]
     pub fn to_toml(&self) -> String {
-        ranges::to_toml(self).expect("a sensor description is plain data")
+        self.as_toml().expect("a sensor description is plain data")
+    }
+
+    /// With ranges in their places.
+    #[cfg(feature = "graph")]
+    fn as_toml(&self) -> Result<String, toml::ser::Error> {
+        if self.ranges.is_empty() {
+            return toml::to_string(self);
+        }
+        let mut all = toml::Table::try_from(self)?;
+        all.remove("ranges");
+        for (field, range) in &self.ranges {
+            let Some((table, key)) = field.split_once('.') else { continue };
+            if let Some(toml::Value::Table(of)) = all.get_mut(table) {
+                of.insert(key.to_owned(), toml::Value::try_from(range)?);
+            }
+        }
+        toml::to_string(&all)
     }
 
     /// As JSON in field order, for digests and the cache.
@@ -343,6 +360,10 @@ fn lay_over(below: &mut serde_json::Value, above: &serde_json::Value) {
         (below, above) => *below = above.clone(),
     }
 }
+
+#[cfg(all(test, feature = "graph"))]
+#[path = "ranges_tests.rs"]
+mod ranges_tests;
 
 #[cfg(all(test, feature = "graph"))]
 mod tests {

@@ -8,12 +8,14 @@ pub use crate::integrity::can_compare;
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Integrity, TESTED, integrity};
 use crate::judge::judged;
-use crate::report::{BeforeAfter, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict};
+use crate::report::{
+    BeforeAfter, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
+};
 use crate::residual::located::Located;
 use crate::sample::Sample;
 use crate::stages::{Decided, Proposal, Proposed};
 use crate::units::readable;
-use crate::unknowns::{Estimate, is_left_open, with_estimates};
+use crate::unknowns::{is_left_open, with_estimates};
 use crate::unstated;
 use crate::verdict::{Answer, answered, verdict};
 use photocurrent_core::digest::DigestBuilder;

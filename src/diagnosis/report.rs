@@ -5,7 +5,6 @@
 //! threads.
 
 use crate::candidates::Candidate;
-use crate::unknowns::Estimate;
 use photocurrent_core::Sensor;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::EffectDecl;
@@ -203,6 +202,21 @@ pub struct SceneProperty {
     pub frequency_hz: f64,
     /// Amplitude as a share of the light.
     pub depth: f64,
+}
+
+/// A number that was estimated with the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Its TOML path in the sensor description.
+    pub field: String,
+    /// In `unit`.
+    pub estimate: f64,
+    /// 95 % interval, within the range.
+    pub ci95: [f64; 2],
+    /// What the description states of it: the least and the largest value.
+    pub range: [f64; 2],
+    /// `s`, or empty where the field has none.
+    pub unit: String,
 }
 
 /// An effect that is not identifiable from this recording.

@@ -8,10 +8,9 @@
 use crate::candidates::CANDIDATES;
 use crate::dependence::Dependence;
 use crate::integrity::{Departure, Heldout, Integrity};
-use crate::report::Detectable;
+use crate::report::{Detectable, Estimate};
 use crate::residual::evidence::Evidence;
 use crate::residual::located::{Located, Locations};
-use crate::unknowns::Estimate;
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
 use photocurrent_scene::block::Block;
 use photocurrent_sensor::effects::catalogue;

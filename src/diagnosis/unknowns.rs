@@ -1,12 +1,11 @@
 //! Numbers that a description knows to lie in a range ([`photocurrent_core::sensor::Range`]): they are
 //! estimated with the scene, and what is diagnosed then is the description with the estimates in it.
 
-use crate::report::six_digits;
+use crate::report::{Estimate, six_digits};
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Range;
 use photocurrent_scene::nominal::Nominal;
-use serde::{Deserialize, Serialize};
 
 /// A number that is known to lie in a range.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,21 +14,6 @@ pub struct Unknown {
     pub field: String,
     /// The range.
     pub range: Range,
-}
-
-/// A number that was estimated with the scene.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Estimate {
-    /// Its TOML path in the sensor description.
-    pub field: String,
-    /// In `unit`.
-    pub estimate: f64,
-    /// 95 % interval, within the range.
-    pub ci95: [f64; 2],
-    /// What the description states of it: the least and the largest value.
-    pub range: [f64; 2],
-    /// `s`, or empty where the field has none.
-    pub unit: String,
 }
 
 /// What a description knows to lie in a range.

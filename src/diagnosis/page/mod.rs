@@ -17,11 +17,10 @@ use crate::dependence::Dependence;
 use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
 use crate::report::{
-    BeforeAfter, Detectable, Finding, Parameter, Report, Verdict, short as number, six_digits,
+    BeforeAfter, Detectable, Estimate, Finding, Parameter, Report, Verdict, short as number, six_digits,
 };
 use crate::stages::{Proposal, Proposed};
 use crate::units::{name_of, readable};
-use crate::unknowns::Estimate;
 use photocurrent_page::{Curve, Page, Panel, Script, Section, escaped};
 use photocurrent_scene::case::Case;
 use std::fmt::Write;

@@ -237,7 +237,8 @@ fn what_nearly_reached_its_threshold_is_said_first() {
 
 #[test]
 fn estimates_stand_in_report_page_and_fitted_description() {
-    use crate::unknowns::{Estimate, unknowns};
+    use crate::report::Estimate;
+    use crate::unknowns::unknowns;
     use photocurrent_core::quantity::Duration;
     use photocurrent_core::sensor::Range;
     let mut case = testing::case();

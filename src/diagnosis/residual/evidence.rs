@@ -4,7 +4,7 @@ use super::located::Located;
 use super::open::Open;
 pub use super::setting::EvidenceSetting;
 use crate::candidates::CANDIDATES;
-use crate::unknowns::Estimate;
+use crate::report::Estimate;
 use photocurrent_scene::block::Block;
 use serde::{Deserialize, Serialize};
 

@@ -41,8 +41,7 @@ pub fn evidence(
     let (gate, counted, share) = counted_events(case, source, setting)?;
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let step_ns = setting.step.ns();
-    let step_ns = if source.is_known() { step_ns.min(KNOWN_STEP_NS) } else { step_ns };
+    let step_ns = setting.step.ns().min(if source.is_known() { KNOWN_STEP_NS } else { i64::MAX });
     let mut seen = on_scene(case, source, setting, &scales, gate, step_ns, [pixels, more]);
     let stated = Trial::stated(nominal);
 

@@ -7,8 +7,8 @@ mod predicted;
 use crate::case::Case;
 use crate::light::Light;
 use crate::scene::Cell;
-pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, line};
 pub use noise::{LEAST_SHARE, Noise, frame_noise};
+pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, line};
 pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
 
 /// Efficient score of some effects, and its covariance: with H the normal matrix of the scene, g its

@@ -4,7 +4,8 @@
 use super::fit::{ERRORS, Fit, Ground};
 use super::score::Moved;
 use crate::candidates::Trial;
-use crate::unknowns::{Estimate, Unknown};
+use crate::report::Estimate;
+use crate::unknowns::Unknown;
 use nalgebra::{DMatrix, DVector};
 use photocurrent_scene::free::FreeScene;
 
