@@ -190,13 +190,15 @@ fn description(case: &Case, nominal: &Nominal, scales: &Scales, findings: &[Find
     found.iter().any(is_sought).then(|| fitted(&case.sensor, nominal, scales, &found))
 }
 
-/// Findings without those with which held-out frames are predicted worse, what is predicted then, and the ids
-/// of those that are withdrawn. `after`: what is predicted with findings.
+/// Findings that stand, what is predicted with them, and the ids of those that are withdrawn.
+type Kept = (Vec<Finding>, Option<Prediction>, Vec<String>);
+
+/// Findings without those with which held-out frames are predicted worse. `after`: what is predicted with findings.
 fn kept(
     findings: &[Finding],
     after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
     is_worse: impl Fn(&Option<Prediction>) -> bool,
-) -> Result<(Vec<Finding>, Option<Prediction>, Vec<String>), NodeError> {
+) -> Result<Kept, NodeError> {
     let (mut kept, mut predicted) = (findings.to_vec(), after(&systematic(findings))?);
     if is_worse(&predicted) {
         let fewer = fewer(findings);
