@@ -193,7 +193,8 @@ fn description(case: &Case, nominal: &Nominal, scales: &Scales, findings: &[Find
 /// Findings that stand, what is predicted with them, and the ids of those that are withdrawn.
 type Kept = (Vec<Finding>, Option<Prediction>, Vec<String>);
 
-/// Findings without those with which held-out frames are predicted worse. `after`: what is predicted with findings.
+/// Findings without those with which held-out frames are predicted worse. `after`: what is predicted with
+/// findings.
 fn kept(
     findings: &[Finding],
     after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
