@@ -1,7 +1,7 @@
-//! Numbers of a sensor description that are known to lie in a range: `alpha = ["5 ms", "50 ms"]`.
+//! Numbers of a sensor description that are stated as a range: `alpha = ["5 ms", "50 ms"]`.
 //!
 //! The middle of the range stands for the number wherever one is needed; a diagnosis estimates it from the
-//! recording, and the range is what it knows beforehand.
+//! recording, with the range as a prior.
 
 #[cfg(feature = "graph")]
 use crate::document::{Item, Problem, Table, Tree};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "graph")]
 use std::collections::BTreeMap;
 
-/// What a number is, and whether the middle of a range is that of logarithms.
+/// What a number is.
 #[cfg(feature = "graph")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -49,6 +49,17 @@ impl Range {
         }
     }
 
+    /// Is the logarithm of the number even in the range, not the number? Where both ends are positive.
+    pub fn is_log(self) -> bool {
+        self.ends()[0] > 0.0
+    }
+
+    /// The middle, of logarithms where these count, in seconds or in the unit of the field.
+    pub fn middle(self) -> f64 {
+        let [low, high] = self.ends();
+        if self.is_log() { libm::sqrt(low * high) } else { f64::midpoint(low, high) }
+    }
+
     /// `s` of times; empty otherwise.
     pub fn unit(self) -> &'static str {
         match self {
@@ -68,7 +79,7 @@ pub(crate) fn take(tree: &mut Table, problems: &mut Vec<Problem>) -> BTreeMap<St
         let Item::Array(ends) = &value.item else { continue };
         match range(ends, kind) {
             Ok(range) => {
-                value.item = middle(range, kind);
+                value.item = middle(range);
                 found.insert(format!("{table}.{key}"), range);
             }
             Err(why) => {
@@ -114,14 +125,11 @@ fn range(ends: &[Tree], kind: Kind) -> Result<Range, String> {
     Ok(range)
 }
 
-/// Of logarithms where both ends are positive numbers.
+/// As it stands in a description.
 #[cfg(feature = "graph")]
-fn middle(range: Range, kind: Kind) -> Item {
-    let [low, high] = range.ends();
-    let middle =
-        if kind == Kind::Number || low <= 0.0 { f64::midpoint(low, high) } else { libm::sqrt(low * high) };
+fn middle(range: Range) -> Item {
     match range {
-        Range::Time(_) => Item::String(format!("{} ns", (middle * 1e9).round() as i64)),
-        Range::Number(_) => Item::Float(middle),
+        Range::Time(_) => Item::String(format!("{} ns", (range.middle() * 1e9).round() as i64)),
+        Range::Number(_) => Item::Float(range.middle()),
     }
 }

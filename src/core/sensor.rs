@@ -106,8 +106,8 @@ pub struct Sensor {
     /// Anything beyond the paper's model, by catalogue id.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, serde_json::Map<String, serde_json::Value>>,
-    /// Of numbers that are known to lie in a range, by their TOML paths; their fields hold its middle. In
-    /// TOML the range stands in the field.
+    /// Of numbers that are stated as a range, by their TOML paths; their fields hold its middle. In TOML the
+    /// range stands in the field.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[cfg_attr(feature = "graph", schemars(skip))]
     pub ranges: BTreeMap<String, Range>,

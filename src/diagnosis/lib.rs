@@ -25,7 +25,7 @@
 //! - `advice`: what to record next.
 //! - [`mod@diagnose`]: direct tests and confirmation; [`whole`]: all stages in one call ([`diagnose()`]).
 //! - [`stages`]: what passes between them, as documents.
-//! - [`unknowns`]: numbers that a description knows to lie in a range; [`unstated`]: those it lacks.
+//! - [`unknowns`]: numbers that a description states as a range; [`unstated`]: those it lacks.
 //! - [`report`]: the results of a diagnosis, as `diagnosis.json`; [`units`]: its numbers for people.
 //! - [`page`]: the same as a page of HTML.
 //!

@@ -260,7 +260,7 @@ pub struct Report {
     pub detectability: Vec<Detectable>,
     /// Not mismatches, but worth knowing.
     pub scene: Vec<SceneProperty>,
-    /// Numbers that the description knows to lie in a range, estimated with the scene.
+    /// Numbers that the description states as a range, estimated with the scene.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub estimated: Vec<Estimate>,
     /// What could not.

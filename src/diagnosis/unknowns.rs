@@ -1,13 +1,15 @@
-//! Numbers that a description knows to lie in a range ([`photocurrent_core::sensor::Range`]): they are
+//! Numbers that a description states as a range ([`photocurrent_core::sensor::Range`]): they are
 //! estimated with the scene, and what is diagnosed then is the description with the estimates in it.
 
+use crate::candidates::{CANDIDATES, Candidate};
 use crate::report::{Estimate, six_digits};
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Range;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_sensor::effects::sought::Field;
 
-/// A number that is known to lie in a range.
+/// A number that is stated as a range.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unknown {
     /// Its TOML path.
@@ -16,38 +18,31 @@ pub struct Unknown {
     pub range: Range,
 }
 
-/// What a description knows to lie in a range.
+/// What a description states as a range.
 pub fn unknowns(sensor: &Sensor) -> Vec<Unknown> {
     sensor.ranges.iter().map(|(field, range)| Unknown { field: field.clone(), range: *range }).collect()
 }
 
-/// Effects that are nothing but another value of a field.
-const SAME: [(&str, &str); 6] = [
-    ("front_end.tau_0", "time_constant"),
-    ("front_end.alpha", "time_constant"),
-    ("comparator.threshold_on", "threshold_scale threshold_asymmetry"),
-    ("comparator.threshold_off", "threshold_scale threshold_asymmetry"),
-    ("readout.refractory", "refractory"),
-    ("frames.black_level_dn", "black_level"),
-];
-
 /// Is an effect nothing but another value of a number that the description leaves open?
 pub fn is_left_open(sensor: &Sensor, id: &str) -> bool {
-    let is_it = |(field, ids): &(&str, &str)| {
-        sensor.ranges.contains_key(*field) && ids.split(' ').any(|same| same == id)
+    let paths = |candidate: &Candidate| -> &[&str] {
+        match candidate.sought.field {
+            Some(Field::Tau0) => &["front_end.tau_0"],
+            Some(Field::Alpha) => &["front_end.alpha"],
+            Some(Field::Thresholds { .. }) => &["comparator.threshold_on", "comparator.threshold_off"],
+            Some(Field::Refractory) => &["readout.refractory"],
+            Some(Field::BlackLevel) => &["frames.black_level_dn"],
+            _ => &[],
+        }
     };
-    SAME.iter().any(is_it)
+    let mut open = CANDIDATES.iter().filter(|one| one.id == id).flat_map(paths);
+    open.any(|path| sensor.ranges.contains_key(*path))
 }
 
 impl Unknown {
-    /// Is it estimated as a logarithm? Where both ends are positive numbers.
-    fn is_log(&self) -> bool {
-        self.range.ends()[0] > 0.0 && self.field != "frames.black_level_dn"
-    }
-
     /// Both ends as they are estimated.
     pub fn bounds(&self) -> [f64; 2] {
-        self.range.ends().map(|end| if self.is_log() { libm::log(end) } else { end })
+        self.range.ends().map(|end| if self.range.is_log() { libm::log(end) } else { end })
     }
 
     /// The sensor with a value in it, as it is estimated.
@@ -58,7 +53,7 @@ impl Unknown {
 
     /// In seconds or in the unit of the field.
     pub fn value(&self, estimated: f64) -> f64 {
-        if self.is_log() { libm::exp(estimated) } else { estimated }
+        if self.range.is_log() { libm::exp(estimated) } else { estimated }
     }
 
     /// With its standard error, as it is estimated.

@@ -78,7 +78,7 @@ pub(super) fn white_share((pixel, polarity): (&[u32], &[i8]), residual: &[f64], 
 
 /// The effects that are differences between pixels, in the order of [`Ground::columns`].
 pub(super) const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
-const MISMATCH: &str = "threshold_mismatch";
+pub(super) const MISMATCH: &str = "threshold_mismatch";
 const SPREAD: &str = "refractory_spread";
 
 /// What a distribution with a random effect is to residuals.

@@ -2,7 +2,7 @@
 
 use super::super::Residuals;
 use super::super::chance::Chance;
-use super::super::components::{Ground as OfParts, white_share};
+use super::super::components::{Ground as OfParts, MISMATCH, white_share};
 use super::super::evidence::Ranked;
 use super::super::fit::EventNoise;
 use super::super::setting::{LEAST_NOISE, LEAST_SPREAD};
@@ -12,9 +12,6 @@ use super::own::Own;
 use crate::candidates::{CANDIDATES, Candidate};
 use photocurrent_scene::free::{FreeScene, LEAST_SHARE, Predicted};
 
-/// The effect that [`Own`] is.
-const MISMATCH: (&str, &str) = ("threshold_mismatch", "sigma");
-
 /// Thresholds of pixels and the scene are estimated in turn until what is left falls by less than this, so
 /// many times at most.
 const SETTLED: f64 = 1.1;
@@ -22,7 +19,7 @@ const MOST_TURNS: usize = 12;
 
 /// Is an effect that of thresholds which differ from pixel to pixel?
 pub(super) fn is_mismatch(candidate: usize) -> bool {
-    CANDIDATES[candidate].id == MISMATCH.0
+    CANDIDATES[candidate].id == MISMATCH
 }
 
 /// Events that are held out, as far as random effects need them.

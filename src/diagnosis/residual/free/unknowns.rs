@@ -1,5 +1,5 @@
-//! Numbers of the description that are known to lie in a range, estimated with the scene: scene and numbers
-//! in turn, the range as a prior (mean and variance of even probability in it).
+//! Numbers that the description states as a range, estimated with the scene: scene and numbers in turn, the
+//! range as a prior (mean and variance of even probability in it).
 
 use super::fit::{ERRORS, Fit, Ground};
 use super::score::Moved;
