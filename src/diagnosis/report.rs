@@ -189,7 +189,10 @@ pub struct Detectable {
     pub standard_error: Option<f64>,
     /// The smallest departure from nominal that would have been found in most recordings like this.
     pub minimal_detectable: f64,
-    /// Of all three.
+    /// The same were the light known, where the scene follows events and absorbs a part of the effect.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub of_known_light: Option<f64>,
+    /// Of all four.
     pub unit: String,
 }
 

@@ -377,6 +377,7 @@ mod tests {
                 estimate: None,
                 standard_error: Some(0.1),
                 minimal_detectable: 0.3,
+                of_known_light: Some(0.1),
                 unit: "Hz".into(),
             }],
             nats_per_event: Some(-2.0),

@@ -170,12 +170,14 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
         } else {
             needed
         };
+        let least = |information: f64| (libm::sqrt(2.0 * needed / information) * one.unit).abs();
         Detectable {
             id: kind.id.to_owned(),
             parameter,
             estimate: Some(kind.nominal_value(nominal) + one.effect_size * one.unit),
             standard_error: Some((one.error * one.unit).abs()),
-            minimal_detectable: (libm::sqrt(2.0 * needed / one.information) * one.unit).abs(),
+            minimal_detectable: least(one.information),
+            of_known_light: (one.of_known_light > 0.0).then(|| least(one.of_known_light)),
             unit: unit.to_owned(),
         }
     };

@@ -152,12 +152,12 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [3.274, 0.549, 0.474],
-            second: [0.964, 0.167, 1.725],
-            discount: [0.5, 0.0],
-            softness: [-2.656, -0.688],
-            random: -1.5,
-            unnamed: [2.312, 0.75, 0.0],
+            something: [3.524, 0.708, 1.523],
+            second: [1.853, 0.613, 1.983],
+            discount: [0.0, 1.0],
+            softness: [-3.188, -0.723],
+            random: -2.406,
+            unnamed: [-1.016, 0.062, 0.0],
             least_gain: 0.002,
         }
     }

@@ -432,12 +432,16 @@ fn detectable(html: &mut String, report: &Report) {
     let row = |one: &Detectable| {
         let cell =
             |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| readable(value, &one.unit));
-        let cells =
-            vec![cell(one.estimate), cell(one.standard_error), readable(one.minimal_detectable, &one.unit)];
+        let cells = vec![
+            cell(one.estimate),
+            cell(one.standard_error),
+            readable(one.minimal_detectable, &one.unit),
+            cell(one.of_known_light),
+        ];
         (one.id.clone(), Some(name_of(&one.parameter).to_owned()), cells)
     };
     let rows = report.detectability.iter().map(row).collect();
-    let numbers = ["estimate", "standard error", "minimum detectable effect"];
+    let numbers = ["estimate", "standard error", "minimum detectable effect", "were the light known"];
     table(html, "Detection limits", &["effect", "parameter"], &numbers, rows);
 }
 

@@ -30,6 +30,9 @@ pub struct Ranked {
     /// what a small one gains.
     #[serde(default)]
     pub information: f64,
+    /// The same were the light known, of a scene that follows events; 0 of others.
+    #[serde(default)]
+    pub of_known_light: f64,
     /// What an effect size of 1 adds to the parameter's nominal value, in the unit of its declaration.
     #[serde(default)]
     pub unit: f64,

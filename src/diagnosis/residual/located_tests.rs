@@ -4,6 +4,7 @@
 use super::*;
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
+use crate::residual::free::on_picture;
 use crate::residual::ranking::evidence;
 use crate::scenes::MadeUp;
 use crate::testing;
@@ -199,6 +200,21 @@ fn a_moving_picture_locates_too_and_no_number_depends_on_threads() {
     assert!(is_near(located.rows.range[0], 16) && located.rows.range[1] == 39, "{:?}", located.rows);
     assert_eq!(located.columns.range, [0, 47]);
     assert_eq!(serde_json::to_string(&found).unwrap(), serde_json::to_string(&on(3)).unwrap());
+}
+
+#[test]
+fn frames_and_events_together_locate_too() {
+    let scene = MadeUp::new(3, 1, Extent { width: 36, height: 30 }, 0.1);
+    let plain = scene.recording().unwrap();
+    let nominal = plain.nominal().unwrap();
+    // Thresholds of some rows that are 2 % larger.
+    let other = with_effect(&scene, &plain, &nominal, "threshold_scale", "fraction", 0.2);
+    let case = mixed(&plain, &other, |pixel, _| plain.place(pixel).1 >= 12);
+    let source = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+    let found = on_picture(&case, &nominal, &source).unwrap();
+    let located = of(&found.ranked, "threshold_scale");
+    assert!(is_near(located.rows.range[0], 12) && located.rows.range[1] == 29, "{:?}", located.rows);
+    assert_eq!(located.columns.range, [0, 35]);
 }
 
 /// Events over an array of 12 x 10 pixels with gains of a mean where `is_part` says so (column, row), and

@@ -8,7 +8,7 @@ use crate::case::Case;
 use crate::light::Light;
 use crate::scene::Cell;
 pub use noise::{LEAST_SHARE, Noise, frame_noise};
-pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, line};
+pub(crate) use noise::{MEDIAN_T, MOST_OF_RISE, NU, frame_scale, line};
 pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
 
 /// Efficient score of some effects, and its covariance: with H the normal matrix of the scene, g its
@@ -29,6 +29,8 @@ pub struct Score {
 pub trait FreeScene: Clone + Send + Sync {
     /// Pixels with fewer events than this bring errors of frames only.
     const FEWEST_EVENTS: usize;
+    /// Is it one problem, in which a step may prove too long?
+    const IS_ONE: bool;
 
     /// Its pixels (`y * width + x` of the array), in the order of everything that is predicted.
     fn pixels(&self) -> &[u32];
@@ -74,8 +76,29 @@ pub trait FreeScene: Clone + Send + Sync {
     fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>>;
 
     /// Of each pixel the log density of its events' times when the scene is estimated from other
-    /// measurements, and of none between them, nats.
+    /// measurements, and of none between them, nats; and, where these do not bind the scene to the frames,
+    /// that of its frame values.
     fn left_out(&self, predicted: &[Predicted]) -> Vec<f64>;
+
+    /// What steps of one problem lessen, nats.
+    fn objective(&self, _predicted: &[Predicted]) -> f64 {
+        0.0
+    }
+
+    /// Goes back part of the last step of one problem where it did not lessen what it should, and all of it
+    /// where shorter ones do not, either; `true` where it did.
+    fn back(&mut self, _predicted: &[Predicted]) -> bool {
+        false
+    }
+
+    /// A Newton step of one problem together with effects that change by these sizes, so that the scene need
+    /// not follow them step by step; `columns` as in [`FreeScene::score`].
+    fn follow(&mut self, _predicted: &[Predicted], _columns: &[Vec<f32>], _sizes: &[f64]) {}
+
+    /// How much more probable each event that gains are measured on is with what one sensor predicts than
+    /// with what another does, nats, of each pixel; both by the noise that the first leaves, which the scene
+    /// is estimated with.
+    fn event_gains(&self, with: &[Predicted], without: &[Predicted]) -> Vec<Vec<f64>>;
 
     /// Makes ready for [`FreeScene::score`] and [`FreeScene::gains`], and for steps from here on.
     fn prepare(&mut self, _predicted: &[Predicted]) {}

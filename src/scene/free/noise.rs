@@ -1,12 +1,15 @@
 //! Noise of the measurements that a scene follows: of events, and of frame values.
 
-use super::predicted::{Predicted, PredictedEvent};
+use super::predicted::{Predicted, PredictedEvent, PredictedFrame};
 use crate::case::Case;
 use crate::nominal::Nominal;
+use crate::statistics::median;
 use rayon::prelude::*;
 
 /// The median of the absolute value of Student's t with three degrees of freedom.
 pub(crate) const MEDIAN_T: f64 = 0.765;
+/// And of a standard normal distribution.
+const MEDIAN_NORMAL: f64 = 0.674;
 /// Degrees of freedom of the events' Student-t distribution.
 pub(crate) const NU: f64 = 3.0;
 /// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
@@ -93,6 +96,18 @@ impl Noise {
         self.dark_dn2 + self.shot_dn * signal_dn.max(0.0) + LEAST_DN * LEAST_DN + share * share
     }
 
+    /// What a frame value misses over its standard deviation.
+    pub(crate) fn frame_misfit(&self, frame: &PredictedFrame) -> f64 {
+        frame.residual_dn / self.frame_variance(frame.signal_dn).sqrt()
+    }
+
+    /// Log density of a frame value whose misfits have a Student-t distribution of this scale
+    /// ([`frame_scale`]), nats.
+    pub(crate) fn log_density_of_frame(&self, frame: &PredictedFrame, scale: f64) -> f64 {
+        let misfit = self.frame_misfit(frame) / scale;
+        -libm::log(scale) - 0.5 * (NU + 1.0) * libm::log1p(misfit * misfit / NU)
+    }
+
     /// Scales the noise of thresholds to the excesses and what the light leaves open of them.
     pub(crate) fn estimate_of_events(&mut self, predicted: &[Predicted], left: &[Vec<f64>]) {
         let events = predicted.iter().zip(left).flat_map(|(of, left)| of.events.iter().zip(left));
@@ -134,6 +149,20 @@ impl Noise {
             + predicted.quiet.iter().enumerate().map(none).sum::<f64>()
     }
 
+    /// How much more probable each event of a pixel is by one prediction than by another, nats, whatever its
+    /// `leverage` is by both.
+    pub(crate) fn event_gains(
+        &self,
+        with: &Predicted,
+        without: &Predicted,
+        leverage: impl Fn(usize) -> f64,
+    ) -> Vec<f64> {
+        let of = |(k, (with, without)): (usize, (&PredictedEvent, &PredictedEvent))| {
+            self.log_density_left_out(with, leverage(k)) - self.log_density_left_out(without, leverage(k))
+        };
+        with.events.iter().zip(&without.events).enumerate().map(of).collect()
+    }
+
     /// Log density of an event's excess, nats, when the light was estimated with it and the event has a
     /// `leverage` on it.
     pub(crate) fn log_density_left_out(&self, event: &PredictedEvent, leverage: f64) -> f64 {
@@ -144,6 +173,12 @@ impl Noise {
             - 0.5 * libm::log(variance)
             - 0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
     }
+}
+
+/// The scale of a Student-t distribution of frame values' misfits: at least that of their noise.
+pub(crate) fn frame_scale(misfits: &mut [f64]) -> f64 {
+    let median = if misfits.is_empty() { 0.0 } else { median(misfits) };
+    f64::max(median, MEDIAN_NORMAL) / MEDIAN_T
 }
 
 /// Levels of frame values that noise is estimated in.

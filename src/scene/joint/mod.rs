@@ -31,7 +31,7 @@ mod score;
 
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, PredictedEvent, Score, line};
+use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, PredictedEvent, Score, frame_scale, line};
 use crate::light::Light;
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
@@ -220,24 +220,6 @@ impl JointPicture {
         self.scene = Arc::new(MovingPicture::new(picture, &from.setting, &self.case, &self.nominal));
     }
 
-    /// Goes back part of the last step where it did not lessen what it should, and all of it where shorter
-    /// ones do not, either.
-    fn back(&mut self, predicted: &[Predicted]) -> bool {
-        let Some(before) = self.before.take() else { return false };
-        if self.standing().objective(predicted) <= before.objective {
-            return false;
-        }
-        if before.times == TIMES_SHORTER {
-            self.scene = before.scene;
-            self.factor = None;
-            return true;
-        }
-        let share = libm::pow(SHORTER, before.times as f64 + 1.0);
-        self.take(&before.scene, &before.step, share);
-        self.before = Some(Before { times: before.times + 1, ..before });
-        true
-    }
-
     /// Events that take part, or those that do not.
     fn events<'a>(
         &'a self,
@@ -348,6 +330,7 @@ impl JointPicture {
 
 impl FreeScene for JointPicture {
     const FEWEST_EVENTS: usize = 0;
+    const IS_ONE: bool = true;
 
     fn pixels(&self) -> &[u32] {
         &self.pixels
@@ -421,9 +404,49 @@ impl FreeScene for JointPicture {
         gains.into_iter().enumerate().map(|(place, of)| self.is_measured(place).then_some(of)).collect()
     }
 
+    fn objective(&self, predicted: &[Predicted]) -> f64 {
+        self.standing().objective(predicted)
+    }
+
+    fn back(&mut self, predicted: &[Predicted]) -> bool {
+        let Some(before) = self.before.take() else { return false };
+        if self.standing().objective(predicted) <= before.objective {
+            return false;
+        }
+        if before.times == TIMES_SHORTER {
+            self.scene = before.scene;
+            self.factor = None;
+            return true;
+        }
+        let share = libm::pow(SHORTER, before.times as f64 + 1.0);
+        self.take(&before.scene, &before.step, share);
+        self.before = Some(Before { times: before.times + 1, ..before });
+        true
+    }
+
+    fn follow(&mut self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) {
+        let standing = self.standing();
+        let problem = standing.problem(predicted);
+        let Some(Factored { factor, .. }) = self.kept(&problem) else { return };
+        let step = score::step_with(&standing, &problem, &factor, predicted, (columns, sizes));
+        if step.iter().all(|by| by.is_finite()) {
+            self.take(&self.scene.clone(), &step, 1.0);
+        }
+    }
+
+    fn event_gains(&self, with: &[Predicted], without: &[Predicted]) -> Vec<Vec<f64>> {
+        let noise = self.event_noise(with, false, 0.0);
+        let of = |(place, (with, without)): (usize, (&Predicted, &Predicted))| match self.is_measured(place) {
+            true => noise.event_gains(with, without, |_| 0.0),
+            false => Vec::new(),
+        };
+        with.iter().zip(without).enumerate().map(of).collect()
+    }
+
     fn prepare(&mut self, predicted: &[Predicted]) {
         // What is predicted next may be another sensor's.
         self.before = None;
+        self.frames = None;
         let problem = self.standing().problem(predicted);
         self.frames = Some(problem.of_frames.clone());
         self.factor = None;
@@ -432,13 +455,24 @@ impl FreeScene for JointPicture {
 
     fn release(&mut self) {
         self.factor = None;
+        self.frames = None;
     }
 
     fn left_out(&self, predicted: &[Predicted]) -> Vec<f64> {
         let noise = self.event_noise(predicted, false, 0.0);
-        let of = |(place, of): (usize, &Predicted)| match self.is_measured(place) {
-            true => of.events.iter().map(|event| noise.log_density_left_out(event, 0.0)).sum(),
-            false => 0.0,
+        let counts = |place: usize| self.is_measured(place) && !predicted[place].events.is_empty();
+        let mut misfits: Vec<f64> = (0..predicted.len())
+            .filter(|place| counts(*place))
+            .flat_map(|place| predicted[place].frames.iter().map(|frame| noise.frame_misfit(frame).abs()))
+            .collect();
+        let scale = frame_scale(&mut misfits);
+        let of = |(place, of): (usize, &Predicted)| -> f64 {
+            if !counts(place) {
+                return 0.0;
+            }
+            let events = of.events.iter().map(|event| noise.log_density_left_out(event, 0.0));
+            let frames = of.frames.iter().map(|frame| noise.log_density_of_frame(frame, scale));
+            events.sum::<f64>() + frames.sum::<f64>()
         };
         predicted.iter().enumerate().map(of).collect()
     }

@@ -54,6 +54,27 @@ pub(super) fn scores(
     scores
 }
 
+/// The step of all unknowns while effects change by these sizes.
+pub(super) fn step_with(
+    standing: &Standing<'_>,
+    problem: &Problem,
+    factor: &Factor,
+    predicted: &[Predicted],
+    (columns, sizes): (&[Vec<f32>], &[f64]),
+) -> Vec<f64> {
+    let (effects, count) = (sizes.len(), standing.coefficients());
+    let mut side = vec![standing.gradient(problem)];
+    for r in problem.used() {
+        let column = &columns[problem.place[r] as usize][problem.row_of(r, predicted) * effects..][..effects];
+        let by: f64 = column.iter().zip(sizes).map(|(by, size)| f64::from(*by) * size).sum();
+        if by != 0.0 {
+            problem.add(r, problem.weight[r] * by, &mut side[0], count);
+        }
+    }
+    factor.solve(&mut side);
+    side[0].iter().map(|by| -by).collect()
+}
+
 /// What effects of `sizes` gain from each pixel, nats, with a step of everything and beyond what that step
 /// gains without one. `left_out`: log densities of each pixel's events, given what is predicted.
 pub(super) fn gains(
@@ -79,6 +100,12 @@ pub(super) fn gains(
     let with = |k: usize| -> Vec<f64> {
         let mut moved = predicted.to_vec();
         let size = sizes.get(k).copied().unwrap_or(0.0);
+        for r in 0..problem.frames() {
+            let (place, n) = (problem.place[r] as usize, problem.number[r] as usize);
+            let Some(frame) = moved[place].frames.get_mut(n) else { continue };
+            let by = if k < effects { size * f64::from(columns[place][n * effects + k]) } else { 0.0 };
+            frame.residual_dn += by - problem.along(r, &sides[k], count);
+        }
         for r in problem.frames()..problem.rows() {
             let (place, n) = (problem.place[r] as usize, problem.number[r] as usize);
             let (frames, events) = (predicted[place].frames.len(), predicted[place].events.len());

@@ -219,6 +219,50 @@ fn a_step_that_leads_away_is_taken_back() {
 }
 
 #[test]
+fn a_step_with_an_effect_gains_what_the_scene_that_takes_it_does() {
+    let (case, nominal) = noisy(Extent { width: 20, height: 16 }, 8, (5.0, 2.0));
+    let mut joint = begin(&case, &nominal, (4.0, 0.2));
+    for _ in 0..5 {
+        let measured = now(&case, &nominal, &joint);
+        joint.round(&measured);
+    }
+    let measured = now(&case, &nominal, &joint);
+    joint.prepare(&measured);
+    // Frames of another black level, and one threshold that is larger.
+    let mut other = nominal.clone();
+    other.number.black_level += 6.0;
+    other.pixel.threshold_on *= 1.05;
+    let with = now(&case, &other, &joint);
+    let column = |(with, without): (&Predicted, &Predicted)| -> Vec<f32> {
+        let frames = with.frames.iter().zip(&without.frames).map(|(a, b)| a.residual_dn - b.residual_dn);
+        let events = with.events.iter().zip(&without.events).map(|(a, b)| a.excess - b.excess);
+        let rises = with.events.iter().map(|_| 0.0);
+        frames.chain(events).chain(rises).map(|by| by as f32).collect()
+    };
+    let columns: Vec<Vec<f32>> = with.iter().zip(&measured).map(column).collect();
+    let after = |size: f64, nominal: &Nominal| {
+        let mut moved = joint.clone();
+        moved.follow(&measured, &columns, &[size]);
+        let of = now(&case, nominal, &moved);
+        (moved.objective(&of), moved.left_out(&of).iter().sum::<f64>())
+    };
+    let (alone, together) = (after(0.0, &nominal), after(1.0, &other));
+    // The scene that takes the step fits what is measured by such a sensor better than one that stays.
+    let still = joint.objective(&with);
+    assert!(together.0 < still - 0.5 * (still - alone.0), "{still} to {}, {}", together.0, alone.0);
+    let found: f64 = joint.gains(&measured, &columns, &[1.0]).iter().flatten().map(|of| of[0]).sum();
+    let gained = together.1 - alone.1;
+    assert!(gained < -20.0 && (found - gained).abs() < 0.1 * gained.abs(), "{found} is {gained}");
+    // Each event's part of it, by the noise that is left with it.
+    let of_events = joint.event_gains(&with, &measured);
+    let of = |place: usize| joint.is_measured(place) && !measured[place].events.is_empty();
+    for (place, gains) in of_events.iter().enumerate() {
+        assert_eq!(gains.len(), if of(place) { measured[place].events.len() } else { 0 });
+    }
+    assert!(of_events.iter().flatten().sum::<f64>() < 0.0);
+}
+
+#[test]
 fn a_finer_grid_follows_edges_that_a_coarse_one_softens() {
     let case = testing::stripes(Extent { width: 32, height: 24 }, 8);
     let mut nominal = case.nominal().unwrap();

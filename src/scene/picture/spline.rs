@@ -5,7 +5,7 @@ pub(crate) const ORDER: usize = 4;
 
 /// Weights of the four coefficients from the one before the interval on, at a share `f` (0 to 1) of the
 /// interval.
-#[inline]
+#[inline(always)]
 pub(crate) fn weights(f: f64) -> [f64; ORDER] {
     let g = 1.0 - f;
     [
@@ -58,16 +58,17 @@ impl Grid {
 
     /// The interval of a place along both axes (column and row of the first of its coefficients) and its
     /// share of it; `None` outside.
-    #[inline]
+    #[inline(always)]
     pub fn locate(&self, x: f64, y: f64) -> Option<(usize, usize, f64, f64)> {
         let (x, y) = ((x - self.x0) / self.pitch, (y - self.y0) / self.pitch);
-        let (i, j) = (x.floor(), y.floor());
+        // Whole parts of positive numbers; what is not is outside.
+        let (i, j) = (x as i64 as f64, y as i64 as f64);
         let inside = i >= 1.0 && j >= 1.0 && i + 3.0 <= self.width as f64 && j + 3.0 <= self.height as f64;
         inside.then(|| (i as usize - 1, j as usize - 1, x - i, y - j))
     }
 
     /// The value of a surface at a place; `None` outside.
-    #[inline]
+    #[inline(always)]
     pub fn value(&self, surface: &[f32], x: f64, y: f64) -> Option<f64> {
         let (i, j, f, g) = self.locate(x, y)?;
         let (wx, wy) = (weights(f), weights(g));

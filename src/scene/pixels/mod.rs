@@ -141,6 +141,7 @@ impl PixelLight {
 
 impl FreeScene for PixelLight {
     const FEWEST_EVENTS: usize = 3;
+    const IS_ONE: bool = false;
 
     fn pixels(&self) -> &[u32] {
         &self.pixels
@@ -211,6 +212,13 @@ impl FreeScene for PixelLight {
 
     fn gains(&self, predicted: &[Predicted], columns: &[Vec<f32>], sizes: &[f64]) -> Vec<Option<Vec<f64>>> {
         self.each(predicted, |work, of, place| work.gains(of, &columns[place], sizes))
+    }
+
+    fn event_gains(&self, with: &[Predicted], without: &[Predicted]) -> Vec<Vec<f64>> {
+        let of = |((with, without), leverages): ((&Predicted, &Predicted), &Vec<f64>)| {
+            self.noise.event_gains(with, without, |k| leverages[k])
+        };
+        with.iter().zip(without).zip(&self.leverage).map(of).collect()
     }
 
     /// From the last round, without refitting.

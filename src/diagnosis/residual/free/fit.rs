@@ -1,11 +1,9 @@
-//! Light of pixels as a sensor sees it: rounds of light, and exact fits of an effect.
+//! Light as a sensor sees it, and rounds of light.
 
-use super::super::evidence::Ranked;
 use super::super::prepared::Prepared;
-use super::super::setting::LARGEST_EFFECT_SIZE;
 use super::super::{Around, View, events_of, frames_of, median_of};
 use super::own::Own;
-use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use crate::candidates::{CANDIDATES, Scales, Trial};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::free::{FreeScene, Predicted, PredictedEvent, PredictedFrame};
 use photocurrent_scene::light::Light;
@@ -13,6 +11,7 @@ use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional, frame_values};
 use photocurrent_sensor::map::{MapFrame, PixelEvent};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Light is predicted this often, ns; a knot every so many.
 pub(super) const STEP_NS: i64 = 100_000;
@@ -26,8 +25,6 @@ const SOON_NS: i64 = 1_000_000;
 const NEAR: f64 = 0.2;
 /// Noise is a share of thresholds, which are at least this share of the stated ones.
 const LEAST_THRESHOLD: f64 = 0.1;
-/// A size that moves by less than this share needs no further correction.
-const STILL: f64 = 0.003;
 /// Standard errors are this much larger than the information has them: what sound recordings show.
 pub(super) const ERRORS: f64 = 3.0;
 
@@ -173,7 +170,7 @@ impl<'a, L: FreeScene> Ground<'a, L> {
 
     /// Median slope of the voltage at events, ln/s.
     pub(super) fn slope_per_s(&self, fit: &Fit<'_, L>) -> Result<f64, String> {
-        let rows = fit.rows(&[fit.prepared(&fit.trial)?], &fit.light.light(self.case));
+        let rows = fit.rows(&[fit.prepared(&fit.trial)?], &fit.prediction()?.light);
         let mut slopes: Vec<f64> =
             rows.iter().flatten().flat_map(|of| of.slope_per_s.iter().map(|slope| slope.abs())).collect();
         Ok(median_of(&mut slopes))
@@ -291,22 +288,51 @@ pub(super) struct Fit<'a, L> {
     pub applied: Vec<(usize, f64)>,
     /// Thresholds of each pixel's own, where these are estimated.
     pub own: Option<Own>,
+    /// Kept while neither light nor sensor change.
+    pub current: Option<Arc<Prediction>>,
 }
 
-/// A fit of an effect with its size.
-pub(super) struct Exact<'a, L> {
-    pub candidate: usize,
-    pub effect_size: f64,
-    /// Standard error of it.
-    pub error: f64,
-    pub fit: Fit<'a, L>,
-    /// Of each pixel, nats.
-    pub left_out: Vec<f64>,
+/// What a sensor sees of a light, with thresholds that are the same in all pixels.
+pub(super) struct Prediction {
+    pub light: Light,
+    predicted: Vec<Predicted>,
 }
 
 impl<'a, L: FreeScene> Fit<'a, L> {
     pub(super) fn begin(ground: &'a Ground<'a, L>, trial: &Trial) -> Fit<'a, L> {
-        Fit { ground, trial: trial.clone(), light: ground.begin.clone(), applied: Vec::new(), own: None }
+        let light = ground.begin.clone();
+        Fit { ground, trial: trial.clone(), light, applied: Vec::new(), own: None, current: None }
+    }
+
+    /// Takes another sensor.
+    pub(super) fn apply(&mut self, trial: Trial) {
+        self.trial = trial;
+        self.current = None;
+    }
+
+    /// Gives back room that can be filled again.
+    pub(super) fn release(&mut self) {
+        self.light.release();
+        self.current = None;
+    }
+
+    /// What the fit's own sensor sees of the light.
+    pub(super) fn prediction(&self) -> Result<Arc<Prediction>, String> {
+        if let Some(prediction) = &self.current {
+            return Ok(prediction.clone());
+        }
+        let light = self.light.light(self.ground.case);
+        let prepared = self.prepared(&self.trial)?;
+        let of = |place: usize, out: &Conditional| self.ground.predicted(place, &self.light, out);
+        let predicted = self.through(&[prepared], &light, of).pop().unwrap_or_default();
+        Ok(Arc::new(Prediction { light, predicted }))
+    }
+
+    /// The same, and it is kept until light or sensor change.
+    pub(super) fn predict(&mut self) -> Result<Arc<Prediction>, String> {
+        let prediction = self.prediction()?;
+        self.current = Some(prediction.clone());
+        Ok(prediction)
     }
 
     /// What sensors make of all pixels on a light: [sensor][place].
@@ -352,28 +378,24 @@ impl<'a, L: FreeScene> Fit<'a, L> {
 
     /// What the fit's own sensor makes of all pixels, with what a round needs.
     pub(super) fn predicted(&self) -> Result<Vec<Predicted>, String> {
-        let mut predicted = self.predicted_alike()?;
+        let mut predicted = self.prediction()?.predicted.clone();
         if let Some(own) = &self.own {
             own.apply(&mut predicted);
         }
         Ok(predicted)
     }
 
-    /// The same with thresholds of each pixel's own as what is predicted has them, where they are estimated.
+    /// The same with thresholds of each pixel's own as what is predicted has them, where they are estimated;
+    /// the light is about to change.
     fn predicted_anew(&mut self) -> Result<Vec<Predicted>, String> {
-        let mut predicted = self.predicted_alike()?;
+        let prediction = self.prediction()?;
+        self.current = None;
+        let mut predicted = Arc::try_unwrap(prediction)
+            .map_or_else(|kept| kept.predicted.clone(), |prediction| prediction.predicted);
         if let Some(own) = &mut self.own {
             own.estimate(&mut predicted);
         }
         Ok(predicted)
-    }
-
-    /// With thresholds that are the same in all pixels.
-    fn predicted_alike(&self) -> Result<Vec<Predicted>, String> {
-        let light = self.light.light(self.ground.case);
-        let prepared = self.prepared(&self.trial)?;
-        let of = |place: usize, out: &Conditional| self.ground.predicted(place, &self.light, out);
-        Ok(self.through(&[prepared], &light, of).pop().unwrap_or_default())
     }
 
     /// So many rounds of light.
@@ -389,12 +411,20 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     }
 
     /// Rounds of which only the last changes prior and noise.
-    fn settle(&mut self, count: usize) -> Result<(), String> {
+    pub(super) fn settle(&mut self, count: usize) -> Result<(), String> {
         for _ in 1..count {
             let predicted = self.predicted_anew()?;
             self.light.settle(&predicted);
         }
-        self.rounds(1)
+        self.rounds(1)?;
+        while L::IS_ONE {
+            self.predict()?;
+            if !self.light.back(&self.predicted()?) {
+                break;
+            }
+            self.current = None;
+        }
+        Ok(())
     }
 
     /// The same so many times: what an effect's exact fit takes.
@@ -414,11 +444,6 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(self.light.left(&predicted) * libm::sqrt(1.0 - self.white(&predicted).unwrap_or(0.0)))
     }
 
-    /// Log density of each pixel's events when the light is estimated from everything else, nats.
-    pub(super) fn left_out(&self) -> Result<Vec<f64>, String> {
-        Ok(self.light.left_out(&self.predicted()?))
-    }
-
     /// The trial with an effect of a size beyond those that it has.
     pub(super) fn with(&self, candidate: usize, effect_size: f64) -> Trial {
         self.trial.and(&CANDIDATES[candidate], effect_size, self.ground.scales)
@@ -427,70 +452,6 @@ impl<'a, L: FreeScene> Fit<'a, L> {
     /// The size of an effect that the trial has; 0 where it has none.
     pub(super) fn size_of(&self, candidate: usize) -> f64 {
         self.applied.iter().find(|(n, _)| *n == candidate).map_or(0.0, |(_, size)| *size)
-    }
-
-    /// Light and size of an effect in turn; effects that are applied before keep their sizes.
-    pub(super) fn exact(
-        &self,
-        candidate: usize,
-        begin: f64,
-        corrections: usize,
-    ) -> Result<Exact<'a, L>, String> {
-        let is_switch = CANDIDATES[candidate].signs == Signs::Switch;
-        let mut effect_size = if is_switch { 1.0 } else { bounded(candidate, begin) };
-        let mut error = 0.0;
-        let mut is_still = is_switch;
-        let mut fit = self.clone();
-        for turn in 0..corrections {
-            fit.trial = self.with(candidate, effect_size);
-            fit.applied = self.applied.clone();
-            fit.applied.push((candidate, effect_size));
-            fit.settle(self.ground.steps)?;
-            if is_still || turn + 1 == corrections {
-                continue;
-            }
-            let scored = fit.score(&[candidate], None)?;
-            if let Some(step) = scored.sizes[0] {
-                let most = 1.0 + effect_size.abs();
-                is_still = step.abs() < STILL * effect_size.abs();
-                effect_size = bounded(candidate, effect_size + step.clamp(-most, most));
-                error = ERRORS / scored.information[0].sqrt();
-            }
-        }
-        let left_out = fit.left_out()?;
-        fit.light.release();
-        Ok(Exact { candidate, effect_size, error, fit, left_out })
-    }
-}
-
-/// Sizes within physics.
-pub(super) fn bounded(candidate: usize, effect_size: f64) -> f64 {
-    let most = LARGEST_EFFECT_SIZE;
-    let least = if CANDIDATES[candidate].signs == Signs::Both { -most } else { 1e-3 };
-    effect_size.clamp(least, most)
-}
-
-impl<L: FreeScene> Exact<'_, L> {
-    /// Takes the place of a first size and gain; `level`: densities without the effect.
-    pub(super) fn replace(&self, one: &mut Ranked, level: &[f64], ground: &Ground<'_, L>) {
-        let gains: Vec<f64> = self
-            .left_out
-            .iter()
-            .zip(level)
-            .enumerate()
-            .filter(|(place, _)| ground.is_measured(*place))
-            .map(|(_, (with, without))| with - without)
-            .collect();
-        let events = ground.events() as f64;
-        let sum: f64 = gains.iter().sum();
-        let mean = sum / gains.len().max(1) as f64;
-        let square: f64 = gains.iter().map(|gain| (gain - mean) * (gain - mean)).sum();
-        one.gain = sum / events;
-        one.gain_error = square.sqrt() / events;
-        one.effect_size = self.effect_size;
-        one.error = f64::max(self.error, one.error);
-        one.value = CANDIDATES[self.candidate].value(self.effect_size, ground.scales, ground.nominal);
-        one.is_exact = true;
     }
 }
 

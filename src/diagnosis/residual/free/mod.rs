@@ -18,8 +18,10 @@
 //! 6. With the best one applied, score and information of all others with its own size free.
 
 mod choose;
+mod exact;
 mod fit;
 mod own;
+mod places;
 mod random;
 mod score;
 mod unknowns;
@@ -31,7 +33,8 @@ use super::table::is_physics;
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::report::Estimate;
 use crate::unknowns::Unknown;
-use fit::{ERRORS, Exact, Fit, Ground, STEP_NS};
+use exact::Exact;
+use fit::{ERRORS, Fit, Ground, STEP_NS};
 use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::free::{FreeScene, Noise, frame_noise};
@@ -40,6 +43,7 @@ use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::pixels::PixelLight;
 use photocurrent_scene::{Scene, gate};
+use places::Level;
 use random::is_mismatch;
 use rayon::prelude::*;
 use score::Scored;
@@ -308,8 +312,8 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     }
     let mut nothing = base.clone();
     nothing.settled(plan.corrections)?;
-    let level = nothing.left_out()?;
-    nothing.light.release();
+    let level = Level::of(&mut nothing)?;
+    nothing.release();
     let mut to_fit: Vec<(usize, f64)> = worth_fitting(&list, &scored, plan)
         .into_iter()
         .filter_map(|candidate| Some((candidate, scored.size(candidate)?)))
@@ -338,7 +342,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
         return Err(Failure::Leaves(left));
     }
     Ok(Evidence {
-        nats_per_event: level.iter().sum::<f64>() / events as f64,
+        nats_per_event: level.left_out.iter().sum::<f64>() / events as f64,
         share: events as f64 / case.events.len() as f64,
         explained: explained(wrong / MEDIAN_T),
         events,
@@ -398,11 +402,11 @@ fn is_faster(one: &Ranked) -> bool {
     }
 }
 
-/// Exact fits in the places of first sizes and gains, best first; `level`: densities of events without them.
+/// Exact fits in the places of first sizes and gains, best first.
 fn replace<L: FreeScene>(
     exact: &[Exact<'_, L>],
     list: &mut [Ranked],
-    level: &[f64],
+    level: &Level,
     ground: &Ground<'_, L>,
     plan: &Plan,
 ) {
@@ -434,7 +438,7 @@ fn second<L: FreeScene>(
     let mut list = ranked(&scored, ground);
     let mut alone = scene.clone();
     alone.settled(plan.corrections_of_second)?;
-    let level = alone.left_out()?;
+    let level = Level::of(&mut alone)?;
     let mut exact = Vec::new();
     for one in list.iter().filter(|one| one.gain > plan.least_gain).take(plan.second) {
         exact.extend(scene.exact(one.candidate, one.effect_size, plan.corrections_of_second).ok());
@@ -453,13 +457,15 @@ fn ranked<L: FreeScene>(scored: &Scored, ground: &Ground<'_, L>) -> Vec<Ranked> 
         let candidate = scored.candidates[n];
         let kind = &CANDIDATES[candidate];
         let (size, information) = (scored.sizes[n]?, scored.information[n]);
+        let of_event = |information: f64| information / (ERRORS * ERRORS * ground.scored_events() as f64);
         Some(Ranked {
             candidate,
             effect_size: size,
             error: ERRORS / information.sqrt(),
             value: kind.value(size, scales, nominal),
             gain: if is_physics(candidate, size) { scored.gains[n] / events as f64 } else { 0.0 },
-            information: information / (ERRORS * ERRORS * ground.scored_events() as f64),
+            information: of_event(information),
+            of_known_light: of_event(scored.known[n]),
             unit: kind.value(1.0, scales, nominal) - kind.nominal_value(nominal),
             ..Ranked::default()
         })

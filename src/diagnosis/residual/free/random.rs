@@ -7,7 +7,8 @@ use super::super::evidence::Ranked;
 use super::super::fit::EventNoise;
 use super::super::setting::{LEAST_NOISE, LEAST_SPREAD};
 use super::super::table::{OF_PIXELS, probe};
-use super::fit::{Exact, Fit, Rows};
+use super::exact::Exact;
+use super::fit::{Fit, Rows};
 use super::own::Own;
 use crate::candidates::{CANDIDATES, Candidate};
 use photocurrent_scene::free::{FreeScene, LEAST_SHARE, Predicted};
@@ -80,7 +81,7 @@ impl<L: FreeScene> Fit<'_, L> {
                     .or_else(|_| self.prepared(&self.trial))?,
             );
         }
-        let rows = self.rows(&prepared, &self.light.light(case));
+        let rows = self.rows(&prepared, &self.prediction()?.light);
         let predicted = self.predicted()?;
         let Some(white) = self.white(&predicted) else { return Ok(Vec::new()) };
         let HeldOut { events, residual, columns } = self.held_out(&predicted, &rows);
@@ -131,7 +132,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         let mut before = f64::INFINITY;
         for turn in 0..MOST_TURNS {
             // What is left falls by a factor, and a factor of the normal matrix with it.
-            fit.light.release();
+            fit.release();
             fit.rounds(1)?;
             fit.settled(1)?;
             let left = fit.left()?;
@@ -141,10 +142,8 @@ impl<'a, L: FreeScene> Fit<'a, L> {
             before = left;
         }
         let spread = fit.own.map_or(0.0, |own| own.spread);
-        let left_out = fit.left_out()?;
-        fit.light.release();
         let effect_size = kind.effect_size(spread * scales.threshold, scales, nominal);
-        Ok(Exact { candidate, effect_size, error: 0.0, fit, left_out })
+        Exact::of(candidate, (effect_size, 0.0), fit)
     }
 }
 

@@ -1,7 +1,8 @@
 //! Efficient scores of effects, summed over pixels.
 
 use super::super::table::probe;
-use super::fit::{Fit, Ground, Rows, STEP_NS, bounded};
+use super::exact::bounded;
+use super::fit::{Fit, Ground, Rows, STEP_NS};
 use crate::candidates::{CANDIDATES, Signs};
 use photocurrent_scene::free::{FreeScene, Predicted, Score};
 use photocurrent_scene::pixels::LEAST_RISE;
@@ -29,10 +30,14 @@ pub(super) struct Scored {
     pub sizes: Vec<Option<f64>>,
     /// Information on it, the light (and an effect that is free with it) adapted.
     pub information: Vec<f64>,
+    /// The same where the light is known.
+    pub known: Vec<f64>,
     /// What that size gains with a step of the light, nats.
     pub gains: Vec<f64>,
     /// Best size over the standard error that differences between places show.
     agreement: Vec<f64>,
+    /// Of one effect alone: its column, and what was predicted there.
+    pub column: Option<(Vec<Predicted>, Vec<Vec<f32>>)>,
 }
 
 impl Scored {
@@ -92,7 +97,7 @@ impl<L: FreeScene> Fit<'_, L> {
     /// Scores of effects on the light as it stands; `free`: an applied effect whose size may change with
     /// each.
     pub(super) fn score(&mut self, candidates: &[usize], free: Option<usize>) -> Result<Scored, String> {
-        let light = self.light.light(self.ground.case);
+        let prediction = self.predict()?;
         let mut wanted: Vec<usize> = candidates.to_vec();
         wanted.extend(free);
         // Steps of candidates: forward, and back where it bends at the size that it has.
@@ -111,7 +116,7 @@ impl<L: FreeScene> Fit<'_, L> {
             prepared.push(with);
             prepared.extend(back);
         }
-        let mut rows = self.rows(&prepared, &light).into_iter();
+        let mut rows = self.rows(&prepared, &prediction.light).into_iter();
         let base = rows.next().unwrap_or_default();
         let moved: Vec<Moved> = kept
             .iter()
@@ -130,8 +135,9 @@ impl<L: FreeScene> Fit<'_, L> {
         let is_with_free = free.is_some() && kept.last().copied() == free;
         let mut scored = self.summed(kept, is_with_free, &scores);
         // Of one alone, whose size is corrected, nothing is ranked.
-        if effects > 1 {
-            scored.gains = self.gains(&scored, effects, &predicted, &columns);
+        match effects {
+            1 => scored.column = Some((predicted, columns)),
+            _ => scored.gains = self.gains(&scored, effects, &predicted, &columns),
         }
         Ok(scored)
     }
@@ -160,7 +166,7 @@ impl<L: FreeScene> Fit<'_, L> {
         gains
     }
 
-    fn summed(&self, candidates: Vec<usize>, is_with_free: bool, scores: &[Option<Score>]) -> Scored {
+    fn summed(&self, mut candidates: Vec<usize>, is_with_free: bool, scores: &[Option<Score>]) -> Scored {
         let effects = candidates.len();
         let (mut score, mut information, mut known) =
             (vec![0.0; effects], vec![0.0; effects * effects], vec![0.0; effects]);
@@ -184,12 +190,11 @@ impl<L: FreeScene> Fit<'_, L> {
         }
         // The Schur complement on what is free with each.
         let free = is_with_free.then(|| effects - 1);
+        candidates.truncate(free.unwrap_or(effects));
         let (mut sizes, mut informations, mut agreement) = (Vec::new(), Vec::new(), Vec::new());
-        for k in 0..effects {
+        for k in 0..candidates.len() {
             let (mut s, mut i) = (score[k], information[k * effects + k]);
-            if let Some(other) =
-                free.filter(|other| *other != k && information[other * effects + other] > 0.0)
-            {
+            if let Some(other) = free.filter(|other| information[other * effects + other] > 0.0) {
                 let ratio = information[k * effects + other] / information[other * effects + other];
                 s -= ratio * score[other];
                 i -= ratio * information[k * effects + other];
@@ -207,14 +212,8 @@ impl<L: FreeScene> Fit<'_, L> {
                 .sum();
             agreement.push(if is_seen { size.abs() * i / scatter.sqrt().max(1e-300) } else { 0.0 });
         }
-        let (mut candidates, mut scored) = (candidates, (sizes, informations, agreement));
-        if is_with_free {
-            candidates.pop();
-            scored.0.pop();
-            scored.1.pop();
-            scored.2.pop();
-        }
+        known.truncate(candidates.len());
         let gains = Vec::new();
-        Scored { candidates, sizes: scored.0, information: scored.1, gains, agreement: scored.2 }
+        Scored { candidates, sizes, information: informations, known, gains, agreement, column: None }
     }
 }

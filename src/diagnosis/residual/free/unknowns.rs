@@ -1,4 +1,4 @@
-//! Numbers that the description states as a range, estimated with the scene: scene and numbers in turn, the
+//! Numbers that the description states as a range, estimated with the scene: both take steps together, the
 //! range as a prior (mean and variance of even probability in it).
 
 use super::fit::{ERRORS, Fit, Ground};
@@ -7,7 +7,7 @@ use crate::candidates::Trial;
 use crate::report::Estimate;
 use crate::unknowns::Unknown;
 use nalgebra::{DMatrix, DVector};
-use photocurrent_scene::free::FreeScene;
+use photocurrent_scene::free::{FreeScene, Predicted};
 
 /// Rounds of the scene with the middle of each range, and turns of numbers and scene at most.
 const ROUNDS: usize = 9;
@@ -16,6 +16,9 @@ const TURNS: usize = 10;
 const PROBE: f64 = 0.01;
 /// A number moves by no more than this share of its range in a turn.
 const FARTHEST: f64 = 0.25;
+/// What events may miss their thresholds by in common, one standard deviation, as a share of what they miss
+/// them by in the median.
+const COMMON: f64 = 1.0;
 /// Numbers that move by less than this share of their errors stand.
 const STILL: f64 = 0.05;
 
@@ -23,6 +26,27 @@ const STILL: f64 = 0.05;
 struct Normal {
     score: DVector<f64>,
     information: DMatrix<f64>,
+    /// What is predicted, and what a step of each number changes of it.
+    columns: (Vec<Predicted>, Vec<Vec<f32>>),
+}
+
+impl Normal {
+    /// What a step of each number changes of events' excesses, root mean square shares of their thresholds.
+    fn moves(&self) -> Vec<f64> {
+        let count = self.score.len();
+        let (mut squares, mut events) = (vec![0.0; count], 0.0);
+        for (of, columns) in self.columns.0.iter().zip(&self.columns.1) {
+            let of_events = columns[of.frames.len() * count..].chunks_exact(count);
+            for (event, column) in of.events.iter().zip(of_events) {
+                events += 1.0;
+                for (square, by) in squares.iter_mut().zip(column) {
+                    let share = f64::from(*by) / event.threshold;
+                    *square += share * share;
+                }
+            }
+        }
+        squares.iter().map(|square| libm::sqrt(square / f64::max(events, 1.0))).collect()
+    }
 }
 
 /// Estimates numbers on a scene.
@@ -48,14 +72,16 @@ pub(super) fn estimate<L: FreeScene>(
     let mut at = middle.clone();
     let mut fit = Fit::begin(ground, &with(&at));
     fit.rounds(ROUNDS)?;
-    let mut errors = vec![0.0; count];
+    let (mut errors, mut moves) = (vec![0.0; count], vec![0.0; count]);
     for _ in 0..TURNS {
         let moved = (0..count).map(|k| {
             let mut moved = at.clone();
             moved[k] += PROBE * width(k);
             (with(&moved), PROBE * width(k))
         });
-        let Normal { score, information } = fit.normal(&moved.collect::<Vec<_>>())?;
+        let normal = fit.normal(&moved.collect::<Vec<_>>())?;
+        moves = normal.moves();
+        let Normal { score, information, columns } = normal;
         let factor = (&information + &prior).cholesky();
         let step = factor.map(|factor| factor.solve(&-(score + &prior * (&at - &middle))));
         let step = step.ok_or("what is left open of the description does not change what is measured")?;
@@ -64,33 +90,43 @@ pub(super) fn estimate<L: FreeScene>(
         errors =
             (0..count).map(|k| sure.as_ref().map_or(width(k), |sure| libm::sqrt(sure[(k, k)]))).collect();
         let mut is_still = true;
+        let before = at.clone();
         for k in 0..count {
             let far = FARTHEST * width(k);
             let next = (at[k] + step[k].clamp(-far, far)).clamp(bounds[k][0], bounds[k][1]);
             is_still &= (next - at[k]).abs() < STILL * errors[k];
             at[k] = next;
         }
-        fit.trial = with(&at);
+        match L::IS_ONE {
+            true => fit.follow(with(&at), &columns, (&at - before).as_slice())?,
+            false => fit.apply(with(&at)),
+        }
         // What is left falls by a factor, and the noise that everything is weighed by with it.
-        fit.light.release();
+        fit.release();
         fit.rounds(1)?;
         fit.settled(1)?;
         if is_still {
             break;
         }
     }
-    Ok(unknowns.iter().enumerate().map(|(k, one)| one.estimated(at[k], errors[k])).collect())
+    // All events may miss in common what they miss in the median: a scene that is too soft does.
+    let left = COMMON * fit.left()?;
+    let error = |k: usize| {
+        let even = width(k) / libm::sqrt(12.0);
+        libm::hypot(errors[k], if moves[k] > 0.0 { left / moves[k] } else { even }).min(even)
+    };
+    Ok(unknowns.iter().enumerate().map(|(k, one)| one.estimated(at[k], error(k))).collect())
 }
 
 impl<L: FreeScene> Fit<'_, L> {
     /// Score and information of steps from the fit's own sensor, each to a sensor and so far.
     fn normal(&mut self, steps: &[(Trial, f64)]) -> Result<Normal, String> {
-        let light = self.light.light(self.ground.case);
+        let prediction = self.predict()?;
         let mut prepared = vec![self.prepared(&self.trial)?];
         for (trial, _) in steps {
             prepared.push(self.prepared(trial)?);
         }
-        let mut rows = self.rows(&prepared, &light).into_iter();
+        let mut rows = self.rows(&prepared, &prediction.light).into_iter();
         let base = rows.next().unwrap_or_default();
         let moved: Vec<Moved> =
             rows.zip(steps).map(|(rows, (_, step))| Moved { rows, back: None, step: *step }).collect();
@@ -98,8 +134,9 @@ impl<L: FreeScene> Fit<'_, L> {
         let predicted = self.predicted()?;
         self.light.prepare(&predicted);
         let count = steps.len();
-        let mut normal = Normal { score: DVector::zeros(count), information: DMatrix::zeros(count, count) };
         let scores = self.light.score(&predicted, &columns, count);
+        let (score, information) = (DVector::zeros(count), DMatrix::zeros(count, count));
+        let mut normal = Normal { score, information, columns: (predicted, columns) };
         for (_, found) in scores.iter().enumerate().filter(|(place, _)| self.ground.has_events(*place)) {
             let Some(found) = found else { continue };
             normal.score += DVector::from_column_slice(&found.score);
