@@ -417,12 +417,12 @@ impl<'a, L: FreeScene> Fit<'a, L> {
             self.light.settle(&predicted);
         }
         self.rounds(1)?;
-        while L::IS_ONE {
+        if L::IS_ONE {
             self.predict()?;
-            if !self.light.back(&self.predicted()?) {
-                break;
+            while self.light.back(&self.predicted()?) {
+                self.current = None;
+                self.predict()?;
             }
-            self.current = None;
         }
         Ok(())
     }
