@@ -16,14 +16,21 @@ use serde::{Deserialize, Serialize};
 const USUAL_SOFTNESS: [f64; 2] = [-2.0, -0.5];
 const SOFTNESS_PRIOR: [f64; 2] = [1.0, 0.5];
 
-/// Standard deviation of the logistic weights beforehand.
+/// Standard deviation of the logistic weights beforehand, which are about zero.
 const PRIOR: f64 = 3.0;
+/// That of the share of the events that are explained: kinds of scene with a hundred recordings or more have
+/// 0 to 0.5. Of fifty it came out as 1.5, and a black level that gains 0.7 nats an event was withheld.
+const SHARE_PRIOR: f64 = 0.5;
 
-fn newton<const N: usize>(examples: &[([f64; N], bool)]) -> [f64; N] {
+const SOMETHING_PRIOR: [f64; SOMETHING] = [PRIOR, PRIOR, SHARE_PRIOR];
+
+/// Logistic weights, zero beforehand within deviations.
+fn newton<const N: usize>(examples: &[([f64; N], bool)], deviations: [f64; N]) -> [f64; N] {
+    let precision = SVector::from(deviations.map(|deviation| 1.0 / (deviation * deviation)));
     let mut weights = SVector::<f64, N>::zeros();
     for _ in 0..50 {
-        let mut gradient = -weights / (PRIOR * PRIOR);
-        let mut curvature = SMatrix::<f64, N, N>::identity() / (PRIOR * PRIOR);
+        let mut gradient = -precision.component_mul(&weights);
+        let mut curvature = SMatrix::<f64, N, N>::from_diagonal(&precision);
         for (facts, is_true) in examples {
             let x = SVector::<f64, N>::from_column_slice(facts);
             let p = logistic(weights.dot(&x));
@@ -71,14 +78,14 @@ pub fn calibrate(examples: &[&Example]) -> Model {
             .filter(|(one, facts)| is_right(one, facts))
             .filter_map(|(one, facts)| Some((facts.second(discount)?, one.truth.effects.len() > 1)))
             .collect();
-        let mut of_something = newton(&something);
+        let mut of_something = newton(&something, SOMETHING_PRIOR);
         if of_something[SOMETHING - 1] < 0.0 {
             // A scene that explains less of the events is no better reason: it is left out.
             let without: Vec<([f64; SOMETHING], bool)> =
                 something.iter().map(|([one, gain, _], is)| ([*one, *gain, 0.0], *is)).collect();
-            of_something = newton(&without);
+            of_something = newton(&without, SOMETHING_PRIOR);
         }
-        let of_second = newton(&second);
+        let of_second = newton(&second, [PRIOR; SECOND]);
         (
             log_of(&something, &of_something) + log_of(&second, &of_second),
             Model {
@@ -334,11 +341,11 @@ mod tests {
             let Validation { nothing, one, two, other, .. } = validate(&of_kind, 5, &Decision::default());
             (nothing, one, (two.0, two.1), other)
         };
-        assert_eq!(named("picture"), ((214, 6), (241, 101, 80, 92), (75, 11), (45, 15, 5)));
-        assert_eq!(named("patches"), ((54, 0), (70, 11, 10, 11), (18, 0), (16, 0, 1)));
+        assert_eq!(named("picture"), ((214, 6), (241, 101, 80, 92), (75, 11), (45, 15, 4)));
+        assert_eq!(named("patches"), ((54, 0), (70, 12, 10, 12), (18, 0), (16, 0, 1)));
         assert_eq!(named("given"), ((36, 0), (46, 36, 31, 31), (9, 2), (9, 6, 1)));
         assert_eq!(named("pixels"), ((42, 0), (66, 12, 9, 11), (16, 0), (10, 0, 1)));
-        assert_eq!(named("joint"), ((19, 0), (26, 9, 6, 7), (7, 1), (6, 1, 1)));
+        assert_eq!(named("joint"), ((19, 0), (26, 9, 7, 8), (7, 1), (6, 1, 1)));
     }
 
     #[test]
@@ -352,7 +359,7 @@ mod tests {
             let (found, built_in) =
                 (numbers(calibrate(&of_kind(&examples, kind))), numbers(*Models::default().of(kind)));
             found.iter().zip(&built_in).for_each(|(a, b)| {
-                assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}")
+                assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{kind}: {found:?} are {built_in:?}")
             });
         }
     }

@@ -55,9 +55,9 @@ impl Default for Model {
     /// `photocurrent-calibrate`, docs/diagnosis.md.
     fn default() -> Model {
         Model {
-            something: [3.625, 0.770, 0.536],
-            second: [1.663, 0.360, 0.243],
-            discount: [2.0, 1.0],
+            something: [3.471, 0.750, 0.479],
+            second: [1.601, 0.360, 0.230],
+            discount: [2.0, 0.5],
             softness: [-2.588, -0.92],
             random: 0.119,
             unnamed: [-0.501, 0.649, 0.654],
@@ -125,12 +125,12 @@ impl Model {
     /// The built-in numbers for scenes in parts: `photocurrent-calibrate --scene parts`.
     pub fn of_patches() -> Model {
         Model {
-            something: [2.235, 0.581, 0.048],
+            something: [2.224, 0.581, 0.039],
             second: [2.601, 0.951, 0.607],
             discount: [1.5, 0.5],
-            softness: [-1.652, -0.433],
-            random: 2.368,
-            unnamed: [0.429, 0.892, -0.015],
+            softness: [-1.667, -0.441],
+            random: 2.378,
+            unnamed: [0.432, 0.895, -0.016],
             least_gain: LEAST_GAIN,
         }
     }
@@ -152,7 +152,7 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [3.524, 0.708, 1.523],
+            something: [2.958, 0.659, 0.167],
             second: [1.853, 0.613, 1.983],
             discount: [0.0, 1.0],
             softness: [-3.188, -0.723],
