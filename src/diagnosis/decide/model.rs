@@ -152,13 +152,13 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [2.958, 0.659, 0.167],
-            second: [1.853, 0.613, 1.983],
-            discount: [0.0, 1.0],
+            something: [5.004, 1.777, 0.007],
+            second: [1.705, 0.536, 1.766],
+            discount: [0.0, 0.5],
             softness: [-3.188, -0.723],
             random: -2.406,
             unnamed: [-1.016, 0.062, 0.0],
-            least_gain: 0.002,
+            least_gain: 0.05,
         }
     }
 
