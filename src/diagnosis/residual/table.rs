@@ -406,9 +406,7 @@ impl Seen<'_> {
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
-        let (width, side) = (self.case.extent.width as usize, self.setting.block);
-        let (bx, by) = (pixel % width / side, pixel / width / side);
-        (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
+        block_of(self.case, self.setting.block, pixel)
     }
 
     /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too
@@ -677,4 +675,11 @@ pub(super) fn probe(candidate: usize) -> f64 {
         Grows::Linearly if kind.signs == Signs::Switch => 1.0,
         Grows::Linearly => PROBE,
     }
+}
+
+/// The block of `side` pixels that a pixel lies in; the last bit is its half, as on a chessboard.
+pub(super) fn block_of(case: &Case, side: usize, pixel: usize) -> u32 {
+    let width = case.extent.width as usize;
+    let (bx, by) = (pixel % width / side, pixel / width / side);
+    (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
 }

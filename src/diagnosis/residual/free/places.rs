@@ -3,13 +3,12 @@
 use super::super::Residuals;
 use super::super::laid::{Laid, lay};
 use super::super::located::{Ground as Gains, Located, LocatedSetting, Values};
+use super::super::setting::EvidenceSetting;
+use super::super::table::block_of;
 use super::fit::{Fit, Ground};
 use crate::candidates::CANDIDATES;
 use crate::covariates::Surroundings;
 use photocurrent_scene::free::{FreeScene, Predicted};
-
-/// Side of blocks of pixels, by which errors of gains are, pixels.
-const BLOCK: u32 = 8;
 
 /// A fit that an effect is held against, and the events that gains are measured on.
 pub(super) struct Level {
@@ -28,7 +27,7 @@ impl Level {
     /// When its sensor cannot be applied.
     pub(super) fn of<L: FreeScene>(fit: &mut Fit<'_, L>) -> Result<Level, String> {
         let ground = fit.ground;
-        let (case, width) = (ground.case, ground.case.extent.width);
+        let (case, side) = (ground.case, EvidenceSetting::default().block);
         let prediction = fit.predict()?;
         let predicted = fit.predicted()?;
         let left_out = fit.light.left_out(&predicted);
@@ -37,7 +36,6 @@ impl Level {
             ground.events.iter().enumerate().filter(|(place, _)| ground.is_measured(*place))
         {
             let pixel = fit.light.pixels()[place];
-            let (x, y) = (pixel % width / BLOCK, pixel / width / BLOCK);
             let of_pixel = case.events.of(pixel as usize);
             for k in numbers {
                 let (event, before) = (&of_pixel[*k], &of_pixel[k - 1]);
@@ -47,7 +45,7 @@ impl Level {
                 events.previous.push(before.polarity);
                 events.since_ns.push(event.t_in_ns - before.t_in_ns);
                 events.log_light.push(prediction.light.at(pixel as usize, event.t_in_ns).unwrap_or(f64::NAN));
-                block.push(2 * (y * width.div_ceil(BLOCK) + x) + (x + y) % 2);
+                block.push(block_of(case, side, pixel as usize));
             }
         }
         let light = Box::new(|pixel: usize, t_ns: i64| prediction.light.at(pixel, t_ns));

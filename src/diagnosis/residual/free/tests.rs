@@ -171,14 +171,14 @@ fn nothing_gains_on_a_picture_of_noisy_frames_and_events() {
 
 #[test]
 fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() {
-    let effects = [("threshold_asymmetry", "fraction", -0.5), ("black_level", "black_level_dn", 1.5)];
+    let effects = [("threshold_asymmetry", "fraction", -0.5), ("black_level", "black_level_dn", 1.0)];
     for (id, parameter, size) in effects {
         let case = photograph(Some((id, parameter, size)));
         let found = joint(&case);
         let first = found.first.clone().unwrap();
         assert_eq!(CANDIDATES[first.candidate].id, id, "{first:?}");
         // Within the standard error that is stated, or a tenth: three rounds of scene and size leave that
-        // much of a black level of 81 DN.
+        // much of a black level of 54 DN.
         let off = (first.effect_size - size).abs();
         assert!(off < f64::max(first.error, 0.1 * size.abs()), "{first:?}");
         let decided = decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap();

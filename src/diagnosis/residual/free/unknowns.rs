@@ -16,9 +16,6 @@ const TURNS: usize = 10;
 const PROBE: f64 = 0.01;
 /// A number moves by no more than this share of its range in a turn.
 const FARTHEST: f64 = 0.25;
-/// What events may miss their thresholds by in common, one standard deviation, as a share of what they miss
-/// them by in the median.
-const COMMON: f64 = 1.0;
 /// Numbers that move by less than this share of their errors stand.
 const STILL: f64 = 0.05;
 
@@ -110,7 +107,7 @@ pub(super) fn estimate<L: FreeScene>(
         }
     }
     // All events may miss in common what they miss in the median: a scene that is too soft does.
-    let left = COMMON * fit.left()?;
+    let left = fit.left()?;
     let error = |k: usize| {
         let even = width(k) / libm::sqrt(12.0);
         libm::hypot(errors[k], if moves[k] > 0.0 { left / moves[k] } else { even }).min(even)
