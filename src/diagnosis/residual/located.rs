@@ -8,8 +8,8 @@
 //! errors ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks
 //! and judged on the other; otherwise the whole range is.
 //!
-//! Limits: gains are those of the fit, and held out only on a scene of frames and events; one contiguous part for each axis; events that the gate
-//! leaves out carry no information; random effects are not located.
+//! Limits: gains are those of the fit, and held out only on a scene of frames and events; one contiguous
+//! part for each axis; events that the gate leaves out carry no information; random effects are not located.
 
 pub(crate) use super::axis::Mean;
 use super::axis::{best, mean, shape};
