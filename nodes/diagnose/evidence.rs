@@ -149,7 +149,7 @@ impl Node for DiagnoseEvidence {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their \
                 thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 13,
+        revision: 14,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -242,7 +242,7 @@ fn on_picture(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evide
     let found = evidence(case, nominal, &*scene, &setting.evidence)?;
     let picture = scene.as_any().and_then(|any| any.downcast_ref::<MovingPicture>());
     let on_joint = match picture {
-        Some(picture) if picture.is_alone() && !decides_alone(&found) => {
+        Some(picture) if picture.is_one && !decides_alone(&found) => {
             free::on_picture(case, nominal, picture).ok().map(Box::new)
         }
         _ => None,

@@ -45,11 +45,6 @@ impl MovingPicture {
         MovingPicture { picture, setting: *setting, structure_dn: usual_step_dn(case, nominal), is_one: true }
     }
 
-    /// Is it all of the scene, with nothing behind it?
-    pub fn is_alone(&self) -> bool {
-        self.is_one && self.picture.ground.is_empty()
-    }
-
     /// The same with another picture.
     pub(crate) fn with(&self, picture: Picture) -> MovingPicture {
         MovingPicture { picture, setting: self.setting, structure_dn: self.structure_dn, is_one: self.is_one }

@@ -51,6 +51,24 @@ pub(crate) fn stripes(extent: Extent, frames: usize) -> Case {
     })
 }
 
+/// A disc with the texture, 8 pixels around the middle of the array half way through, that drifts as the
+/// texture does before a still ground of darker waves ([`ground`]); its edge is soft over a pixel or two.
+pub(crate) fn disc(extent: Extent, frames: usize) -> Case {
+    let middle_ns = PERIOD_NS * frames as i64 / 2;
+    let middle = (0.5 * f64::from(extent.width - 1), 0.5 * f64::from(extent.height - 1));
+    recorded(extent, frames, STEP_NS / 10, move |x, y, t_ns| {
+        let t_s = 1e-9 * (t_ns - middle_ns) as f64;
+        let radius = libm::hypot(x - middle.0 + 60.0 * t_s, y - middle.1 - 35.0 * t_s);
+        let hidden = 0.5 - 0.5 * libm::tanh(radius - 8.0);
+        libm::log(hidden * libm::exp(log_light(x, y, t_ns)) + (1.0 - hidden) * ground(x, y))
+    })
+}
+
+/// Photocurrent of the ground behind a disc.
+pub(crate) fn ground(x: f64, y: f64) -> f64 {
+    libm::exp(3.4 + 0.1 * libm::sin(0.7 * x + 0.4 * y))
+}
+
 /// A recording of log light at a place, pixels, and an instant, ns.
 fn recorded(extent: Extent, frames: usize, step_ns: i64, log_light: impl Fn(f64, f64, i64) -> f64) -> Case {
     let end_ns = PERIOD_NS * frames as i64;

@@ -42,6 +42,8 @@ pub(super) struct Ground<'a> {
     pub white: f64,
     /// Mean threshold, natural-log units.
     pub threshold: f64,
+    /// May the scene err by parts of a threshold?
+    pub errs: bool,
     /// Least threshold noise.
     pub least: f64,
     /// Least gain of the spread of delays, nats an event.
@@ -55,6 +57,8 @@ const LEAST_PIXELS: usize = 20;
 /// Where differences between pixels leave less than this share of the squares, they are what widens
 /// residuals, and not noise of single events.
 const MOST_LEFT: f64 = 0.5;
+/// A scene errs for no larger share of the events.
+const MOST_ERRS: f64 = 0.5;
 /// Pairs of events below this are too few for a share.
 const LEAST_PAIRS: usize = 200;
 
@@ -124,8 +128,12 @@ pub(super) fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let of_stamps = ground.wider(&rest, &before, &EventNoise { a: before.a, b: left.b }, left.b);
     let of_comparators = ground.late(noise).filter(|late| late.gain > of_stamps.gain);
     push("timestamp_jitter", of_comparators.unwrap_or(of_stamps));
-    let twice = |u: f64, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 };
-    push("background_activity", ground.mixture(&own, &twice));
+    let early = |u: f64, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 };
+    let late = |u: f64, _| if (0.0..2.0).contains(&u) { 0.5 } else { 0.0 };
+    // As many may come too early because the scene errs as come too late.
+    let errs =
+        if ground.errs { 2.0 * ground.mixture(&own, &late, 0.0).size.min(MOST_ERRS / 2.0) } else { 0.0 };
+    push("background_activity", ground.mixture(&own, &early, errs));
     let lost = |u: f64, sigma: f64| {
         [0.5, 0.25, 0.125, 0.0625]
             .iter()
@@ -133,7 +141,7 @@ pub(super) fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
             .map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma)
             .sum()
     };
-    push("event_loss", ground.mixture(&own, &lost));
+    push("event_loss", ground.mixture(&own, &lost, 0.0));
     found
 }
 
@@ -265,12 +273,14 @@ impl Ground<'_> {
         (NU + 1.0) / (NU + z * z) / (sigma * sigma)
     }
 
-    /// A share of events of another distribution, by expectation and maximisation: gain, and the share.
-    fn mixture(&self, noise: &EventNoise, other: &dyn Fn(f64, f64) -> f64) -> Wider {
+    /// A share of events of another distribution, by expectation and maximisation: gain, and the share, where
+    /// the scene errs for a share `errs` of all by any part of two thresholds.
+    fn mixture(&self, noise: &EventNoise, other: &dyn Fn(f64, f64) -> f64, errs: f64) -> Wider {
         let densities: Vec<(f64, f64)> = (0..self.residual.len())
             .map(|k| {
                 let (u, sigma) = (self.u(k), self.sigma(noise, k));
-                (density(u / sigma) / sigma, other(u, sigma))
+                let of_scene = if u.abs() < 2.0 { 0.25 } else { 0.0 };
+                ((1.0 - errs) * density(u / sigma) / sigma + errs * of_scene, other(u, sigma))
             })
             .collect();
         let n = densities.len().max(1) as f64;
@@ -314,3 +324,54 @@ pub(super) fn value(
 
 /// Where no refractory period is stated.
 const LEAST_REFRACTORY_S: f64 = 50e-6;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    /// What events too many gain, and their share, where a share of the events misses by any part of two
+    /// thresholds: on either side, or too early alone.
+    fn events_too_many(share: f64, on_either_side: bool, errs: bool) -> (f64, f64) {
+        let mut random = Random::new(4, &[]);
+        let (count, threshold) = (6_000, 0.2);
+        let mut events = Residuals::default();
+        let mut residual = Vec::with_capacity(count);
+        for k in 0..count {
+            let polarity = if k % 2 == 0 { 1.0 } else { -1.0 };
+            let far = if on_either_side { 4.0 * random.uniform() - 2.0 } else { -2.0 * random.uniform() };
+            let missed = if random.uniform() < share { far } else { 0.01 * random.normal() };
+            events.pixel.push(k as u32);
+            events.polarity.push(polarity as i8);
+            events.slope_per_s.push(10.0);
+            residual.push(polarity * missed * threshold);
+        }
+        let column = vec![0.0; count];
+        let columns = [&column[..], &column[..]];
+        let ground = Ground {
+            events: &events,
+            residual: &residual,
+            columns,
+            white: 1.0,
+            threshold,
+            errs,
+            least: 0.001 * threshold,
+            least_spread: 0.01,
+        };
+        let found = parts(&ground, &EventNoise { a: 0.01 * threshold, b: 0.0 });
+        let is_too_many = |part: &&Part| CANDIDATES[part.candidate].id == "background_activity";
+        found.iter().find(is_too_many).map_or((0.0, 0.0), |part| (part.gain, part.size))
+    }
+
+    #[test]
+    fn what_comes_too_early_counts_as_far_as_less_comes_too_late() {
+        // A scene that errs by parts of a threshold errs either way.
+        let (alone, _) = events_too_many(0.05, true, false);
+        let (gain, share) = events_too_many(0.05, true, true);
+        assert!(alone > 0.03 && gain < 0.1 * alone && share < 0.005, "{alone} to {gain}, {share}");
+        // Events without a crossing come too early alone.
+        let (alone, _) = events_too_many(0.03, false, false);
+        let (gain, share) = events_too_many(0.03, false, true);
+        assert!(gain > 0.9 * alone && (share - 0.03).abs() < 0.006, "{alone} to {gain}, {share}");
+    }
+}

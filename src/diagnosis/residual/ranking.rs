@@ -361,6 +361,7 @@ fn ground<'a>(table: &'a Table, columns: &'a [Cow<'a, [f32]>; 2], white: f64, th
         white,
         threshold,
         least: LEAST_NOISE * threshold,
+        errs: false,
         least_spread: LEAST_SPREAD,
     }
 }

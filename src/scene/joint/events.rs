@@ -2,6 +2,7 @@
 
 use super::super::picture::motion::{DEGREES, apply, derivatives, map_of};
 use super::super::picture::spline::{ORDER, weights};
+use super::fields::Fields;
 use super::lines::Lines;
 use crate::case::Case;
 use crate::free::Predicted;
@@ -52,7 +53,7 @@ pub(super) fn lines(
                                 &mut of_rest,
                             )
                         });
-                    let is_near = is_whole && is_within(&of_picture, picture.grid.width, reach + 4);
+                    let is_near = is_whole && is_within(&of_picture, &Fields::of(picture), reach + 4);
                     if !is_near {
                         of_picture.clear();
                         of_rest.clear();
@@ -73,10 +74,11 @@ pub(super) fn lines(
 }
 
 /// Do coefficients lie within `most` of each other along both axes?
-fn is_within(of_picture: &[(u32, f32)], width: usize, most: usize) -> bool {
+fn is_within(of_picture: &[(u32, f32)], fields: &Fields, most: usize) -> bool {
     let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
     for (at, _) in of_picture {
-        let (x, y) = (*at as usize % width, *at as usize / width);
+        let k = *at as usize / fields.count;
+        let (x, y) = (k % fields.grid.width, k / fields.grid.width);
         low = (low.0.min(x), low.1.min(y));
         high = (high.0.max(x), high.1.max(y));
     }
@@ -96,9 +98,24 @@ fn voltage(
     let (x, y) = case.place(pixel);
     let place = (f64::from(x) - picture.centre.0, f64::from(y) - picture.centre.1);
     let shade = picture.shade(place);
+    let fields = Fields::of(picture);
+    let (own, hidden) = picture.surface.split_at(picture.grid.coefficients());
+    // What a unit of hidden ground takes off, where there is a ground.
+    let behind = picture.ground.get(pixel).map(|ground| -f64::from(*ground) / picture.unit);
+    if behind.is_some_and(|behind| !behind.is_finite()) {
+        return false;
+    }
+    let still = behind.map_or(0.0, |behind| -behind * picture.unit);
+    let value = |(px, py): (f64, f64)| {
+        let of_hidden = match behind {
+            Some(behind) => behind * picture.grid.value(hidden, px, py)?,
+            None => 0.0,
+        };
+        Some(picture.grid.value(own, px, py)? + of_hidden + still)
+    };
     let light = |t_ns: i64| {
-        let (px, py) = apply(&picture.motion.at(t_ns), place.0, place.1);
-        picture.grid.value(&picture.surface, px, py).map(|value| f64::max(value * shade, picture.least))
+        let at = apply(&picture.motion.at(t_ns), place.0, place.1);
+        value(at).map(|value| f64::max(value * shade, picture.least))
     };
     let Some(now) = light(t_ns) else { return false };
     let tau_ns = 1e9 * (predicted.low_pass.tau_0_s + predicted.low_pass.alpha_s / now);
@@ -110,15 +127,20 @@ fn voltage(
         let (px, py) = apply(&map, place.0, place.1);
         let Some((i, j, f, g)) = picture.grid.locate(px, py) else { return false };
         let (wx, wy) = (weights(f), weights(g));
-        let value = picture.grid.value(&picture.surface, px, py).unwrap_or(0.0);
-        let by = sign * share / f64::max(value, picture.least / shade);
+        let by = sign * share / f64::max(value((px, py)).unwrap_or(0.0), picture.least / shade);
         for (row, wy) in wy.iter().enumerate() {
             for (column, wx) in wx.iter().enumerate() {
-                let at = (j + row) * picture.grid.width + i + column;
-                of_picture.push((at as u32, (by * wx * wy) as f32));
+                let k = (j + row) * picture.grid.width + i + column;
+                for (field, of_field) in [Some(1.0), behind].into_iter().flatten().enumerate() {
+                    of_picture.push((fields.unknown(field, k) as u32, (of_field * by * wx * wy) as f32));
+                }
             }
         }
-        let (gx, gy) = picture.grid.gradient(&picture.surface, px, py);
+        let (mut gx, mut gy) = picture.grid.gradient(own, px, py);
+        if let Some(behind) = behind {
+            let (hx, hy) = picture.grid.gradient(hidden, px, py);
+            (gx, gy) = (gx + behind * hx, gy + behind * hy);
+        }
         let of_pose = derivatives(&map, &pose, picture.motion.half, place.0, place.1);
         for (n, weight) in of_knots.iter().enumerate().take(ORDER) {
             for (d, (dx, dy)) in of_pose.iter().enumerate() {

@@ -1,6 +1,7 @@
 //! Rows of the joint problem: what each measurement derives from, of the picture and of the rest.
 
 use super::super::picture::rows::Rows;
+use super::fields::Fields;
 use std::ops::Range;
 
 /// Sparse rows: derivatives by coefficients of the picture, rising, and by motion and shading.
@@ -24,14 +25,19 @@ impl Lines {
     }
 
     /// Frame values as the picture's own fit lays them, in its order.
-    pub(super) fn of_frames(rows: &Rows, width: usize, knots: usize) -> Lines {
+    pub(super) fn of_frames(rows: &Rows, fields: &Fields, knots: usize) -> Lines {
         let mut lines = Lines::new();
         for r in 0..rows.count() {
             let (corner, columns, stencil) = rows.line(r);
+            // What is hidden of a still ground is missing.
+            let behind = rows.behind.get(r).map(|behind| -behind);
             for (j, line) in stencil.chunks_exact(columns).enumerate() {
                 for (i, value) in line.iter().enumerate().filter(|(_, value)| **value != 0) {
-                    lines.at.push((corner + j * width + i) as u32);
-                    lines.by.push(f32::from(*value) * rows.unit[r]);
+                    let k = corner + j * fields.grid.width + i;
+                    for (field, share) in [Some(1.0), behind].into_iter().flatten().enumerate() {
+                        lines.at.push(fields.unknown(field, k) as u32);
+                        lines.by.push(share * f32::from(*value) * rows.unit[r]);
+                    }
                 }
             }
             let rest = rows.indices(knots, rows.knot[r] as usize);

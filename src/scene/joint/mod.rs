@@ -18,10 +18,14 @@
 //! Source: Gauss-Newton on all unknowns at once (Triggs et al., Bundle adjustment - a modern synthesis,
 //! 2000); posterior samples by perturbation (Papandreou and Yuille, NIPS 2010).
 //!
-//! Limits: one affine motion; no still ground behind it; a surface sharper than its pitch is softened, which
-//! is finer on a part of the array ([`Part`]).
+//! Before a still ground there are two fields, the picture and how much of the ground it hides, which the
+//! ground's values are times; these stay as frames have them.
+//!
+//! Limits: one affine motion; a surface sharper than its pitch is softened, which is finer on a part of the
+//! array ([`Part`]).
 
 mod events;
+mod fields;
 mod lines;
 mod normal;
 mod part;
@@ -38,6 +42,7 @@ use crate::nominal::Nominal;
 use crate::picture::{Picture, PictureSetting};
 use crate::scene::{Cell, Scene};
 use crate::statistics::median;
+use fields::Fields;
 use normal::Factor;
 use part::LARGEST;
 pub use part::Part;
@@ -120,7 +125,7 @@ impl JointPicture {
     /// pixel of the array, do its events take part? `step_ns`: instants of predicted light.
     ///
     /// # Errors
-    /// Where something moves before a still ground, or the picture is too large for a factor.
+    /// Where the picture is too large for a factor.
     pub fn begin(
         case: &Case,
         nominal: &Nominal,
@@ -129,13 +134,11 @@ impl JointPicture {
         step_ns: i64,
         noise: Noise,
     ) -> Result<JointPicture, String> {
-        if !scene.picture.ground.is_empty() {
-            return Err("what moves before a still ground is no single picture".to_owned());
-        }
         let Part { block, pitch } = *part;
         let setting = PictureSetting { pitch, ..scene.setting };
         let picture = scene.picture.on_block(case, nominal, &setting, &block);
-        let count = picture.grid.coefficients();
+        let fields = Fields::of(&picture);
+        let count = fields.coefficients();
         let reach = problem::reach(case, nominal, &picture, &setting, &block);
         if count > LARGEST || reach > FARTHEST {
             return Err(format!(
@@ -143,8 +146,7 @@ impl JointPicture {
                  than frames and events together are fitted to: {LARGEST}, and {FARTHEST} in a line"
             ));
         }
-        let surface: Vec<f64> = picture.surface.iter().map(|c| f64::from(*c)).collect();
-        let prior = Prior::estimate(&picture.grid, &surface, None);
+        let prior = Prior::estimate(&fields, &fields.unknowns(&picture.surface), None);
         let scene = MovingPicture::new(picture, &setting, case, nominal);
         let pixels = block.pixels(case.extent);
         let mut place_of = vec![u32::MAX; case.extent.pixels()];
@@ -216,7 +218,7 @@ impl JointPicture {
     /// Takes a step of all unknowns from a picture.
     fn take(&mut self, from: &Arc<MovingPicture>, step: &[f64], share: f64) {
         let mut picture = from.picture.clone();
-        picture.step(step, share);
+        picture.step(&Fields::of(&picture).by_field(step), share);
         self.scene = Arc::new(MovingPicture::new(picture, &from.setting, &self.case, &self.nominal));
     }
 
@@ -279,7 +281,8 @@ impl JointPicture {
         let is_measured = is_measured && is_new;
         let factor = kept.factor.clone();
         self.factor = Some(kept);
-        let count = self.picture().grid.coefficients();
+        let fields = self.standing().fields();
+        let count = fields.coefficients();
         let mut sides = vec![self.standing().gradient(&problem)];
         if is_measured {
             let (of_events, sample) = self.probes(&problem, count);
@@ -301,7 +304,7 @@ impl JointPicture {
         self.take(&from, &step, 1.0);
         if is_measured {
             let now = self.standing().unknowns();
-            self.prior = Prior::estimate(&self.picture().grid, &now[..count], Some(&sides[2][..count]));
+            self.prior = Prior::estimate(&fields, &now[..count], Some(&sides[2][..count]));
         }
         let objective = Standing { scene: &from, ..self.standing() }.objective(predicted);
         self.before = Some(Before { scene: from, step, objective, times: 0 });
@@ -320,7 +323,7 @@ impl JointPicture {
             }
             problem.add(r, by, &mut sample, count);
         }
-        self.prior.each(&self.picture().grid, |at, by, weight| {
+        self.prior.each(&self.standing().fields(), |at, by, weight| {
             let draw = weight.sqrt() * random.normal();
             at.iter().zip(by).for_each(|(at, by)| sample[*at] += draw * by);
         });

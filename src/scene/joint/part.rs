@@ -1,6 +1,7 @@
 //! Where on the array a joint picture is estimated, and how finely: what a coarse grid cannot follow, a fine
 //! one can on a part of the array.
 
+use super::fields::Fields;
 use crate::block::Block;
 use crate::case::Case;
 use crate::moving::MovingPicture;
@@ -30,10 +31,11 @@ impl Part {
     /// The whole array as finely as coefficients allow, or else the busiest part.
     pub fn first(case: &Case, scene: &MovingPicture, weight: &[usize]) -> Option<Part> {
         let grid = scene.picture.grid;
-        let area = (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
+        let fields = Fields::of(&scene.picture).count;
+        let area = fields as f64 * (grid.width as f64 * grid.pitch) * (grid.height as f64 * grid.pitch);
         let pitch = (area / MOST_COEFFICIENTS).sqrt().clamp(PITCHES.0, PITCHES.1);
         let block = Block::all(case.extent);
-        match scene.picture.covering(case, &block, pitch).coefficients() <= LARGEST {
+        match fields * scene.picture.covering(case, &block, pitch).coefficients() <= LARGEST {
             true => Some(Part { block, pitch }),
             false => Part::busiest(case, scene, PITCHES.0, weight),
         }
@@ -52,8 +54,10 @@ impl Part {
                 return None;
             }
             let places = (0..=height - h).flat_map(|y| (0..=width - w).map(move |x| (x, y)));
-            let fits =
-                |block: &Block| scene.picture.covering(case, block, pitch).coefficients() <= MOST_OF_PART;
+            let fields = Fields::of(&scene.picture).count;
+            let fits = |block: &Block| {
+                fields * scene.picture.covering(case, block, pitch).coefficients() <= MOST_OF_PART
+            };
             let block = places
                 .map(|(x, y)| Block { x, y, width: w, height: h })
                 .filter(fits)

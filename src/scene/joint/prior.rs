@@ -1,6 +1,7 @@
 //! How far second differences of the picture go: a variance for each, by expectation and maximisation.
 
 use super::super::picture::spline::Grid;
+use super::fields::Fields;
 
 /// Differences at each coefficient: along x, along y and across.
 const KINDS: usize = 3;
@@ -12,7 +13,7 @@ const SHARED: f64 = 3.0;
 /// Differences that are always possible, as a share of the picture's mean.
 const LEAST: f64 = 0.001;
 
-/// Variances of second differences, [kind][coefficient].
+/// Variances of second differences, [field][kind][coefficient].
 #[derive(Clone, Debug)]
 pub(super) struct Prior {
     variance: Vec<f64>,
@@ -37,16 +38,19 @@ fn difference(grid: &Grid, kind: usize, k: usize) -> Option<([usize; 4], [f64; 4
 }
 
 impl Prior {
-    /// From a picture, and a posterior sample of what measurements leave open of it.
-    pub(super) fn estimate(grid: &Grid, picture: &[f64], open: Option<&[f64]>) -> Prior {
-        let count = grid.coefficients();
-        let mean = picture[..count].iter().sum::<f64>() / count as f64;
+    /// From a picture, and a posterior sample of what measurements leave open of it, both in the order of
+    /// unknowns.
+    pub(super) fn estimate(fields: &Fields, picture: &[f64], open: Option<&[f64]>) -> Prior {
+        let (grid, count) = (&fields.grid, fields.grid.coefficients());
+        let mean = picture.iter().sum::<f64>() / picture.len() as f64;
         let least = (LEAST * mean) * (LEAST * mean);
-        let mut variance = Vec::with_capacity(KINDS * count);
-        for kind in 0..KINDS {
+        let mut variance = Vec::with_capacity(fields.count * KINDS * count);
+        for (field, kind) in (0..fields.count).flat_map(|field| (0..KINDS).map(move |kind| (field, kind))) {
             let square = |k: usize| {
                 let Some((at, by, n)) = difference(grid, kind, k) else { return 0.0 };
-                let of = |values: &[f64]| -> f64 { (0..n).map(|i| by[i] * values[at[i]]).sum() };
+                let of = |values: &[f64]| -> f64 {
+                    (0..n).map(|i| by[i] * values[fields.unknown(field, at[i])]).sum()
+                };
                 let open = open.map_or(0.0, of);
                 of(picture) * of(picture) + open * open
             };
@@ -65,14 +69,13 @@ impl Prior {
         Prior { variance }
     }
 
-    /// Every difference: its coefficients, rising, their factors, and one over its variance.
-    pub(super) fn each(&self, grid: &Grid, mut with: impl FnMut(&[usize], &[f64], f64)) {
-        let count = grid.coefficients();
-        for kind in 0..KINDS {
-            for k in 0..count {
-                if let Some((at, by, n)) = difference(grid, kind, k) {
-                    with(&at[..n], &by[..n], 1.0 / self.variance[kind * count + k]);
-                }
+    /// Every difference: its unknowns, rising, their factors, and one over its variance.
+    pub(super) fn each(&self, fields: &Fields, mut with: impl FnMut(&[usize], &[f64], f64)) {
+        let count = fields.grid.coefficients();
+        for (n, variance) in self.variance.iter().enumerate() {
+            let (field, kind, k) = (n / count / KINDS, n / count % KINDS, n % count);
+            if let Some((at, by, n)) = difference(&fields.grid, kind, k) {
+                with(&at.map(|k| fields.unknown(field, k))[..n], &by[..n], 1.0 / variance);
             }
         }
     }

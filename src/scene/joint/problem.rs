@@ -1,6 +1,7 @@
 //! The joint problem at a picture as it stands: rows with what they leave, and the normal equations.
 
 use super::events::{self, OfEvents};
+use super::fields::Fields;
 use super::lines::Lines;
 use super::normal::{Factor, Sums};
 use super::prior::Prior;
@@ -89,10 +90,10 @@ pub(super) fn reach(
     setting: &PictureSetting,
     block: &Block,
 ) -> usize {
-    let laid = picture.laid(case, nominal, setting, block);
-    let lines = Lines::of_frames(&laid, picture.grid.width, picture.motion.knots.len());
-    let (columns, rows) = Sums::reach_of(&lines, picture.grid.width);
-    columns.max(rows)
+    let (laid, fields) = (picture.laid(case, nominal, setting, block), Fields::of(picture));
+    let lines = Lines::of_frames(&laid, &fields, picture.motion.knots.len());
+    let (columns, rows) = Sums::reach_of(&lines, fields.width());
+    (columns / fields.count).max(rows)
 }
 
 /// A picture as it stands, with what its rows are weighed by.
@@ -118,14 +119,19 @@ impl Standing<'_> {
         &self.scene.picture
     }
 
+    /// The picture's fields.
+    pub(super) fn fields(&self) -> Fields {
+        Fields::of(self.picture())
+    }
+
     /// Number of the picture's coefficients.
     pub(super) fn coefficients(&self) -> usize {
-        self.picture().grid.coefficients()
+        self.fields().coefficients()
     }
 
     /// All unknowns: the picture's coefficients, then the rest.
     pub(super) fn unknowns(&self) -> Vec<f64> {
-        let mut all: Vec<f64> = self.picture().surface.iter().map(|c| f64::from(*c)).collect();
+        let mut all = self.fields().unknowns(&self.picture().surface);
         all.extend(self.picture().rest());
         all
     }
@@ -139,8 +145,8 @@ impl Standing<'_> {
     pub(super) fn frame_rows(&self, predicted: &[Predicted], places: &[u32]) -> FrameRows {
         let picture = self.picture();
         let laid = picture.laid(self.case, self.nominal, &self.scene.setting, self.block);
-        let (grid, knots) = (picture.grid, picture.motion.knots.len());
-        let lines = Lines::of_frames(&laid, grid.width, knots);
+        let fields = self.fields();
+        let lines = Lines::of_frames(&laid, &fields, picture.motion.knots.len());
         let weight = |at: &u32| {
             let frame = predicted[self.place_of(*at)].frames.get(places[*at as usize] as usize);
             frame.map_or(0.0, |frame| {
@@ -149,9 +155,9 @@ impl Standing<'_> {
             })
         };
         let weight: Vec<f64> = laid.index.iter().map(weight).collect();
-        let mut reach = Sums::reach_of(&lines, grid.width);
-        reach = (reach.0.max(REACH + 4), reach.1.max(REACH + 4));
-        let mut sums = Sums::new(grid.width, grid.coefficients(), picture.rest().len(), reach);
+        let mut reach = Sums::reach_of(&lines, fields.width());
+        reach = (reach.0.max(fields.count * (REACH + 5) - 1), reach.1.max(REACH + 4));
+        let mut sums = Sums::new(fields.width(), fields.coefficients(), picture.rest().len(), reach);
         sums.add_all(&lines, &weight);
         FrameRows { lines, index: laid.index, weight, sums }
     }
@@ -226,10 +232,10 @@ impl Standing<'_> {
 
     /// The factor of the normal equations; none where they are singular.
     pub(super) fn factored(&self, problem: &Problem) -> Option<Factor> {
-        let (grid, rest) = (self.picture().grid, self.picture().rest().len());
+        let (fields, rest) = (self.fields(), self.picture().rest().len());
         let mut sums = problem.of_frames.sums.clone();
         sums.add_all(&problem.events, &problem.weight[problem.frames()..]);
-        self.prior.each(&grid, |at, by, weight| sums.add_picture(at, by, weight));
+        self.prior.each(&fields, |at, by, weight| sums.add_picture(at, by, weight));
         self.each_of_rest(|at, by, weight| sums.add_rest(at, by, weight));
         let motion = self.picture().motion.knots.len() * DEGREES;
         for n in 0..rest {
@@ -241,8 +247,8 @@ impl Standing<'_> {
 
     /// J'W rho and the pull of the priors.
     pub(super) fn gradient(&self, problem: &Problem) -> Vec<f64> {
-        let grid = self.picture().grid;
-        let (count, now) = (grid.coefficients(), self.unknowns());
+        let fields = self.fields();
+        let (count, now) = (fields.coefficients(), self.unknowns());
         let mut gradient = vec![0.0; now.len()];
         for r in problem.used() {
             problem.add(r, problem.weight[r] * problem.residual[r], &mut gradient, count);
@@ -251,14 +257,14 @@ impl Standing<'_> {
             let value: f64 = at.iter().zip(by).map(|(at, by)| by * now[first + at]).sum();
             at.iter().zip(by).for_each(|(at, by)| gradient[first + at] += weight * value * by);
         };
-        self.prior.each(&grid, |at, by, weight| pull(0, &mut gradient, at, by, weight));
+        self.prior.each(&fields, |at, by, weight| pull(0, &mut gradient, at, by, weight));
         self.each_of_rest(|at, by, weight| pull(count, &mut gradient, at, by, weight));
         gradient
     }
 
     /// What steps lessen: misfit of frames and events under the noise as it stands, and roughness.
     pub(super) fn objective(&self, predicted: &[Predicted]) -> f64 {
-        let (grid, now) = (self.picture().grid, self.unknowns());
+        let (fields, now) = (self.fields(), self.unknowns());
         let of_frames = |of: &Predicted| -> f64 {
             of.frames
                 .iter()
@@ -288,12 +294,12 @@ impl Standing<'_> {
             .filter(|(_, is)| **is)
             .map(|(of, _)| of_events(of))
             .sum::<f64>();
-        let count = grid.coefficients();
+        let count = fields.coefficients();
         let mut rough = |first: usize, at: &[usize], by: &[f64], weight: f64| {
             let value: f64 = at.iter().zip(by).map(|(at, by)| by * now[first + at]).sum();
             sum += 0.5 * weight * value * value;
         };
-        self.prior.each(&grid, |at, by, weight| rough(0, at, by, weight));
+        self.prior.each(&fields, |at, by, weight| rough(0, at, by, weight));
         self.each_of_rest(|at, by, weight| rough(count, at, by, weight));
         sum
     }

@@ -3,6 +3,7 @@
 
 use super::problem::{STEP_OF_MOTION, STEP_OF_SHADING};
 use super::*;
+use crate::picture::Begin;
 use crate::picture::motion::DEGREES;
 use crate::testing::{self, predicted};
 use nalgebra::{DMatrix, DVector};
@@ -13,8 +14,11 @@ const STEP_NS: i64 = 50_000;
 
 /// The texture seen by a sensor with a short constant lag, with noise of `electrons` a DN and `read` DN
 /// in its frames.
-fn noisy(extent: Extent, frames: usize, (electrons, read): (f64, f64)) -> (Case, Nominal) {
-    let mut case = testing::texture(extent, frames);
+fn noisy(extent: Extent, frames: usize, noise: (f64, f64)) -> (Case, Nominal) {
+    with_noise(testing::texture(extent, frames), noise)
+}
+
+fn with_noise(mut case: Case, (electrons, read): (f64, f64)) -> (Case, Nominal) {
     let mut random = Random::new(8, &[]);
     let noise = |_: usize, dn: f32| {
         let variance = f64::from(dn) / electrons + read * read;
@@ -54,9 +58,27 @@ fn rows_are_what_a_small_step_of_everything_changes() {
     let (case, mut nominal) = noisy(Extent { width: 16, height: 12 }, 8, (1e9, 0.0));
     nominal.pixel.front_end = FrontEnd { tau_0_s: 300e-6, alpha_s: 0.0 };
     let joint = begin(&case, &nominal, (1.0, 0.0));
-    let before = now(&case, &nominal, &joint);
+    rows_are_what_a_small_step_changes(&case, &nominal, &joint);
+    // The same picture, a quarter of whose light is that of a ground which it hides less than all of.
+    let mut before_ground = joint.clone();
+    let mut picture = joint.scene.picture.clone();
+    let mut random = Random::new(5, &[]);
+    picture.ground = (0..case.extent.pixels()).map(|_| (0.3 + 0.2 * random.uniform()) as f32).collect();
+    picture.ground.iter_mut().for_each(|ground| *ground *= picture.unit as f32);
+    let hidden: Vec<f32> =
+        picture.surface.iter().map(|_| ((0.4 + 0.2 * random.uniform()) * picture.unit) as f32).collect();
+    picture.surface.extend(hidden);
+    before_ground.scene = Arc::new(MovingPicture::new(picture, &joint.scene.setting, &case, &nominal));
+    let fields = before_ground.standing().fields();
+    let unknowns = before_ground.standing().unknowns();
+    before_ground.prior = Prior::estimate(&fields, &unknowns[..fields.coefficients()], None);
+    rows_are_what_a_small_step_changes(&case, &nominal, &before_ground);
+}
+
+fn rows_are_what_a_small_step_changes(case: &Case, nominal: &Nominal, joint: &JointPicture) {
+    let before = now(case, nominal, joint);
     let problem = joint.standing().problem(&before);
-    let count = joint.picture().grid.coefficients();
+    let count = joint.standing().coefficients();
     let mut random = Random::new(3, &[]);
     let knots = joint.picture().motion.knots.len() * DEGREES;
     // A step of the picture, of the motion, of the shading.
@@ -72,7 +94,7 @@ fn rows_are_what_a_small_step_of_everything_changes() {
         let moved = |share: f64| {
             let mut moved = joint.clone();
             moved.take(&joint.scene.clone(), &step, share);
-            now(&case, &nominal, &moved)
+            now(case, nominal, &moved)
         };
         let (more, less) = (moved(0.5), moved(-0.5));
         let (mut off, mut size) = ([0.0; 2], [0.0; 2]);
@@ -133,7 +155,7 @@ fn scores_are_those_of_the_whole_problem(case: &Case, nominal: &Nominal, mut joi
             }
         }
     };
-    joint.prior.each(&joint.picture().grid, |at, by, weight| square(&mut normal, 0, at, by, weight));
+    joint.prior.each(&joint.standing().fields(), |at, by, weight| square(&mut normal, 0, at, by, weight));
     joint.standing().each_of_rest(|at, by, weight| square(&mut normal, count, at, by, weight));
     let motion = joint.picture().motion.knots.len() * DEGREES;
     for n in count..all {
@@ -281,14 +303,31 @@ fn a_finer_grid_follows_edges_that_a_coarse_one_softens() {
 }
 
 #[test]
-fn what_moves_before_a_ground_is_refused() {
-    let (case, nominal) = noisy(Extent { width: 12, height: 10 }, 6, (1e9, 0.0));
-    let mut scene = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
-    scene.picture.ground = vec![1.0; case.extent.pixels()];
-    let part = all(&case);
-    let noise = Noise::new((1.0, 0.0));
-    let begun = JointPicture::begin(&case, &nominal, (&scene, &part), &[true; 120], STEP_NS, noise);
-    assert!(begun.err().unwrap().contains("still ground"));
+fn events_decide_what_noisy_frames_leave_open_of_what_moves_before_a_ground() {
+    let (case, nominal) = with_noise(testing::disc(Extent { width: 32, height: 24 }, 10), (5.0, 2.0));
+    let setting = PictureSetting::default();
+    let places = (0..case.extent.pixels()).map(|pixel| case.place(pixel));
+    let ground: Vec<f32> = places.map(|(x, y)| testing::ground(f64::from(x), f64::from(y)) as f32).collect();
+    // It lies on the array as it drifts.
+    let poses: Vec<[f64; 6]> = (0..10)
+        .map(|l| 8e-3 * (f64::from(l) - 4.5))
+        .map(|t_s| [60.0 * t_s, 1.0, 0.0, -35.0 * t_s, 0.0, 1.0])
+        .collect();
+    let from = Begin { ground: Some(&ground), ..Begin::default() };
+    let picture = Picture::fit_from(&case, &nominal, &setting, &[&poses], from);
+    let scene = MovingPicture::new(picture, &setting, &case, &nominal);
+    let is_trained: Vec<bool> = (0..case.extent.pixels()).map(|pixel| pixel % 4 != 3).collect();
+    let noise = Noise::new((4.0, 0.2));
+    let on = (&scene, &all(&case));
+    let mut joint = JointPicture::begin(&case, &nominal, on, &is_trained, STEP_NS, noise).unwrap();
+    let left = |joint: &JointPicture| joint.left(&now(&case, &nominal, joint));
+    let frames_alone = left(&joint);
+    for _ in 0..8 {
+        let measured = now(&case, &nominal, &joint);
+        joint.round(&measured);
+    }
+    let both = left(&joint);
+    assert!(both < 0.02 && both < 0.2 * frames_alone, "{frames_alone} to {both}");
 }
 
 #[test]

@@ -105,6 +105,7 @@ impl<L: FreeScene> Fit<'_, L> {
             columns: [&columns[0], &columns[1]],
             white,
             threshold: scales.threshold,
+            errs: true,
             least: LEAST_NOISE * scales.threshold,
             least_spread: LEAST_SPREAD,
         });
