@@ -100,7 +100,7 @@ fn voltage(
     let shade = picture.shade(place);
     let fields = Fields::of(picture);
     let (own, hidden) = picture.surface.split_at(picture.grid.coefficients());
-    // What a unit of hidden ground takes off, where there is a ground.
+    // Derivative of the light by how much of the ground is hidden, where there is a ground.
     let behind = picture.ground.get(pixel).map(|ground| -f64::from(*ground) / picture.unit);
     if behind.is_some_and(|behind| !behind.is_finite()) {
         return false;

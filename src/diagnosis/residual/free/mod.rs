@@ -1,8 +1,8 @@
 //! Which effects explain a recording on a scene of frames and events together
 //! ([`photocurrent_scene::free`]): every effect is scored against what the scene would take over.
 //!
-//! The scene is one moving picture, which may pass before a still ground ([`on_picture`]), or the light of each
-//! pixel, free in time ([`on_pixels`]), where nothing moves as one.
+//! The scene is one moving picture, which may pass before a still ground ([`on_picture`]), or the light of
+//! each pixel, free in time ([`on_pixels`]), where nothing moves as one.
 //!
 //! 1. What is evaluated (`choose`). Of a picture: pixels by chance, some whose events take part in the fit
 //!    and some whose events are held out. Of pixels: blocks with many events, spread over the array, and the
