@@ -311,6 +311,8 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
         return Err(Failure::Leaves(base.left()?));
     }
     let mut nothing = base.clone();
+    // Exact fits have factors of their own.
+    base.light.release();
     nothing.settled(plan.corrections)?;
     let level = Level::of(&mut nothing)?;
     nothing.release();
