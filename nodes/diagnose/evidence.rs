@@ -147,8 +147,8 @@ fn of_tracks(tracks: &TrackSet, case: &Case) -> Result<Vec<Knots>, NodeError> {
 impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
-        about: "Asks every effect of the catalogue how much it explains of what events miss their \
-                thresholds by, on a scene that frames alone state, or on known light.",
+        about: "Computes how much each effect of the catalogue explains of what events miss their \
+                thresholds by, on a scene of frames alone or of frames and events, or on known light.",
         revision: 14,
         grain: Grain::Whole,
         draws: true,

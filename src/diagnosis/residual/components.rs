@@ -57,7 +57,7 @@ const LEAST_PIXELS: usize = 20;
 /// Where differences between pixels leave less than this share of the squares, they are what widens
 /// residuals, and not noise of single events.
 const MOST_LEFT: f64 = 0.5;
-/// A scene errs for no larger share of the events.
+/// A scene errs for no larger share of the events, or noise would have none left.
 const MOST_ERRS: f64 = 0.5;
 /// Pairs of events below this are too few for a share.
 const LEAST_PAIRS: usize = 200;

@@ -99,23 +99,14 @@ fn voltage(
     let place = (f64::from(x) - picture.centre.0, f64::from(y) - picture.centre.1);
     let shade = picture.shade(place);
     let fields = Fields::of(picture);
-    let (own, hidden) = picture.surface.split_at(picture.grid.coefficients());
-    // Derivative of the light by how much of the ground is hidden, where there is a ground.
-    let behind = picture.ground.get(pixel).map(|ground| -f64::from(*ground) / picture.unit);
-    if behind.is_some_and(|behind| !behind.is_finite()) {
+    let behind = picture.behind(pixel);
+    if behind.is_some_and(|behind| !behind.ground.is_finite()) {
         return false;
     }
-    let still = behind.map_or(0.0, |behind| -behind * picture.unit);
-    let value = |(px, py): (f64, f64)| {
-        let of_hidden = match behind {
-            Some(behind) => behind * picture.grid.value(hidden, px, py)?,
-            None => 0.0,
-        };
-        Some(picture.grid.value(own, px, py)? + of_hidden + still)
-    };
+    let by_field = [Some(1.0), behind.map(|behind| behind.by_hidden())];
     let light = |t_ns: i64| {
         let at = apply(&picture.motion.at(t_ns), place.0, place.1);
-        value(at).map(|value| f64::max(value * shade, picture.least))
+        picture.value(behind, at).map(|value| f64::max(value * shade, picture.least))
     };
     let Some(now) = light(t_ns) else { return false };
     let tau_ns = 1e9 * (predicted.low_pass.tau_0_s + predicted.low_pass.alpha_s / now);
@@ -127,20 +118,17 @@ fn voltage(
         let (px, py) = apply(&map, place.0, place.1);
         let Some((i, j, f, g)) = picture.grid.locate(px, py) else { return false };
         let (wx, wy) = (weights(f), weights(g));
-        let by = sign * share / f64::max(value((px, py)).unwrap_or(0.0), picture.least / shade);
+        let value = picture.value(behind, (px, py)).unwrap_or(0.0);
+        let by = sign * share / f64::max(value, picture.least / shade);
         for (row, wy) in wy.iter().enumerate() {
             for (column, wx) in wx.iter().enumerate() {
                 let k = (j + row) * picture.grid.width + i + column;
-                for (field, of_field) in [Some(1.0), behind].into_iter().flatten().enumerate() {
+                for (field, of_field) in by_field.into_iter().flatten().enumerate() {
                     of_picture.push((fields.unknown(field, k) as u32, (of_field * by * wx * wy) as f32));
                 }
             }
         }
-        let (mut gx, mut gy) = picture.grid.gradient(own, px, py);
-        if let Some(behind) = behind {
-            let (hx, hy) = picture.grid.gradient(hidden, px, py);
-            (gx, gy) = (gx + behind * hx, gy + behind * hy);
-        }
+        let (gx, gy) = picture.gradient(behind, (px, py));
         let of_pose = derivatives(&map, &pose, picture.motion.half, place.0, place.1);
         for (n, weight) in of_knots.iter().enumerate().take(ORDER) {
             for (d, (dx, dy)) in of_pose.iter().enumerate() {

@@ -53,6 +53,13 @@ fn now(case: &Case, nominal: &Nominal, joint: &JointPicture) -> Vec<Predicted> {
     predicted(case, nominal, joint.pixels(), &joint.light(case))
 }
 
+fn rounds(case: &Case, nominal: &Nominal, joint: &mut JointPicture, count: usize) {
+    for _ in 0..count {
+        let measured = now(case, nominal, joint);
+        joint.round(&measured);
+    }
+}
+
 #[test]
 fn rows_are_what_a_small_step_of_everything_changes() {
     let (case, mut nominal) = noisy(Extent { width: 16, height: 12 }, 8, (1e9, 0.0));
@@ -128,10 +135,7 @@ fn scores_are_those_of_the_whole_problem_on_the_array_and_on_a_part() {
 }
 
 fn scores_are_those_of_the_whole_problem(case: &Case, nominal: &Nominal, mut joint: JointPicture) {
-    for _ in 0..2 {
-        let measured = now(case, nominal, &joint);
-        joint.round(&measured);
-    }
+    rounds(case, nominal, &mut joint, 2);
     let measured = now(case, nominal, &joint);
     joint.prepare(&measured);
     let effects = 3;
@@ -206,10 +210,7 @@ fn events_decide_what_noisy_frames_leave_open() {
         crate::statistics::median(&mut sizes)
     };
     let frames_alone = left(&joint);
-    for _ in 0..5 {
-        let measured = now(&case, &nominal, &joint);
-        joint.round(&measured);
-    }
+    rounds(&case, &nominal, &mut joint, 5);
     let both = left(&joint);
     // Thresholds are passed by up to a step of 0.1 ms, at some 10 ln a second: half a hundredth of them.
     assert!(both < 0.015 && both < 0.3 * frames_alone, "{frames_alone} to {both}");
@@ -220,10 +221,7 @@ fn a_step_that_leads_away_is_taken_back() {
     let (case, nominal) = noisy(Extent { width: 20, height: 16 }, 8, (5.0, 2.0));
     let mut joint = begin(&case, &nominal, (4.0, 0.2));
     let left = |joint: &JointPicture| joint.left(&now(&case, &nominal, joint));
-    for _ in 0..3 {
-        let measured = now(&case, &nominal, &joint);
-        joint.round(&measured);
-    }
+    rounds(&case, &nominal, &mut joint, 3);
     let before = joint.scene.clone();
     let (settled, objective) = (left(&joint), joint.standing().objective(&now(&case, &nominal, &joint)));
     // Half a pixel along the motion, which no step a sixth as long makes good.
@@ -244,10 +242,7 @@ fn a_step_that_leads_away_is_taken_back() {
 fn a_step_with_an_effect_gains_what_the_scene_that_takes_it_does() {
     let (case, nominal) = noisy(Extent { width: 20, height: 16 }, 8, (5.0, 2.0));
     let mut joint = begin(&case, &nominal, (4.0, 0.2));
-    for _ in 0..5 {
-        let measured = now(&case, &nominal, &joint);
-        joint.round(&measured);
-    }
+    rounds(&case, &nominal, &mut joint, 5);
     let measured = now(&case, &nominal, &joint);
     joint.prepare(&measured);
     // Frames of another black level, and one threshold that is larger.
@@ -292,10 +287,7 @@ fn a_finer_grid_follows_edges_that_a_coarse_one_softens() {
     let block = Block { x: 6, y: 4, width: 20, height: 16 };
     let left = |pitch: f64| {
         let mut joint = begin_on(&case, &nominal, (0.5, 0.0), Some(Part { block, pitch }));
-        for _ in 0..5 {
-            let measured = now(&case, &nominal, &joint);
-            joint.round(&measured);
-        }
+        rounds(&case, &nominal, &mut joint, 5);
         joint.left(&now(&case, &nominal, &joint))
     };
     let (coarse, fine) = (left(1.0), left(0.4));
@@ -322,11 +314,9 @@ fn events_decide_what_noisy_frames_leave_open_of_what_moves_before_a_ground() {
     let mut joint = JointPicture::begin(&case, &nominal, on, &is_trained, STEP_NS, noise).unwrap();
     let left = |joint: &JointPicture| joint.left(&now(&case, &nominal, joint));
     let frames_alone = left(&joint);
-    for _ in 0..8 {
-        let measured = now(&case, &nominal, &joint);
-        joint.round(&measured);
-    }
+    rounds(&case, &nominal, &mut joint, 8);
     let both = left(&joint);
+    // Thresholds are passed by up to a step of 10 us; the disc's edge is as soft as two steps of the grid.
     assert!(both < 0.02 && both < 0.2 * frames_alone, "{frames_alone} to {both}");
 }
 

@@ -4,7 +4,27 @@
 use super::estimate::Picture;
 use super::motion::Map;
 use super::products;
-use super::shading;
+
+/// What stands still behind a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Behind {
+    /// Its photocurrent; not finite where it is not known.
+    pub ground: f64,
+    /// [`Picture::unit`].
+    unit: f64,
+}
+
+impl Behind {
+    /// What coefficients of this value leave of it, photocurrent.
+    fn left(&self, hidden: f64) -> f64 {
+        (1.0 - hidden / self.unit) * self.ground
+    }
+
+    /// The derivative of that by a coefficient's value.
+    pub(crate) fn by_hidden(&self) -> f64 {
+        -self.ground / self.unit
+    }
+}
 
 impl Picture {
     /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time
@@ -12,17 +32,12 @@ impl Picture {
     pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
         let pixel = y * (2.0 * self.centre.0 + 1.0) as usize + x;
-        let shade = shading::factor(
-            &self.shading,
-            &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half),
-        );
-        let (own, hidden) = self.surface.split_at(self.grid.coefficients());
+        let shade = self.shade(place);
+        let (own, hidden) = self.fields();
         let mut log = products::values(&self.grid, own, maps, place);
-        if let Some(ground) = self.ground.get(pixel).map(|ground| f64::from(*ground)) {
+        if let Some(behind) = self.behind(pixel) {
             let hidden = products::values(&self.grid, hidden, maps, place);
-            log.iter_mut()
-                .zip(hidden)
-                .for_each(|(light, hidden)| *light += (1.0 - hidden / self.unit) * ground);
+            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += behind.left(hidden));
         }
         products::logarithms(&mut log, shade, self.least);
         let first = log.iter().copied().find(|value| !value.is_nan())?;
@@ -32,6 +47,36 @@ impl Picture {
             *value = last;
         }
         Some(log)
+    }
+
+    /// Coefficients of the picture, and of how much it hides; these empty where nothing is behind it.
+    pub(super) fn fields(&self) -> (&[f32], &[f32]) {
+        self.surface.split_at(self.grid.coefficients())
+    }
+
+    /// The still ground of a pixel, `y * width + x` of the array; none where nothing is behind the picture.
+    pub(crate) fn behind(&self, pixel: usize) -> Option<Behind> {
+        let ground = f64::from(*self.ground.get(pixel)?);
+        Some(Behind { ground, unit: self.unit })
+    }
+
+    /// Photocurrent at a place of the picture, shading left out; none outside of it.
+    pub(crate) fn value(&self, behind: Option<Behind>, (x, y): (f64, f64)) -> Option<f64> {
+        let (own, hidden) = self.fields();
+        let still = match behind {
+            Some(behind) => behind.left(self.grid.value(hidden, x, y)?),
+            None => 0.0,
+        };
+        Some(self.grid.value(own, x, y)? + still)
+    }
+
+    /// Its derivatives by the place, a pixel.
+    pub(crate) fn gradient(&self, behind: Option<Behind>, (x, y): (f64, f64)) -> (f64, f64) {
+        let (own, hidden) = self.fields();
+        let (gx, gy) = self.grid.gradient(own, x, y);
+        let Some(by) = behind.map(|behind| behind.by_hidden()) else { return (gx, gy) };
+        let (hx, hy) = self.grid.gradient(hidden, x, y);
+        (gx + by * hx, gy + by * hy)
     }
 
     /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a

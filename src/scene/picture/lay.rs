@@ -1,6 +1,7 @@
 //! Frame values as rows of the least-squares problem: the part of the grid that each pixel collects light
 //! from during its exposure.
 
+use super::coverage::Behind;
 use super::estimate::{Fit, Picture};
 use super::motion::{DEGREES, Map, Pose, apply, derivatives, map_of};
 use super::rows::{LANES, POSES, REST, Rows, TOUCHED};
@@ -144,18 +145,12 @@ impl Fit<'_> {
         row: &RowExposure,
         place: (f64, f64),
         scale: f64,
-        behind: Option<f64>,
+        behind: Option<Behind>,
     ) -> [f32; REST] {
-        let Picture { grid, surface, unit: of_hidden, motion, .. } = &self.picture;
-        let (surface, hidden) = surface.split_at(grid.coefficients());
+        let motion = &self.picture.motion;
         let mut by_rest = [0.0_f32; REST];
         for instant in &row.instants {
-            let (px, py) = apply(&instant.map, place.0, place.1);
-            let (mut gx, mut gy) = grid.gradient(surface, px, py);
-            if let Some(ground) = behind {
-                let (hx, hy) = grid.gradient(hidden, px, py);
-                (gx, gy) = (gx - ground / of_hidden * hx, gy - ground / of_hidden * hy);
-            }
+            let (gx, gy) = self.picture.gradient(behind, apply(&instant.map, place.0, place.1));
             let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1)
                 .map(|(dx, dy)| gx * dx + gy * dy);
             for (n, weight) in instant.weights.iter().enumerate() {
@@ -172,9 +167,8 @@ impl Fit<'_> {
 
     /// Puts the values of row `y` of frame `l` on the grid.
     fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
-        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } =
-            &self.picture;
-        let (surface, hidden) = surface.split_at(grid.coefficients());
+        let Picture { grid, motion, shading: terms, centre, .. } = &self.picture;
+        let (surface, hidden) = self.picture.fields();
         let row = self.row_exposure(l, y);
         let RowExposure { instants, knot, touched, factor } = &row;
         let number = self.nominal.number;
@@ -183,10 +177,10 @@ impl Fit<'_> {
         for x in 0..self.case.extent.width as usize {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
-            let behind = ground.get(pixel).map(|ground| f64::from(*ground));
+            let behind = self.picture.behind(pixel);
             if !dn.is_finite()
                 || self.selected.is_some_and(|selected| !selected[pixel])
-                || behind.is_some_and(|ground| !ground.is_finite())
+                || behind.is_some_and(|behind| !behind.ground.is_finite())
             {
                 continue;
             }
@@ -217,10 +211,11 @@ impl Fit<'_> {
             };
             // A ground that nothing hides is no matter of the fit.
             let (mut signal, mut still) = (along(surface), 0.0);
-            if let Some(ground) = behind {
-                signal -= (ground / of_hidden) as f32 * along(hidden);
-                still = scale * ground;
-                rows.behind.push((ground / of_hidden) as f32);
+            if let Some(behind) = behind {
+                let by = -behind.by_hidden() as f32;
+                signal -= by * along(hidden);
+                still = scale * behind.ground;
+                rows.behind.push(by);
             }
             let mut residual = dn - number.black_level - still - f64::from(signal);
             let signal_dn = f64::max(dn - number.black_level, 0.0);
