@@ -25,8 +25,12 @@ const MOST_LEVERAGE: f64 = 0.999;
 const LEAST_RISE_PER_S: f64 = 10.0;
 /// The logarithm of a rise changes by no more than this with an effect.
 pub(crate) const MOST_OF_RISE: f64 = 1.0;
-/// Share of events that a recording lacks, by which an instant without one may be missing one.
-const LOST: f64 = 1e-3;
+/// Limits of the share of instants without an event at which one is missing for another reason than that
+/// none was due.
+const MISSING: (f64, f64) = (1e-3, 0.9);
+/// An instant without an event at which the light is so many standard deviations beyond a threshold has
+/// another reason.
+const FAR: f64 = 3.0;
 /// Beyond so many standard deviations a tail of the normal distribution is taken from its expansion.
 const FARTHEST: f64 = 8.0;
 /// The probability of no event bends at least so much with the excess.
@@ -53,12 +57,15 @@ pub struct Noise {
     pub dark_dn2: f64,
     /// What a signal of one DN adds to it, DN.
     pub shot_dn: f64,
+    /// Share of the instants without an event at which one is missing for another reason than that none was
+    /// due: a loss, or light that the scene does not follow.
+    pub missing: f64,
 }
 
 impl Noise {
     /// With frame noise ([`frame_noise`]).
     pub fn new((dark_dn2, shot_dn): (f64, f64)) -> Noise {
-        Noise { threshold_share: FIRST_SHARE, stamp_s: STAMP_S, dark_dn2, shot_dn }
+        Noise { threshold_share: FIRST_SHARE, stamp_s: STAMP_S, dark_dn2, shot_dn, missing: MISSING.0 }
     }
 
     /// Variance of an event's excess.
@@ -73,12 +80,12 @@ impl Noise {
     /// logarithm of the probability that none did, nats.
     ///
     /// With z the excess in the event's direction over its standard deviation: Phi(-z) for the step, and
-    /// (1 - e) Phi(-z) + e for the probability, where e is the share of events that a recording lacks.
+    /// (1 - e) Phi(-z) + e for the probability, where e is the share of missing events.
     pub(crate) fn quiet_term(&self, event: &PredictedEvent) -> QuietTerm {
         let deviation = self.event_variance(event).sqrt();
         let z = f64::max(event.polarity * event.excess / deviation, -FARTHEST);
         let silent = 0.5 * libm::erfc(z * core::f64::consts::FRAC_1_SQRT_2);
-        let probability = (1.0 - LOST) * silent + LOST;
+        let probability = (1.0 - self.missing) * silent + self.missing;
         let density = libm::exp(-0.5 * z * z) / (core::f64::consts::TAU).sqrt();
         // Of -log Phi(-z): its first derivative, and its second.
         let rate = if z < FARTHEST { density / silent } else { z + 1.0 / z };
@@ -124,6 +131,20 @@ impl Noise {
             scale = relative.iter().map(weighted).sum::<f64>() / relative.len() as f64;
         }
         self.threshold_share = (self.threshold_share * scale.sqrt()).clamp(SHARES.0, SHARES.1);
+    }
+
+    /// Sets the share of missing events to that of the instants without one at which the light is far beyond
+    /// a threshold.
+    ///
+    /// Not by its likelihood, which is greatest where every such instant lacks an event (Phi <= 1), and none
+    /// is a measurement any more.
+    pub(crate) fn estimate_of_quiet(&mut self, predicted: &[Predicted]) {
+        let instants = predicted.iter().flat_map(|of| &of.quiet);
+        let (far, all) = instants.fold((0, 0), |(far, all), quiet| {
+            let is_far = quiet.polarity * quiet.excess > FAR * self.event_variance(quiet).sqrt();
+            (far + usize::from(is_far), all + 1)
+        });
+        self.missing = (far as f64 / f64::max(all as f64, 1.0)).clamp(MISSING.0, MISSING.1);
     }
 
     /// Log densities of a pixel's events' times, each left out, and of none between them, nats. `event`: by

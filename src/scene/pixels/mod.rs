@@ -41,6 +41,8 @@ const FIRST_DEVIATION: f64 = 0.03;
 const ROUNDS_BEFORE_PRIOR: usize = 2;
 /// And before the noise of events is.
 const ROUNDS_BEFORE_NOISE: usize = 4;
+/// And before the share of missing events stays as it is: effects are compared at the same share.
+const ROUNDS_OF_MISSING: usize = 10;
 
 /// The light of some pixels.
 #[derive(Clone, Debug)]
@@ -198,6 +200,9 @@ impl FreeScene for PixelLight {
         }
         if self.rounds >= ROUNDS_BEFORE_NOISE {
             self.noise.estimate_of_events(predicted, &left);
+        }
+        if (ROUNDS_BEFORE_NOISE..ROUNDS_OF_MISSING).contains(&self.rounds) {
+            self.noise.estimate_of_quiet(predicted);
         }
         self.rounds += 1;
     }

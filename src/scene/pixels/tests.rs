@@ -288,6 +288,29 @@ fn no_event_counts_as_the_probability_of_none() {
 }
 
 #[test]
+fn instants_far_beyond_a_threshold_make_an_event_that_is_missing_less_of_a_surprise() {
+    // Three of ten at five standard deviations, the others where no event is due.
+    let mut noise = Noise::new((0.0, 0.0));
+    let blank = PredictedEvent { threshold: 0.2, polarity: -1.0, ..PredictedEvent::default() };
+    let at = |z: f64| PredictedEvent { excess: -z * noise.event_variance(&blank).sqrt(), ..blank };
+    let (far, near) = (at(5.0), at(1.0));
+    let quiet = (0..10).map(|n| if n < 3 { far } else { near }).collect();
+    let predicted = [Predicted { quiet, ..Predicted::default() }];
+    let before = noise.quiet_term(&far).log_probability;
+    noise.estimate_of_quiet(&predicted);
+    assert!((noise.missing - 0.3).abs() < 1e-12);
+    assert!(before < -6.9 && (noise.quiet_term(&far).log_probability - libm::log(0.3)).abs() < 1e-5);
+    // Phi(-1) by a table.
+    let one = libm::log(0.3 + 0.7 * 0.158_655);
+    assert!((noise.quiet_term(&near).log_probability - one).abs() < 1e-5);
+    // None far, and no instant at all: a loss in a thousand.
+    for quiet in [vec![near], Vec::new()] {
+        noise.estimate_of_quiet(&[Predicted { quiet, ..Predicted::default() }]);
+        assert!((noise.missing - 1e-3).abs() < 1e-12);
+    }
+}
+
+#[test]
 fn events_are_no_more_probable_on_a_scene_of_less_contrast() {
     // Voltages and thresholds a tenth of what they are: times are as probable as before.
     let light = |by: f64| {
