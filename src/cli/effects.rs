@@ -91,10 +91,12 @@ fn manual(all: &[EffectDecl]) -> String {
         if !decl.parameters.is_empty() {
             text.push_str("| parameter | unit | plausible | meaning |\n| --- | --- | --- | --- |\n");
             for parameter in decl.parameters {
-                let range = if parameter.unit == Unit::Indices {
-                    String::new()
-                } else {
-                    format!("{} to {}", parameter.plausible.0, parameter.plausible.1)
+                let range = match parameter.unit {
+                    Unit::Choice(words) => words.join(", "),
+                    unit if unit.is_number() => {
+                        format!("{} to {}", parameter.plausible.0, parameter.plausible.1)
+                    }
+                    _ => String::new(),
                 };
                 let _ = writeln!(
                     text,
@@ -150,9 +152,11 @@ fn page(decl: &EffectDecl) -> String {
             Unit::Rate => "a rate, such as \"0.1 Hz\"".to_string(),
             Unit::Number(of) => format!("a number ({of})"),
             Unit::Indices => "a list of whole numbers".to_string(),
+            Unit::Choice(words) => format!("one of {}", words.join(", ")),
+            Unit::List(of) => format!("a list ({of})"),
         };
         let _ = writeln!(text, "  {}: {unit}; {}", parameter.name, parameter.about);
-        if parameter.unit != Unit::Indices {
+        if parameter.unit.is_number() {
             let _ = writeln!(
                 text,
                 "      plausible {} to {} {}",

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 /// The ids that `[effects]` may name: what a sensor may do beyond the paper's model. The list grows, ids
 /// never change meaning.
-pub const EFFECT_IDS: [&str; 41] = [
+pub const EFFECT_IDS: [&str; 42] = [
     // Front end.
     "dark_current",
     "time_constant",
@@ -30,6 +30,7 @@ pub const EFFECT_IDS: [&str; 41] = [
     "high_pass_front_end",
     "bandwidth_gradient",
     // Comparator and reset.
+    "dependence",
     "threshold_scale",
     "threshold_asymmetry",
     "threshold_mismatch",

@@ -1,8 +1,12 @@
 //! A curve over a covariate that no effect of the catalogue has, as it was measured.
 
 use crate::covariates::Covariate;
-use crate::report::short;
+use crate::formula::Formula;
+use crate::report::{short, six_digits};
+use photocurrent_core::Sensor;
+use photocurrent_sensor::effects::from_description;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
 
 /// What is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,6 +29,15 @@ impl Moved {
             Moved::Threshold | Moved::EventRate => "comparator",
             Moved::Stamps => "time",
             Moved::Rate => "reset",
+        }
+    }
+
+    /// How its numbers are written: times what, and in which unit.
+    pub fn written(self) -> (f64, &'static str) {
+        match self {
+            Moved::Threshold | Moved::EventRate => (100.0, " %"),
+            Moved::Stamps => (1e6, " us"),
+            Moved::Rate => (1.0, " Hz"),
         }
     }
 
@@ -62,12 +75,27 @@ pub struct Dependence {
     pub significance: f64,
     /// Held-out gain in log-likelihood, nats an event.
     pub nats_per_event: f64,
+    /// Formulas that explain it nearly as well as the best one, best first; none where none does.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub formulas: Vec<Formula>,
 }
 
 impl Dependence {
-    /// As an equation with the measured curve.
+    /// As an equation: by the formulas that explain it, and with the measured curve.
     pub fn equation(&self) -> String {
         let name = self.covariate.name();
+        let formulas: String = self
+            .formulas
+            .iter()
+            .map(|formula| {
+                let (of, sure) = (
+                    formula.equation(self.moved.written(), self.covariate, self.period_s),
+                    formula.probability,
+                );
+                format!(", c({name}) = {of} (probability {sure:.2})")
+            })
+            .collect::<Vec<_>>()
+            .join(" or");
         let point = |(at, value): (&f64, &f64)| match self.moved {
             Moved::Threshold | Moved::EventRate => format!("{:+.1} % at {}", 100.0 * value, short(*at)),
             Moved::Stamps => format!("{:+.0} us at {}", 1e6 * value, short(*at)),
@@ -76,6 +104,99 @@ impl Dependence {
         let points: Vec<String> = self.at.iter().zip(&self.value).map(point).collect();
         let rhythm =
             self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
-        format!("{}, c({name}){rhythm} = {}", self.moved.equation(), points.join(", "))
+        let measured = if formulas.is_empty() { "" } else { "; measured" };
+        format!("{}{formulas}{measured}, c({name}){rhythm} = {}", self.moved.equation(), points.join(", "))
+    }
+
+    /// The parameters of the effect `dependence` that has this curve, for a recording that starts at
+    /// `start_ns`; none where that effect does not express it.
+    pub fn parameters(&self, start_ns: i64) -> Option<Map<String, Value>> {
+        let start_s = start_ns as f64 * 1e-9;
+        let moves = match self.moved {
+            Moved::Threshold => "threshold",
+            Moved::Stamps => "delay",
+            Moved::Rate => "leak",
+            Moved::EventRate => return None,
+        };
+        let mut knots: Vec<(f64, f64)> = self.at.iter().copied().zip(self.value.iter().copied()).collect();
+        let mut period = None;
+        match self.covariate {
+            // From the recording's start there, from its zero here.
+            Covariate::Time => knots.iter_mut().for_each(|(at, _)| *at += start_s),
+            Covariate::AcPhase => {
+                let period_s = self.period_s?;
+                knots.iter_mut().for_each(|(at, _)| *at = (*at + start_s / period_s).rem_euclid(1.0));
+                knots.sort_by(|a, b| a.0.total_cmp(&b.0));
+                period = Some(format!("{} ns", (period_s * 1e9).round()));
+            }
+            _ => {}
+        }
+        let by: Vec<Value> = knots
+            .iter()
+            .map(|(_, value)| match self.moved {
+                Moved::Stamps => json!(format!("{} ns", (value * 1e9).round())),
+                Moved::Rate => json!(format!("{} Hz", six_digits(*value))),
+                Moved::Threshold | Moved::EventRate => json!(six_digits(*value)),
+            })
+            .collect();
+        let at: Vec<f64> = knots.iter().map(|(at, _)| six_digits(*at)).collect();
+        let given = json!({ "moves": moves, "over": self.covariate.name(), "at": at, "by": by });
+        let Value::Object(mut given) = given else { return None };
+        given.extend(period.map(|period| ("period".to_owned(), Value::from(period))));
+        let described = [("dependence".to_owned(), given.clone())].into();
+        from_description(&described).ok().map(|_| given)
+    }
+
+    /// A description with this curve put in; none where it cannot be expressed, or the description states
+    /// another one.
+    pub fn put_in(&self, sensor: &Sensor, start_ns: i64) -> Option<Sensor> {
+        let given = self.parameters(start_ns)?;
+        let mut sensor = sensor.clone();
+        sensor.effects.insert("dependence".to_owned(), given).is_none().then_some(sensor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dependence(moved: Moved, covariate: Covariate, period_s: Option<f64>) -> Dependence {
+        Dependence {
+            moved,
+            covariate,
+            period_s,
+            at: vec![0.25, 0.75],
+            value: vec![-0.1, 0.1],
+            error: vec![0.01; 2],
+            taken: 0.5,
+            significance: 9.0,
+            nats_per_event: 0.3,
+            formulas: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_curve_becomes_the_effect_that_has_it_on_the_clock_of_the_recording() {
+        let of = |moved, covariate, period_s| {
+            dependence(moved, covariate, period_s).parameters(3_000_000).map(Value::Object)
+        };
+        assert_eq!(
+            of(Moved::Threshold, Covariate::Radius, None).unwrap(),
+            json!({ "moves": "threshold", "over": "radius", "at": [0.25, 0.75], "by": [-0.1, 0.1] })
+        );
+        // 3 ms are three tenths of 10 ms: 0.25 is 0.55, and 0.75 is 0.05, which comes first.
+        assert_eq!(
+            of(Moved::Stamps, Covariate::AcPhase, Some(0.01)).unwrap(),
+            json!({
+                "moves": "delay", "over": "ac_phase", "at": [0.05, 0.55],
+                "by": ["100000000 ns", "-100000000 ns"],
+                "period": "10000000 ns"
+            })
+        );
+        assert_eq!(of(Moved::Threshold, Covariate::Time, None).unwrap()["at"], json!([0.253, 0.753]));
+        assert_eq!(of(Moved::Rate, Covariate::Row, None).unwrap()["by"], json!(["-0.1 Hz", "0.1 Hz"]));
+        // What a pixel does not have at its reset.
+        assert_eq!(of(Moved::Stamps, Covariate::TimeSinceLastEvent, None), None);
+        assert_eq!(of(Moved::EventRate, Covariate::RowParity, None), None);
     }
 }

@@ -9,11 +9,11 @@ use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Integrity, TESTED, integrity};
 use crate::judge::judged;
 use crate::report::{
-    BeforeAfter, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
+    BeforeAfter, Detectable, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
 };
 use crate::residual::located::Located;
 use crate::sample::Sample;
-use crate::stages::{Decided, Proposal, Proposed};
+use crate::stages::{Decided, Proposal, Proposed, Unexplained};
 use crate::units::readable;
 use crate::unknowns::{is_left_open, with_estimates};
 use crate::unstated;
@@ -156,6 +156,10 @@ pub fn confirm(
         let found = description(case, &nominal, &scales, findings);
         found.or_else(|| (case.sensor != *stated).then(|| case.sensor.clone()))
     };
+    let with_curve = |unexplained: Option<&Unexplained>| {
+        let curve = unexplained.and_then(|found| found.dependence.as_ref())?;
+        curve.put_in(&case.sensor, case.span.0)
+    };
     let predicted = |sensor: &Sensor| {
         sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
     };
@@ -173,7 +177,15 @@ pub fn confirm(
     if !withdrawn.is_empty() {
         answer.set(findings);
     }
-    let changed = with(&answer.findings);
+    let mut changed = with(&answer.findings);
+    let mut fitted = fitted;
+    // What has no name is put in as its curve, unless frames that were held out are predicted worse with it.
+    if let Some(sensor) = with_curve(answer.unexplained.as_ref()) {
+        let after = predicted(&sensor)?;
+        if !is_worse(&after) {
+            (changed, fitted) = (Some(sensor), after);
+        }
+    }
     let predictions = Predictions { nominal: before, fitted };
     let report = report(case, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
@@ -259,8 +271,7 @@ fn report(
         .zip(predictions.fitted.as_ref())
         .map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let decided = proposed.decided();
-    let gained: f64 = answer
-        .findings
+    let gained: f64 = effects
         .iter()
         .filter(|finding| !finding.is_direct())
         .filter_map(|finding| finding.evidence.heldout_nats_per_event)
@@ -273,21 +284,21 @@ fn report(
     let left = answer.findings.iter().rev().find_map(|finding| finding.ks);
     let calibration_ks =
         decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
+    let is_found = |id: &str| answer.findings.iter().any(|finding| finding.id == id);
+    let limits = decided.map_or(&[][..], |decided| &decided.detectability);
+    let detectability: Vec<Detectable> = limits.iter().filter(|one| !is_found(&one.id)).cloned().collect();
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
         summary: summary(case, integrity, answer, decided),
         not_testable: not_testable(case, proposed, &answer.findings),
-        next_experiment: crate::advice::next_experiments(case, answer, integrity),
+        next_experiment: crate::advice::next_experiments(case, answer, integrity, &detectability),
         residual_left: decided
             .and_then(|decided| decided.residual_left)
             .filter(|_| answer.findings.iter().any(|finding| !finding.is_direct())),
         effects,
         fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
-        detectability: decided.map_or_else(Vec::new, |decided| {
-            let is_found = |id: &str| answer.findings.iter().any(|finding| finding.id == id);
-            decided.detectability.iter().filter(|one| !is_found(&one.id)).cloned().collect()
-        }),
+        detectability,
         scene: integrity.scene.clone(),
         estimated: decided.map_or_else(Vec::new, |decided| decided.estimated.clone()),
         sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),

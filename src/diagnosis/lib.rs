@@ -42,6 +42,7 @@ mod dependence;
 pub mod diagnose;
 mod finding;
 pub mod fitted;
+mod formula;
 mod heldout;
 pub mod integrity;
 pub mod judge;

@@ -59,7 +59,12 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
         .dependences
         .first()
         .map(|dependence| Unexplained::by(dependence, regular::score(dependence)));
-    let unexplained = shown.or_else(|| left.as_ref().and_then(|decided| decided.unexplained.clone()));
+    let on_scene = left.as_ref().and_then(|decided| decided.unexplained.clone());
+    let unexplained = match (shown, on_scene) {
+        // The same, measured where its size and what it moves show.
+        (Some(shown), Some(seen)) if shown.covariate == seen.covariate => Some(seen),
+        (shown, seen) => shown.or(seen),
+    };
     // No name is forced on what explains more than any effect does.
     if let Some(left) = left.filter(|_| !findings.is_empty() || unexplained.is_none()) {
         findings.extend(of_scene(case, nominal, &left));

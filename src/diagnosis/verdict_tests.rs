@@ -118,6 +118,7 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         taken: 0.4,
         significance: 16.0,
         nats_per_event: 0.01,
+        formulas: Vec::new(),
     };
     let integrity = Integrity { dependences: vec![dependence], ..Integrity::default() };
     let alone = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));

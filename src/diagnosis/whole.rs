@@ -6,7 +6,7 @@ use crate::decide::{Decision, decide};
 use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
 use crate::integrity::Integrity;
 use crate::report::Estimate;
-use crate::residual::evidence::{Evidence, EvidenceSetting};
+use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
 use crate::residual::free;
 use crate::residual::ranking::evidence;
 use crate::stages::{Decided, Proposed, Seen};
@@ -200,6 +200,17 @@ fn decides_alone(found: &Evidence) -> bool {
     f64::max(found.control_median, found.left[0]) < LEAVES_LITTLE
 }
 
+/// A picture of frames alone claims nothing from a best effect that gains less than this, nats an event, by
+/// the built-in numbers of the decision.
+const CLAIMS_NOTHING: f64 = 0.1;
+
+/// Is a picture of frames alone all that is needed? What it claims, a picture of frames and events has to
+/// confirm: second effects that only make up for errors of the first picture are none on the other.
+fn is_settled(found: &Evidence) -> bool {
+    let claims = |one: &Ranked| one.beyond() > CLAIMS_NOTHING;
+    decides_alone(found) && !found.first.as_ref().is_some_and(claims)
+}
+
 /// Evidence on the part of a recording that a picture is fitted to; an error where the light flickers, as a
 /// picture does not.
 fn on_part(
@@ -242,7 +253,7 @@ fn on_picture(case: &Case, nominal: &Nominal, setting: &OnScene) -> Result<Evide
     let found = evidence(case, nominal, &*scene, &setting.evidence)?;
     let picture = scene.as_any().and_then(|any| any.downcast_ref::<MovingPicture>());
     let on_joint = match picture {
-        Some(picture) if picture.is_one && !decides_alone(&found) => {
+        Some(picture) if picture.is_one && !is_settled(&found) => {
             free::on_picture(case, nominal, picture).ok().map(Box::new)
         }
         _ => None,

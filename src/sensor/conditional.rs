@@ -310,7 +310,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
         }
         thresholds
     };
-    let mut history = History::default();
+    let mut history = History { light: exp(seen[0]), ..History::default() };
     let mut reference = walk.input();
     let mut before = reference;
     let mut thresholds = draw(&history, start_ns, &mut random);
@@ -346,7 +346,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
                 out.slope_per_s[k] = walk.rate_per_s();
                 held_until_ns = time.latch_ns;
                 let now = PixelEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity };
-                history = with(&history, now);
+                history = with(&history, now, time.light);
                 before = reference;
                 if model.reset != Reset::Resample {
                     // A reference that moves by one threshold is the voltage of the event, unless the event
@@ -363,12 +363,12 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
 }
 
 /// A history with one more event.
-fn with(history: &History, event: PixelEvent) -> History {
+fn with(history: &History, event: PixelEvent, light: f64) -> History {
     let burst_index = match history.last_event {
         Some(last) if event.t_in_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
         _ => 1,
     };
-    History { last_event: Some(event), events: history.events + 1, burst_index }
+    History { last_event: Some(event), events: history.events + 1, burst_index, light }
 }
 
 /// Digital numbers of the frames; leaves what is said of events alone.
@@ -424,6 +424,8 @@ struct Times {
     latch_ns: i64,
     /// As the description has it, with recorded stamps.
     is_armed: bool,
+    /// Photocurrent in the logarithm when it left.
+    light: f64,
 }
 
 fn times(
@@ -466,7 +468,7 @@ fn times(
         {
             last.latch_ns = i64::min(last.latch_ns, fired_ns);
         }
-        all.push(Times { fired_ns, left_ns, latch_ns: left_ns + refractory_ns, is_armed });
+        all.push(Times { fired_ns, left_ns, latch_ns: left_ns + refractory_ns, is_armed, light });
     }
     for time in &mut all {
         time.latch_ns = i64::min(time.latch_ns, last_ns);

@@ -127,7 +127,13 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         let list = hypotheses(&found.second, &found.random_second, found.noise[1]);
         proposals(found, &list, &posterior, posterior.something / decision.least_second, nominal, decision)
     });
-    let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
+    // On a scene that follows events, the curve that was estimated with it, without any effect.
+    let [one, other] = if found.follows_events() {
+        [&found.open, &found.open_second]
+    } else {
+        [&found.open_second, &found.open]
+    };
+    let curve = one.first().or(other.first()).filter(|_| is_unnamed);
     Decided {
         name: found.scene.clone(),
         share: found.share,

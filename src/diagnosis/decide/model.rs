@@ -32,6 +32,8 @@ pub struct Model {
     /// Logarithms of gains count less by this of random effects, and of those that change how far light
     /// swings from event to event: such effects gain where the scene errs.
     pub discount: [f64; 2],
+    /// And of the best curve over a covariate, which is in no catalogue.
+    pub discount_of_curves: f64,
     /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less
     /// probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
     pub softness: [f64; 2],
@@ -55,9 +57,10 @@ impl Default for Model {
     /// `photocurrent-calibrate`, docs/diagnosis.md.
     fn default() -> Model {
         Model {
-            something: [3.471, 0.750, 0.479],
-            second: [1.601, 0.360, 0.230],
-            discount: [2.0, 0.5],
+            something: [3.577, 0.792, 0.520],
+            second: [1.576, 0.344, 0.248],
+            discount: [1.5, 1.0],
+            discount_of_curves: 2.0,
             softness: [-2.588, -0.92],
             random: 0.119,
             unnamed: [-0.501, 0.649, 0.654],
@@ -125,9 +128,10 @@ impl Model {
     /// The built-in numbers for scenes in parts: `photocurrent-calibrate --scene parts`.
     pub fn of_patches() -> Model {
         Model {
-            something: [2.224, 0.581, 0.039],
+            something: [2.310, 0.637, 0.028],
             second: [2.601, 0.951, 0.607],
             discount: [1.5, 0.5],
+            discount_of_curves: 2.0,
             softness: [-1.667, -0.441],
             random: 2.378,
             unnamed: [0.432, 0.895, -0.016],
@@ -141,6 +145,7 @@ impl Model {
             something: [4.571, 1.083, 0.0],
             second: [0.708, -0.684, 2.119],
             discount: [3.0, 0.0],
+            discount_of_curves: NO_CURVES,
             softness: [-2.203, -0.406],
             random: 0.0,
             unnamed: [0.781, 0.375, 0.0],
@@ -152,12 +157,13 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [5.004, 1.777, 0.007],
-            second: [1.705, 0.536, 1.766],
+            something: [5.388, 1.885, 0.024],
+            second: [0.499, 0.367, 1.059],
             discount: [0.0, 0.5],
-            softness: [-3.188, -0.723],
-            random: -2.406,
-            unnamed: [-1.016, 0.062, 0.0],
+            discount_of_curves: NO_CURVES,
+            softness: [-3.101, -0.736],
+            random: -1.777,
+            unnamed: [1.479, 0.92, -0.119],
             least_gain: 0.05,
         }
     }
@@ -168,6 +174,7 @@ impl Model {
             something: [3.967, 1.088, 0.0],
             second: [1.693, 0.319, 0.471],
             discount: [0.0, 0.0],
+            discount_of_curves: NO_CURVES,
             softness: [-3.216, -0.102],
             random: -2.206,
             unnamed: [1.52, 1.763, 0.776],
@@ -178,6 +185,9 @@ impl Model {
 
 /// Logarithms between which a softness lies.
 const SOFTNESS: (f64, f64) = (-5.0, 2.0);
+
+/// A discount of curves with which they are no sign that something differs.
+pub const NO_CURVES: f64 = 10.0;
 
 /// Gains below this are nothing, nats an event.
 const LEAST_GAIN: f64 = 1e-3;
@@ -296,11 +306,13 @@ impl Facts {
         }
     }
 
-    /// 1, the logarithm of what the best effect gains and another in addition to it, as some only show
-    /// together, at least `least_gain`, and that of the share of the events that count.
-    pub fn something(&self, discount: [f64; 2], least_gain: f64) -> [f64; SOMETHING] {
+    /// 1, the logarithm of what the best effect, or a curve, gains and another effect in addition to it, as
+    /// some only show together, at least `least_gain`, and that of the share of the events that count.
+    /// `of_curves`: [`Model::discount_of_curves`].
+    pub fn something(&self, discount: [f64; 2], of_curves: f64, least_gain: f64) -> [f64; SOMETHING] {
         let second = self.second_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
-        let gain = libm::exp(self.gains.discounted(discount)) + second;
+        let curve = self.open[1] + self.gains.best() - of_curves;
+        let gain = libm::exp(self.gains.discounted(discount).max(curve)) + second;
         [1.0, libm::log(gain.max(least_gain)), self.share]
     }
 
@@ -365,7 +377,7 @@ impl Model {
     pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
         self.posterior(
-            dot(&self.something, &facts.something(self.discount, self.least_gain)),
+            dot(&self.something, &facts.something(self.discount, self.discount_of_curves, self.least_gain)),
             facts.gains.best(),
             &facts.first,
             Some(odds),

@@ -190,6 +190,7 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: regularity,
         nats_per_event: folded.nats() / case.events.len() as f64,
+        formulas: Vec::new(),
     })
 }
 
@@ -275,16 +276,16 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
             after += (part[y] - ratio * mean) * (part[y] - ratio * mean);
         }
     }
-    let error = share.abs() / sigmas;
     Some(Dependence {
         moved: Moved::EventRate,
         covariate: Covariate::RowParity,
         period_s: None,
         at: vec![0.0, 1.0],
         value: vec![share, -share],
-        error: vec![error, error],
+        error: vec![share.abs() / sigmas; 2],
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: sigmas,
         nats_per_event: gain / case.events.len() as f64,
+        formulas: Vec::new(),
     })
 }

@@ -115,6 +115,7 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         taken: 0.2,
         significance: 9.0,
         nats_per_event: 0.1,
+        formulas: Vec::new(),
     };
     let unexplained = Unexplained {
         covariate: dependence.covariate.name().into(),

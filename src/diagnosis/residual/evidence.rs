@@ -98,7 +98,12 @@ impl Evidence {
     /// How much of the recording the scene explains, a share: where it is small, the scene may err in that as
     /// well.
     pub fn covered(&self) -> f64 {
-        if KINDS[3..].contains(&&*self.scene) { self.explained } else { self.share }
+        if self.follows_events() { self.explained } else { self.share }
+    }
+
+    /// Is the scene estimated from events as well?
+    pub fn follows_events(&self) -> bool {
+        KINDS[3..].contains(&&*self.scene)
     }
 }
 

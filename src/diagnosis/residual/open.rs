@@ -25,6 +25,10 @@ const LEAST_IN_BIN: usize = 60;
 pub struct Open {
     /// The curve.
     pub dependence: Dependence,
+    /// Mean over all events of what the bins have: the part that is the same in all of them, in the unit of
+    /// the curve.
+    #[serde(default)]
+    pub mean: f64,
     /// Gain beyond one size for all bins, nats an event.
     pub gain: f64,
     /// Its standard error by blocks.
@@ -77,10 +81,27 @@ pub(crate) fn dependences(
         .flat_map(|laid| {
             [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved))
         })
-        .filter_map(|(laid, moved)| dependence(events, residual, block, laid, moved, threshold, least))
+        .filter_map(|of| dependence(events, residual, block, of, (threshold, least)))
         .collect();
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     found
+}
+
+/// The column of what is moved by `here` of each event and `before` of the event before it.
+pub(super) fn moving(
+    events: &Residuals,
+    moved: Moved,
+    threshold: f64,
+    here: impl Fn(usize) -> f64,
+    before: impl Fn(usize) -> f64,
+) -> Column {
+    let change = |k: usize| match moved {
+        Moved::Threshold | Moved::EventRate => here(k) * f64::from(events.polarity[k]) * threshold,
+        Moved::Stamps => here(k) * events.slope_per_s[k] - before(k) * events.slope_before_per_s[k],
+        Moved::Rate => here(k) * threshold * events.since_ns[k] as f64 * 1e-9,
+    };
+    let of = (0..events.polarity.len()).map(|k| -change(k) as f32).collect();
+    Column { of, log_slope: Vec::new() }
 }
 
 /// Columns of what is moved in each bin of a covariate, and in all of them.
@@ -103,21 +124,8 @@ impl Free {
         let of_before: Vec<Option<u32>> = laid.before.iter().map(|value| bins.bin(*value)).collect();
         let column = |bin: Option<u32>| -> Column {
             let is_in = |at: Option<u32>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
-            let of = (0..of.len())
-                .map(|k| {
-                    let (here, before) =
-                        (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
-                    let change = match moved {
-                        Moved::Threshold | Moved::EventRate => {
-                            here * f64::from(events.polarity[k]) * threshold
-                        }
-                        Moved::Stamps => here * events.slope_per_s[k] - before * events.slope_before_per_s[k],
-                        Moved::Rate => here * threshold * events.since_ns[k] as f64 * 1e-9,
-                    };
-                    -change as f32
-                })
-                .collect();
-            Column { of, log_slope: Vec::new() }
+            let one = |is: bool| f64::from(u8::from(is));
+            moving(events, moved, threshold, |k| one(is_in(of[k])), |k| one(is_in(of_before[k])))
         };
         let columns = (0..bins.at.len() as u32).map(|bin| column(Some(bin))).collect();
         let whole = column(None);
@@ -125,8 +133,15 @@ impl Free {
     }
 }
 
-/// What each event gains by a curve over one size for all of its bins, nats ([`fit::gains`]).
-pub(crate) fn gains(
+/// What a curve leaves of each event's residual, natural-log units, and what each event gains by it over one
+/// size for all bins, nats ([`fit::gains`]).
+pub(crate) struct After {
+    pub residual: Vec<f64>,
+    pub gains: Vec<f64>,
+}
+
+/// What a curve leaves and gains; none where its covariate has no bins.
+pub(crate) fn after(
     events: &Residuals,
     residual: &[f64],
     block: &[u32],
@@ -134,7 +149,7 @@ pub(crate) fn gains(
     dependence: &Dependence,
     threshold: f64,
     least: f64,
-) -> Option<Vec<f64>> {
+) -> Option<After> {
     let laid = laid.iter().find(|laid| laid.covariate == dependence.covariate)?;
     let free = Free::new(events, laid, dependence.moved, threshold)?;
     let rows =
@@ -151,17 +166,32 @@ pub(crate) fn gains(
     };
     let (one, all) = (left(&[&free.whole]), left(&free.columns.iter().collect::<Vec<_>>()));
     let rest = |residual| Rest { residual, log_slope: &[], rows: &rows };
-    Some(fit::gains(rest(&one), rest(&all)))
+    Some(After { gains: fit::gains(rest(&one), rest(&all)), residual: all })
 }
 
+/// Residuals as they are without a curve that the sensor has.
+pub(super) fn restored(
+    events: &Residuals,
+    residual: &[f64],
+    laid: &[Laid],
+    curve: &Dependence,
+    threshold: f64,
+) -> Option<Vec<f64>> {
+    let laid = laid.iter().find(|laid| laid.covariate == curve.covariate)?;
+    let Free { columns, .. } = Free::new(events, laid, curve.moved, threshold)?;
+    let of_curve = |k: usize| {
+        columns.iter().zip(&curve.value).map(|(column, value)| value * f64::from(column.of[k])).sum::<f64>()
+    };
+    Some(residual.iter().enumerate().map(|(k, left)| left - of_curve(k)).collect())
+}
+
+/// One covariate with one thing that may be moved.
 fn dependence(
     events: &Residuals,
     residual: &[f64],
     block: &[u32],
-    laid: &Laid,
-    moved: Moved,
-    threshold: f64,
-    least: f64,
+    (laid, moved): (&Laid, Moved),
+    (threshold, least): (f64, f64),
 ) -> Option<Open> {
     let Free { bins, columns, whole } = Free::new(events, laid, moved, threshold)?;
     let count = bins.at.len();
@@ -187,17 +217,18 @@ fn dependence(
         taken,
         significance: gain / f64::max(all.gain_error, 1e-9),
         nats_per_event: gain,
+        formulas: Vec::new(),
     };
-    Some(Open { dependence, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
+    Some(Open { dependence, mean, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use photocurrent_core::random::Random;
 
     /// Events of an array of 8 x 8 blocks with residuals of noise 0.01.
-    fn events(count: usize) -> (Residuals, Vec<u32>, Vec<f64>) {
+    pub(crate) fn events(count: usize) -> (Residuals, Vec<u32>, Vec<f64>) {
         let mut random = Random::new(4, &[]);
         let mut events = Residuals::default();
         let mut residual = Vec::new();
@@ -215,7 +246,7 @@ mod tests {
         (events, block, residual)
     }
 
-    fn laid(at: Vec<f64>, covariate: Covariate) -> Laid {
+    pub(crate) fn laid(at: Vec<f64>, covariate: Covariate) -> Laid {
         Laid { covariate, period_ns: None, before: at.clone(), at }
     }
 

@@ -11,6 +11,7 @@
 //!    free per bin of every covariate (`open`).
 //! 6. With the best one applied, all others are fitted again, its own size with them.
 
+use super::Residuals;
 use super::chance::{Chance, of_noise};
 use super::components::{Ground, Part, parts};
 use super::control::{Behind, control};
@@ -57,7 +58,7 @@ pub fn evidence(
     let table = seen.table(&stated, None, softest)?;
     enough_left(&table, &control_table, setting)?;
 
-    let period_ns = period_of(case, &table);
+    let period_ns = period_of(case, &table.events, table.residual());
     let control_dependences =
         control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
     let slope_per_s = median_slope(&table);
@@ -199,12 +200,9 @@ fn enough_left(table: &Table, control_table: &Table, setting: &EvidenceSetting) 
 }
 
 /// The period in which residuals swing most, apart from that of the frames, ns.
-fn period_of(case: &Case, table: &Table) -> Option<i64> {
-    let swing = table
-        .residual()
-        .iter()
-        .enumerate()
-        .map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
+pub(super) fn period_of(case: &Case, events: &Residuals, residual: &[f64]) -> Option<i64> {
+    let swing =
+        residual.iter().enumerate().map(|(k, left)| (events.t_ns[k], f64::from(events.polarity[k]) * left));
     let frame_ns =
         case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     strongest_period_ns(swing, case.span, frame_ns)

@@ -5,6 +5,7 @@ use super::evidence::Ranked;
 use super::fit::{
     Column, EventNoise, Fitted, Plain, Rest, Rows, Soft, gain_of, gains, heldout, without_softness,
 };
+use super::formulas::formulas;
 use super::laid::{Laid, lay};
 use super::open::{self, Open};
 use super::places::Places;
@@ -388,7 +389,10 @@ impl Seen<'_> {
         best: &mut Open,
     ) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
-        let gains = open::gains(
+        let (threshold, sharp) = (self.scales.threshold, table.sharp());
+        best.dependence.formulas =
+            formulas(events, sharp, block, laid, &best.dependence, threshold, self.least);
+        let after = open::after(
             events,
             table.sharp(),
             block,
@@ -397,10 +401,10 @@ impl Seen<'_> {
             self.scales.threshold,
             self.least,
         );
-        best.located = gains.map(|gains| {
+        best.located = after.map(|after| {
             places
                 .events
-                .locate(&gains, best.dependence.covariate.name())
+                .locate(&after.gains, best.dependence.covariate.name())
                 .of_dependence(&best.dependence, &self.setting.located)
         });
     }

@@ -99,6 +99,8 @@ pub struct History {
     /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event.
     /// 0 before any event.
     pub burst_index: u32,
+    /// Photocurrent in the logarithm when the last event left, or at the start.
+    pub light: f64,
 }
 
 /// Time without an event that ends a burst, nanoseconds.

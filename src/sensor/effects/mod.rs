@@ -24,6 +24,7 @@ mod clock_drift;
 pub mod clock_offset;
 pub mod crosstalk;
 mod dark_current;
+mod dependence;
 pub mod event_loss;
 mod exposure_time;
 mod frame_coupling;
@@ -102,6 +103,7 @@ pub fn catalogue() -> Vec<EffectKind> {
         hot_pixels::KIND,
         hot_rows::KIND,
         lateral_inhibition::KIND,
+        dependence::KIND,
         // Readout and time. Recorded = true x (1 + drift) + offset, and the grid comes last.
         frame_coupling::KIND,
         readout_queue::KIND,

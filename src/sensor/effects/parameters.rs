@@ -56,6 +56,10 @@ pub enum Unit {
     Number(&'static str),
     /// A list of whole numbers from 0, such as rows.
     Indices,
+    /// One of these words.
+    Choice(&'static [&'static str]),
+    /// A list of numbers, or of texts with a unit, of what the text says.
+    List(&'static str),
 }
 
 impl Unit {
@@ -66,7 +70,14 @@ impl Unit {
             Unit::Rate => "Hz",
             Unit::Number(of) => of,
             Unit::Indices => "index",
+            Unit::Choice(_) => "word",
+            Unit::List(of) => of,
         }
+    }
+
+    /// Is it one number? Otherwise it is a list or a word.
+    pub fn is_number(self) -> bool {
+        matches!(self, Unit::Time | Unit::Rate | Unit::Number(_))
     }
 
     /// What a JSON key appends to the parameter's name.
@@ -74,7 +85,7 @@ impl Unit {
         match self {
             Unit::Time => "_s",
             Unit::Rate => "_hz",
-            Unit::Number(_) | Unit::Indices => "",
+            Unit::Number(_) | Unit::Indices | Unit::Choice(_) | Unit::List(_) => "",
         }
     }
 
@@ -83,7 +94,7 @@ impl Unit {
         match self {
             Unit::Time => Value::from(format!("{} ns", (value * 1e9).round())),
             Unit::Rate => Value::from(format!("{value} Hz")),
-            Unit::Number(_) | Unit::Indices => Value::from(value),
+            Unit::Number(_) | Unit::Indices | Unit::Choice(_) | Unit::List(_) => Value::from(value),
         }
     }
 }
@@ -165,6 +176,8 @@ pub struct Parameters {
     effect: &'static str,
     values: BTreeMap<&'static str, f64>,
     lists: BTreeMap<&'static str, Vec<u32>>,
+    words: BTreeMap<&'static str, &'static str>,
+    rows: BTreeMap<&'static str, Vec<Value>>,
 }
 
 impl Parameters {
@@ -173,20 +186,38 @@ impl Parameters {
     /// # Errors
     /// With effect, key, what was found and what is expected.
     pub fn read(decl: &EffectDecl, given: &Map<String, Value>) -> Result<Parameters, String> {
-        let mut read = Parameters { effect: decl.id, values: BTreeMap::new(), lists: BTreeMap::new() };
+        let mut read = Parameters {
+            effect: decl.id,
+            values: BTreeMap::new(),
+            lists: BTreeMap::new(),
+            words: BTreeMap::new(),
+            rows: BTreeMap::new(),
+        };
         for (key, value) in given {
             let Some(parameter) = decl.parameter(key) else {
                 return Err(unknown_key(decl, key));
             };
             let wrong = |what: String| format!("`effects.{}.{key}`: {what}", decl.id);
-            if parameter.unit == Unit::Indices {
-                read.lists.insert(
-                    parameter.name,
-                    indices(value).ok_or_else(|| {
+            match parameter.unit {
+                Unit::Indices => {
+                    let list = indices(value).ok_or_else(|| {
                         wrong(format!("expected a list of whole numbers from 0, found {value}"))
-                    })?,
-                );
-                continue;
+                    })?;
+                    read.lists.insert(parameter.name, list);
+                    continue;
+                }
+                Unit::Choice(words) => {
+                    read.words.insert(parameter.name, word(words, value).map_err(wrong)?);
+                    continue;
+                }
+                Unit::List(_) => {
+                    let list = value
+                        .as_array()
+                        .ok_or_else(|| wrong(format!("expected a list such as [0.0, 0.1], found {value}")))?;
+                    read.rows.insert(parameter.name, list.clone());
+                    continue;
+                }
+                Unit::Time | Unit::Rate | Unit::Number(_) => {}
             }
             let number = quantity(parameter.unit, value).map_err(wrong)?;
             let (least, most) = parameter.allowed;
@@ -225,6 +256,28 @@ impl Parameters {
         self.need(name).map(|seconds| (seconds * 1e9).round() as i64)
     }
 
+    /// One of the words of [`Unit::Choice`].
+    ///
+    /// # Errors
+    /// When it is not given.
+    pub(crate) fn need_choice(&self, name: &str) -> Result<&'static str, String> {
+        self.words.get(name).copied().ok_or_else(|| format!("`effects.{}` needs `{name}`", self.effect))
+    }
+
+    /// The values of a [`Unit::List`], each in this unit.
+    ///
+    /// # Errors
+    /// When it is not given, or a value is of another kind.
+    pub(crate) fn need_values(&self, name: &str, unit: Unit) -> Result<Vec<f64>, String> {
+        let list = self.rows.get(name).ok_or_else(|| format!("`effects.{}` needs `{name}`", self.effect))?;
+        let read = |value: &Value| match quantity(unit, value) {
+            Ok(number) if number.is_finite() => Ok(number),
+            Ok(_) => Err(format!("`effects.{}.{name}`: expected finite numbers, found {value}", self.effect)),
+            Err(why) => Err(format!("`effects.{}.{name}`: {why}", self.effect)),
+        };
+        list.iter().map(read).collect()
+    }
+
     /// A list of whole numbers, when it is given.
     pub fn list(&self, name: &str) -> Option<&[u32]> {
         self.lists.get(name).map(Vec::as_slice)
@@ -255,8 +308,19 @@ fn quantity(unit: Unit, value: &Value) -> Result<f64, String> {
         Unit::Time => text(Dimension::Time, 1e9),
         Unit::Rate => text(Dimension::Rate, 1.0),
         Unit::Number(of) => value.as_f64().ok_or_else(|| format!("expected a number ({of}), found {value}")),
-        Unit::Indices => Err("expected a list".to_owned()),
+        Unit::Indices | Unit::List(_) => Err("expected a list".to_owned()),
+        Unit::Choice(_) => Err("expected a word".to_owned()),
     }
+}
+
+fn word(words: &'static [&'static str], value: &Value) -> Result<&'static str, String> {
+    let all = || words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(", ");
+    let found = value.as_str().and_then(|text| words.iter().find(|word| **word == text));
+    found.copied().ok_or_else(|| {
+        let near = value.as_str().and_then(|text| nearest(text, words.iter().copied()));
+        let hint = near.map(|near| format!("; did you mean \"{near}\"?")).unwrap_or_default();
+        format!("expected one of {}, found {value}{hint}", all())
+    })
 }
 
 fn indices(value: &Value) -> Option<Vec<u32>> {

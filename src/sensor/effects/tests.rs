@@ -27,7 +27,8 @@ fn every_declaration_is_complete_and_its_plausible_values_are_allowed() {
         for parameter in decl.parameters {
             let (least, most) = parameter.plausible;
             assert!(
-                parameter.allowed.0 <= least && least < most && most <= parameter.allowed.1,
+                !parameter.unit.is_number()
+                    || parameter.allowed.0 <= least && least < most && most <= parameter.allowed.1,
                 "{}.{}",
                 decl.id,
                 parameter.name
@@ -51,7 +52,7 @@ fn every_effect_is_sought_by_numbers_of_its_own_or_says_why_it_is_not() {
         }
         for sought in decl.search.numbers() {
             let is_number =
-                decl.parameter(sought.parameter).is_some_and(|parameter| parameter.unit != Unit::Indices);
+                decl.parameter(sought.parameter).is_some_and(|parameter| parameter.unit.is_number());
             assert_eq!(is_number, sought.signs != Signs::Switch, "{}.{}", decl.id, sought.parameter);
             // A description's own value means nothing where a number has no null.
             let has_field = sought.field.is_some_and(|field| field != Field::Reset);

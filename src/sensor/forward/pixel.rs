@@ -121,7 +121,7 @@ pub fn simulate(
         thresholds: stated,
         threshold_offset: 0.0,
         blind_until_ns: None,
-        history: History::default(),
+        history: History { light: seen.at(start_ns), ..History::default() },
         fired: Vec::new(),
     };
     run.reference = run.input();
@@ -428,15 +428,11 @@ impl<N: PixelNoise> Run<'_, N> {
             _ => 1,
         };
         let last_event = Some(PixelEvent { t_in_ns, t_off_ns: left_ns, polarity });
-        self.history = History { last_event, events: self.history.events + 1, burst_index };
-        let refractory_ns = if self.chain.effects.is_empty() {
-            pixel.refractory_ns
-        } else {
-            let i = self.seen.at(left_ns);
-            effects.fold(pixel.refractory_ns, |refractory_ns, effect| {
-                effect.refractory_ns(self.site, i, refractory_ns)
-            })
-        };
+        let light = if self.chain.effects.is_empty() { 0.0 } else { self.seen.at(left_ns) };
+        self.history = History { last_event, events: self.history.events + 1, burst_index, light };
+        let refractory_ns = effects.fold(pixel.refractory_ns, |refractory_ns, effect| {
+            effect.refractory_ns(self.site, light, refractory_ns)
+        });
         let armed_ns = left_ns + refractory_ns;
         self.before = self.reference;
         self.threshold_offset = self.noise.threshold_offset();

@@ -27,6 +27,9 @@ const NEAR: f64 = 0.2;
 const LEAST_THRESHOLD: f64 = 0.1;
 /// Standard errors are this much larger than the information has them: what sound recordings show.
 pub(super) const ERRORS: f64 = 3.0;
+/// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
+/// what is left.
+pub(super) const BY_CHANCE: f64 = 2.0;
 
 /// What stays the same from fit to fit.
 pub(super) struct Ground<'a, L> {

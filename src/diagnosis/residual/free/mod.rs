@@ -18,6 +18,7 @@
 //! 6. With the best one applied, score and information of all others with its own size free.
 
 mod choose;
+mod curve;
 mod exact;
 mod fit;
 mod own;
@@ -34,7 +35,7 @@ use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::report::Estimate;
 use crate::unknowns::Unknown;
 use exact::Exact;
-use fit::{ERRORS, Fit, Ground, STEP_NS};
+use fit::{BY_CHANCE, ERRORS, Fit, Ground, STEP_NS};
 use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::free::{FreeScene, Noise, frame_noise};
@@ -43,7 +44,7 @@ use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::pixels::PixelLight;
 use photocurrent_scene::{Scene, gate};
-use places::Level;
+use places::{Dependences, Level};
 use random::is_mismatch;
 use rayon::prelude::*;
 use score::Scored;
@@ -74,6 +75,8 @@ struct Plan {
     most_left: f64,
     /// Is noise of single events counted off? On a coarse grid part of that is the scene's.
     is_noise_counted_off: bool,
+    /// Is what no effect of the catalogue has sought? It needs events that the scene does not follow.
+    is_open: bool,
 }
 
 /// On the light of pixels.
@@ -89,6 +92,7 @@ const ON_PIXELS: Plan = Plan {
     is_sharpened: true,
     most_left: f64::INFINITY,
     is_noise_counted_off: false,
+    is_open: false,
 };
 /// Steps of that light between corrections of a size, and a knot every so many instants.
 const STEPS_ON_PIXELS: usize = 3;
@@ -106,6 +110,7 @@ const ON_PICTURE: Plan = Plan {
     is_sharpened: false,
     most_left: EXPLAINED,
     is_noise_counted_off: false,
+    is_open: true,
 };
 const STEPS_ON_PICTURE: usize = 2;
 /// On a finer grid, on which picture and size take longer to follow a shift in time.
@@ -118,6 +123,12 @@ const FALLS: f64 = 1.25;
 /// An effect that explains what is left gains the logarithm of how much less is left: where the best one
 /// gains less than this share of what [`Plan::most_left`] takes, to first order, none does.
 const HOPEFUL: f64 = 0.3;
+/// And a curve that gains as much may explain it, nats an event: sound recordings gain at most 0.06
+/// (`photocurrent-calibrate --scene joint`).
+const OF_CURVE: f64 = 0.1;
+/// A curve gains so much of what it does with the scene before that follows it, at the least: less than this
+/// share of the best effect's gain will not come up to that.
+const OF_BEST: f64 = 0.25;
 /// Of a moving picture's events about so many take part in the fit, and so many measure gains.
 const TRAINED: usize = 24_000;
 const MEASURED: usize = 8_000;
@@ -130,9 +141,6 @@ const FEWEST_EVENTS: usize = 300;
 const EXPLAINED: f64 = 0.02;
 /// A smaller scale than this share of a threshold is not distinguished.
 const LEAST_SHARE: f64 = 1e-3;
-/// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
-/// what is left.
-const BY_CHANCE: f64 = 2.0;
 
 /// Evidence on the light of pixels.
 ///
@@ -305,9 +313,8 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     let mut list = ranked(&scored, ground);
     let mut random = base.random()?;
     let mut noise = [of_noise(&random), 0.0];
-    let wrong = wrong(&base, plan)?;
     let most = list.iter().chain(&random).map(Ranked::beyond).fold(0.0, f64::max);
-    if wrong > plan.most_left && most < HOPEFUL * libm::log(wrong / plan.most_left) {
+    if !is_hopeful(&mut base, most, plan)? {
         return Err(Failure::Leaves(base.left()?));
     }
     let mut nothing = base.clone();
@@ -315,11 +322,11 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     base.light.release();
     nothing.settled(plan.corrections)?;
     let level = Level::of(&mut nothing)?;
+    let mut open = if plan.is_open { level.dependences(ground) } else { Dependences::none() };
     nothing.release();
-    let mut to_fit: Vec<(usize, f64)> = worth_fitting(&list, &scored, plan)
-        .into_iter()
-        .filter_map(|candidate| Some((candidate, scored.size(candidate)?)))
-        .collect();
+    let of_size = |candidate: usize| Some((candidate, scored.size(candidate)?));
+    let mut to_fit: Vec<(usize, f64)> =
+        worth_fitting(&list, &scored, plan).into_iter().filter_map(of_size).collect();
     to_fit.extend(mismatch(&random, ground));
     let fitted = |(candidate, size): (usize, f64)| match is_mismatch(candidate) {
         true => base.with_own(candidate, size, plan.corrections).ok(),
@@ -330,16 +337,23 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     replace(&exact, &mut random, &level, ground, plan);
     let first = first(&list, &random, noise[0]).cloned();
     let with = first.as_ref().and_then(|one| exact.iter().find(|fit| fit.candidate == one.candidate));
-    let (second, random_second) = match (&first, with) {
-        (Some(first), Some(with)) => (second(with, ground, plan)?, others(&with.fit.random()?, first)),
+    let (second, open_second, random_second) = match (&first, with) {
+        (Some(first), Some(with)) => {
+            let (second, open) = second(with, ground, plan)?;
+            (second, open, others(&with.fit.random()?, first))
+        }
         // Noise, and events too many or too few, change nothing of the others.
-        (Some(first), None) => (others(&list, first), others(&random, first)),
-        (None, _) => (Vec::new(), Vec::new()),
+        (Some(first), None) => (others(&list, first), open.clone(), others(&random, first)),
+        (None, _) => (Vec::new(), Dependences::none(), Vec::new()),
     };
+    // A curve that may explain more than any effect is estimated with the scene, as those are.
+    follow_curve(&mut open, (&nothing, &level), first.as_ref().map_or(0.0, Ranked::beyond), plan)?;
     noise[1] = of_noise(&random_second);
     let median = nothing.left()?;
-    let left = with.map_or(Ok(median), |with| with.fit.left())?;
+    let left = with.map_or(Ok(median), |with| with.fit.left())?.min(open.left);
     let wrong = self::wrong(with.map_or(&nothing, |with| &with.fit), plan)?;
+    // What is in no catalogue is no fault of the scene.
+    let wrong = wrong.min(open.left).min(open_second.left);
     if wrong > plan.most_left {
         return Err(Failure::Leaves(left));
     }
@@ -359,8 +373,38 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
         noise,
         random,
         random_second,
+        open: open.list,
+        open_second: open_second.list,
         ..Evidence::default()
     })
+}
+
+/// May something explain what a scene leaves, where an effect gains `most` of it to first order?
+fn is_hopeful<L: FreeScene>(base: &mut Fit<'_, L>, most: f64, plan: &Plan) -> Result<bool, String> {
+    let wrong = wrong(base, plan)?;
+    if wrong <= plan.most_left || most >= HOPEFUL * libm::log(wrong / plan.most_left) {
+        return Ok(true);
+    }
+    let ground = base.ground;
+    Ok(plan.is_open && Level::of(base)?.dependences(ground).gain() > OF_CURVE)
+}
+
+/// Estimates the best curve with the scene where it may gain more than the best effect does (`most`).
+fn follow_curve<L: FreeScene>(
+    open: &mut Dependences,
+    (nothing, level): (&Fit<'_, L>, &Level),
+    most: f64,
+    plan: &Plan,
+) -> Result<(), String> {
+    if let Some(best) = open.list.first_mut()
+        && best.beyond() > f64::max(OF_CURVE, OF_BEST * most)
+        && let Some((curve, with)) = curve::with_scene(nothing, (best, level), nothing.ground)?
+    {
+        best.gain = best.gain.max(curve.nats_per_event);
+        best.dependence = curve;
+        open.left = wrong(&with, plan)?;
+    }
+    Ok(())
 }
 
 /// Thresholds that differ from pixel to pixel, where that gains anything, and about by how much.
@@ -425,12 +469,12 @@ fn replace<L: FreeScene>(
     list.sort_by(Ranked::by_gain);
 }
 
-/// All other effects with one applied.
+/// All other effects with one applied, and what none of them has.
 fn second<L: FreeScene>(
     with: &Exact<'_, L>,
     ground: &Ground<'_, L>,
     plan: &Plan,
-) -> Result<Vec<Ranked>, String> {
+) -> Result<(Vec<Ranked>, Dependences), String> {
     let others: Vec<usize> = (0..CANDIDATES.len())
         .filter(|n| !CANDIDATES[*n].is_random && CANDIDATES[*n].id != CANDIDATES[with.candidate].id)
         .collect();
@@ -441,6 +485,7 @@ fn second<L: FreeScene>(
     let mut alone = scene.clone();
     alone.settled(plan.corrections_of_second)?;
     let level = Level::of(&mut alone)?;
+    let open = if plan.is_open { level.dependences(ground) } else { Dependences::none() };
     let mut exact = Vec::new();
     for one in list.iter().filter(|one| one.gain > plan.least_gain).take(plan.second) {
         exact.extend(scene.exact(one.candidate, one.effect_size, plan.corrections_of_second).ok());
@@ -449,7 +494,7 @@ fn second<L: FreeScene>(
     list.iter_mut()
         .filter(|one| one.is_exact && free.is_some())
         .for_each(|one| one.of_first = Some(with.effect_size));
-    Ok(list)
+    Ok((list, open))
 }
 
 /// First sizes and gains, best first.

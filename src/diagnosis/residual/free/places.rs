@@ -1,14 +1,21 @@
 //! What there is without an effect, and where an effect gains beyond it.
 
 use super::super::Residuals;
+use super::super::formulas::formulas;
 use super::super::laid::{Laid, lay};
 use super::super::located::{Ground as Gains, Located, LocatedSetting, Values};
+use super::super::open::{Open, after, dependences, restored};
+use super::super::ranking::period_of;
 use super::super::setting::EvidenceSetting;
+use super::super::setting::{DEPENDENCES, LEAST_NOISE};
 use super::super::table::block_of;
-use super::fit::{Fit, Ground};
+use super::fit::{BY_CHANCE, Fit, Ground};
 use crate::candidates::CANDIDATES;
 use crate::covariates::Surroundings;
+use crate::dependence::Dependence;
+use crate::formula::Formula;
 use photocurrent_scene::free::{FreeScene, Predicted};
+use photocurrent_scene::statistics::median;
 
 /// A fit that an effect is held against, and the events that gains are measured on.
 pub(super) struct Level {
@@ -16,8 +23,30 @@ pub(super) struct Level {
     pub left_out: Vec<f64>,
     predicted: Vec<Predicted>,
     events: Residuals,
+    /// Of each event, positive, natural-log units.
+    threshold: Vec<f64>,
     block: Vec<u32>,
     laid: Vec<Laid>,
+}
+
+/// Curves that no effect of the catalogue has.
+#[derive(Clone, Debug)]
+pub(super) struct Dependences {
+    pub list: Vec<Open>,
+    /// What events miss their thresholds by with the best one, a median share of them; infinite where there
+    /// is none.
+    pub left: f64,
+}
+
+impl Dependences {
+    pub(super) fn none() -> Dependences {
+        Dependences { list: Vec::new(), left: f64::INFINITY }
+    }
+
+    /// What the best one gains, nats an event.
+    pub(super) fn gain(&self) -> f64 {
+        self.list.first().map_or(0.0, Open::beyond)
+    }
 }
 
 impl Level {
@@ -31,13 +60,13 @@ impl Level {
         let prediction = fit.predict()?;
         let predicted = fit.predicted()?;
         let left_out = fit.light.left_out(&predicted);
-        let (mut events, mut block) = (Residuals::default(), Vec::new());
+        let (mut events, mut block, mut threshold) = (Residuals::default(), Vec::new(), Vec::new());
         for (place, numbers) in
             ground.events.iter().enumerate().filter(|(place, _)| ground.is_measured(*place))
         {
             let pixel = fit.light.pixels()[place];
             let of_pixel = case.events.of(pixel as usize);
-            for k in numbers {
+            for (k, found) in numbers.iter().zip(&predicted[place].events) {
                 let (event, before) = (&of_pixel[*k], &of_pixel[k - 1]);
                 events.pixel.push(pixel);
                 events.t_ns.push(event.t_in_ns);
@@ -45,6 +74,13 @@ impl Level {
                 events.previous.push(before.polarity);
                 events.since_ns.push(event.t_in_ns - before.t_in_ns);
                 events.log_light.push(prediction.light.at(pixel as usize, event.t_in_ns).unwrap_or(f64::NAN));
+                events.excess.push(found.excess);
+                threshold.push(found.threshold);
+                events.slope_per_s.push(found.polarity * found.rise_per_s);
+                // The voltage moved in the direction of the event before when that fired.
+                let before_square =
+                    found.slope_per_s * found.slope_per_s - found.rise_per_s * found.rise_per_s;
+                events.slope_before_per_s.push(f64::from(before.polarity) * before_square.max(0.0).sqrt());
                 block.push(block_of(case, side, pixel as usize));
             }
         }
@@ -52,8 +88,53 @@ impl Level {
         let front_end = ground.nominal.pixel.front_end;
         let constants = (front_end.tau_0_s, front_end.alpha_s);
         let surroundings = Surroundings::of(case, light, case.extent.pixels(), constants);
-        let laid = lay(&events, &surroundings, None);
-        Ok(Level { left_out, predicted, events, block, laid })
+        let laid = lay(&events, &surroundings, period_of(case, &events, &events.excess));
+        Ok(Level { left_out, predicted, events, threshold, block, laid })
+    }
+
+    /// What events that are held out have and no effect of the catalogue does, best first, and what they
+    /// miss their thresholds by with the best curve, a median share of them.
+    pub(super) fn dependences<L: FreeScene>(&self, ground: &Ground<'_, L>) -> Dependences {
+        let Residuals { pixel, t_ns, polarity, log_light, excess, .. } = &self.events;
+        let threshold = ground.scales.threshold;
+        let least = LEAST_NOISE * threshold;
+        let mut list = dependences(&self.events, excess, &self.block, &self.laid, threshold, least);
+        list.iter_mut().for_each(|one| one.control_gain = BY_CHANCE * one.gain_error);
+        list.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
+        list.retain(|one| one.beyond() > 0.0);
+        list.truncate(DEPENDENCES);
+        let mut left = f64::INFINITY;
+        if let Some(best) = list.first_mut() {
+            let (events, block) = (&self.events, &self.block);
+            best.dependence.formulas =
+                formulas(events, excess, block, &self.laid, &best.dependence, threshold, least);
+            let curve = &best.dependence;
+            let after = after(&self.events, excess, &self.block, &self.laid, curve, threshold, least);
+            let setting = LocatedSetting::default();
+            let on = Values { pixel, t_ns, polarity, log_light, block: &self.block };
+            let places = Gains::new(ground.case, on, &self.laid, &setting);
+            best.located = after.as_ref().map(|after| {
+                places.locate(&after.gains, curve.covariate.name()).of_dependence(curve, &setting)
+            });
+            if let Some(after) = after {
+                let of = after.residual.iter().zip(&self.threshold);
+                left = median(
+                    &mut of.map(|(residual, threshold)| residual.abs() / threshold).collect::<Vec<_>>(),
+                );
+            }
+        }
+        Dependences { list, left }
+    }
+
+    /// Formulas of a curve that the fit's sensor has.
+    pub(super) fn formulas<L: FreeScene>(&self, ground: &Ground<'_, L>, curve: &Dependence) -> Vec<Formula> {
+        let threshold = ground.scales.threshold;
+        let least = LEAST_NOISE * threshold;
+        let plain = restored(&self.events, &self.events.excess, &self.laid, curve, threshold);
+        let of = |plain: Vec<f64>| {
+            formulas(&self.events, &plain, &self.block, &self.laid, curve, threshold, least)
+        };
+        plain.map(of).unwrap_or_default()
     }
 
     /// Where an effect gains on a light that was estimated with it, with what is predicted there.

@@ -208,6 +208,40 @@ fn thresholds_that_differ_from_pixel_to_pixel_are_found_with_their_spread() {
 }
 
 #[test]
+fn thresholds_of_odd_rows_are_a_curve_without_a_name() {
+    use crate::covariates::Covariate;
+    use crate::dependence::Moved;
+    use photocurrent_scene::case::PixelEvents;
+    let even = photograph(None);
+    let truth = 0.15;
+    let scales = Scales::of(&even, &even.nominal().unwrap());
+    let size = Candidate::find("threshold_scale", "fraction").unwrap().effect_size(
+        truth,
+        &scales,
+        &even.nominal().unwrap(),
+    );
+    let odd = photograph(Some(("threshold_scale", "fraction", size)));
+    let of = |pixel: usize| {
+        let is_odd = even.place(pixel).1 % 2 == 1;
+        (if is_odd { &odd } else { &even }).events.of(pixel).to_vec()
+    };
+    let case = Case { events: PixelEvents::new((0..even.extent.pixels()).map(of)), ..even.clone() };
+    let found = joint(&case);
+    // Without the curve half of the events miss by more than a scene may: that is no fault of the scene.
+    assert!(found.median > EXPLAINED, "{}", found.median);
+    let curve = &found.open[0].dependence;
+    assert_eq!((curve.covariate, curve.moved), (Covariate::RowParity, Moved::Threshold), "{curve:?}");
+    // As the description has it in even rows, and with 15 % more in odd ones. What is the same in all rows is
+    // nearly one number with the contrast of a scene whose frames are noisy.
+    let [even, odd] = [curve.value[0], curve.value[1]];
+    assert!((odd - even - truth).abs() < 0.08 * truth, "{curve:?}");
+    assert!(even.abs() < 3.0 * curve.error[0] && curve.error.iter().all(|error| *error < 0.02), "{curve:?}");
+    // And no effect of the catalogue gains as much.
+    let best = found.ranked.iter().filter(|one| one.is_exact).map(Ranked::beyond).fold(0.0, f64::max);
+    assert!(best < 0.5 * found.open[0].beyond(), "{best} {}", found.open[0].beyond());
+}
+
+#[test]
 fn numbers_that_lie_in_a_range_are_estimated_with_the_scene() {
     use photocurrent_core::quantity::Duration;
     use photocurrent_core::sensor::Range;

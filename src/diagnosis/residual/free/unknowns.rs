@@ -20,11 +20,11 @@ const FARTHEST: f64 = 0.25;
 const STILL: f64 = 0.05;
 
 /// What all pixels' rows have of numbers, the scene adapted.
-struct Normal {
-    score: DVector<f64>,
-    information: DMatrix<f64>,
+pub(super) struct Normal {
+    pub score: DVector<f64>,
+    pub information: DMatrix<f64>,
     /// What is predicted, and what a step of each number changes of it.
-    columns: (Vec<Predicted>, Vec<Vec<f32>>),
+    pub columns: (Vec<Predicted>, Vec<Vec<f32>>),
 }
 
 impl Normal {
@@ -117,7 +117,7 @@ pub(super) fn estimate<L: FreeScene>(
 
 impl<L: FreeScene> Fit<'_, L> {
     /// Score and information of steps from the fit's own sensor, each to a sensor and so far.
-    fn normal(&mut self, steps: &[(Trial, f64)]) -> Result<Normal, String> {
+    pub(super) fn normal(&mut self, steps: &[(Trial, f64)]) -> Result<Normal, String> {
         let prediction = self.predict()?;
         let mut prepared = vec![self.prepared(&self.trial)?];
         for (trial, _) in steps {

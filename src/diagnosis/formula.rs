@@ -1,0 +1,187 @@
+//! Formulas that a measured curve may follow.
+
+use crate::covariates::Covariate;
+use crate::report::short;
+use serde::{Deserialize, Serialize};
+
+/// A form of a formula over a variable x, with a shape number s.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// x.
+    Linear,
+    /// ln x.
+    Logarithm,
+    /// x^s.
+    Power,
+    /// exp(-x / s).
+    Relaxation,
+    /// x / (x + s).
+    Saturation,
+    /// 0 below s, 1 from s on.
+    Step,
+    /// sin and cos of 2 pi x.
+    Sine,
+}
+
+impl Form {
+    /// All of them.
+    pub const ALL: [Form; 7] = [
+        Form::Linear,
+        Form::Logarithm,
+        Form::Power,
+        Form::Relaxation,
+        Form::Saturation,
+        Form::Step,
+        Form::Sine,
+    ];
+
+    /// How many amplitudes it has.
+    pub fn amplitudes(self) -> usize {
+        if self == Form::Sine { 2 } else { 1 }
+    }
+
+    /// How many shape numbers.
+    pub fn shapes(self) -> usize {
+        match self {
+            Form::Linear | Form::Logarithm | Form::Sine => 0,
+            Form::Power | Form::Relaxation | Form::Saturation | Form::Step => 1,
+        }
+    }
+
+    /// Does it apply where the variable takes values from `low` to `high`?
+    pub fn applies(self, covariate: Covariate, low: f64, high: f64) -> bool {
+        let is_phase = covariate == Covariate::AcPhase;
+        match self {
+            Form::Sine => is_phase,
+            _ if is_phase => false,
+            Form::Logarithm => low > 0.0 && high > 2.0 * low,
+            Form::Power => low >= 0.0,
+            Form::Saturation => low >= 0.0 && high > 0.0,
+            Form::Linear | Form::Relaxation | Form::Step => true,
+        }
+    }
+
+    /// Shape numbers to be tried where the variable takes values from `low` to `high`.
+    pub fn tried(self, low: f64, high: f64) -> Vec<f64> {
+        let range = high - low;
+        let steps = |from: f64, to: f64| -> Vec<f64> {
+            let at = |k: usize| from * libm::pow(to / from, k as f64 / (TRIED - 1) as f64);
+            (0..TRIED).map(at).collect()
+        };
+        match self {
+            Form::Linear | Form::Logarithm | Form::Sine => vec![0.0],
+            Form::Power => vec![-2.0, -1.0, -0.5, 0.5, 1.5, 2.0, 3.0]
+                .into_iter()
+                .filter(|power| *power > 0.0 || low > 0.0)
+                .collect(),
+            Form::Relaxation => steps(range / 20.0, range),
+            Form::Saturation => steps(high / 20.0, high),
+            Form::Step => (1..TRIED).map(|k| low + range * k as f64 / TRIED as f64).collect(),
+        }
+    }
+
+    /// The value of amplitude `n`'s part at `x`.
+    pub fn value(self, n: usize, shape: f64, x: f64) -> f64 {
+        match (self, n) {
+            (Form::Linear, _) => x,
+            (Form::Logarithm, _) => libm::log(x),
+            (Form::Power, _) => libm::pow(x, shape),
+            (Form::Relaxation, _) => libm::exp(-x / shape),
+            (Form::Saturation, _) => x / (x + shape),
+            (Form::Step, _) => f64::from(u8::from(x >= shape)),
+            (Form::Sine, 0) => libm::sin(core::f64::consts::TAU * x),
+            (Form::Sine, _) => libm::cos(core::f64::consts::TAU * x),
+        }
+    }
+}
+
+/// Shape numbers of a form that are tried.
+const TRIED: usize = 16;
+
+/// A formula with its numbers: c(x) = constant + amplitude * form(x).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Formula {
+    /// Its form.
+    pub form: Form,
+    /// The shape number; 0 of a form without one.
+    pub shape: f64,
+    /// In the unit of what is moved: a share, seconds or events a second. The mean of c over all events is
+    /// 0.
+    pub constant: f64,
+    /// The same.
+    pub amplitudes: Vec<f64>,
+    /// Half the difference of what two halves of the pixels give, of each amplitude.
+    pub errors: Vec<f64>,
+    /// Held-out gain in log-likelihood over no dependence, nats an event.
+    pub gain: f64,
+    /// Of the formulas that are reported, by their criterion.
+    pub probability: f64,
+}
+
+impl Formula {
+    /// As an equation in the variable's name; `scale` and `unit`: of the numbers as they are written.
+    pub fn equation(
+        &self,
+        (scale, unit): (f64, &str),
+        covariate: Covariate,
+        period_s: Option<f64>,
+    ) -> String {
+        let number = |value: f64| format!("{}{unit}", short(scale * value));
+        let x = covariate.name();
+        if let (Form::Sine, [sine, cosine]) = (self.form, &self.amplitudes[..]) {
+            let (size, phase) = (libm::hypot(*sine, *cosine), libm::atan2(*cosine, *sine));
+            let error = libm::hypot(self.errors[0], self.errors[1]);
+            let of =
+                period_s.map_or_else(|| x.to_owned(), |period_s| format!("{} Hz t", short(1.0 / period_s)));
+            let phase = format!("{} {}", if phase < 0.0 { "-" } else { "+" }, short(phase.abs()));
+            return format!("{} (+- {}) * sin(2 pi {of} {phase})", number(size), number(error));
+        }
+        let (size, error) = (self.amplitudes[0], self.errors[0]);
+        let shape = short(self.shape);
+        let form = match self.form {
+            Form::Linear => x.to_owned(),
+            Form::Logarithm => format!("ln({x})"),
+            Form::Power => format!("{x}^{shape}"),
+            Form::Relaxation => format!("exp(-{x} / {shape})"),
+            Form::Saturation => format!("{x} / ({x} + {shape})"),
+            Form::Step | Form::Sine => format!("({x} >= {shape})"),
+        };
+        let sign = if size < 0.0 { "-" } else { "+" };
+        format!("{} {sign} {} (+- {}) * {form}", number(self.constant), number(size.abs()), number(error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHARE: (f64, &str) = (100.0, " %");
+
+    #[test]
+    fn a_formula_is_written_with_numbers_and_units() {
+        let formula = |form, shape, amplitudes: &[f64]| Formula {
+            form,
+            shape,
+            constant: -0.02,
+            errors: vec![0.001; amplitudes.len()],
+            amplitudes: amplitudes.to_vec(),
+            gain: 0.3,
+            probability: 0.9,
+        };
+        assert_eq!(
+            formula(Form::Linear, 0.0, &[0.1]).equation(SHARE, Covariate::Time, None),
+            "-2 % + 10 % (+- 0.1 %) * time"
+        );
+        assert_eq!(
+            formula(Form::Power, 2.0, &[-0.1]).equation(SHARE, Covariate::Radius, None),
+            "-2 % - 10 % (+- 0.1 %) * radius^2"
+        );
+        // 0.03 sin(a) + 0.04 cos(a) = 0.05 sin(a + atan(4/3)).
+        let sine = formula(Form::Sine, 0.0, &[0.03, 0.04]);
+        assert_eq!(
+            sine.equation(SHARE, Covariate::AcPhase, Some(0.005)),
+            format!("5 % (+- {} %) * sin(2 pi 200 Hz t + {})", short(0.1 * 2.0_f64.sqrt()), short(0.9272952))
+        );
+    }
+}

@@ -1,0 +1,83 @@
+//! A curve without a name, estimated with the scene: its knots and the scene take steps together, as numbers
+//! do that a description leaves open ([`super::unknowns`]).
+
+use super::super::open::Open;
+use super::fit::{ERRORS, Fit, Ground};
+use super::places::Level;
+use super::unknowns::Normal;
+use crate::candidates::Trial;
+use crate::dependence::Dependence;
+use nalgebra::{DMatrix, DVector};
+use photocurrent_scene::free::FreeScene;
+
+/// Turns of curve and scene at most.
+const TURNS: usize = 8;
+/// Finite differences, as a share of the curve's largest value.
+const PROBE: f64 = 0.05;
+/// A knot moves by no more than this share of the largest value in a turn, and stands where all move by less
+/// than that.
+const FARTHEST: f64 = 1.0;
+const STILL: f64 = 0.01;
+/// Standard deviation of the prior of each knot, about 0, as a multiple of the largest value of the curve
+/// that was found without the scene.
+const PRIOR: f64 = 3.0;
+/// The effect that has any curve.
+const ID: &str = "dependence";
+
+/// The best curve as it is when the scene follows it, with what is the same in all bins, and that scene. On
+/// residuals of a scene that was estimated without it, what the scene takes over is missing. None where the
+/// sensor cannot have it ([`Dependence::parameters`]), or has another one.
+///
+/// # Errors
+/// When its sensor cannot be applied.
+pub(super) fn with_scene<'a, L: FreeScene>(
+    nothing: &Fit<'a, L>,
+    (best, without): (&Open, &Level),
+    ground: &Ground<'_, L>,
+) -> Result<Option<(Dependence, Fit<'a, L>)>, String> {
+    let start_ns = ground.case.span.0;
+    let mut curve = best.dependence.clone();
+    curve.value.iter_mut().for_each(|value| *value += best.mean);
+    let with = |curve: &Dependence| -> Option<Trial> {
+        let mut trial = nothing.trial.clone();
+        trial.effects.insert(ID.to_owned(), curve.parameters(start_ns)?).is_none().then_some(trial)
+    };
+    let largest = curve.value.iter().fold(0.0, |most, value| f64::max(most, value.abs()));
+    let Some(trial) = with(&curve).filter(|_| largest > 0.0) else { return Ok(None) };
+    let count = curve.value.len();
+    let prior = DMatrix::identity(count, count) / (PRIOR * largest * PRIOR * largest);
+    let mut fit = nothing.clone();
+    fit.apply(trial);
+    fit.settled(1)?;
+    for _ in 0..TURNS {
+        let probe = PROBE * largest;
+        let moved = |k: usize| {
+            let mut moved = curve.clone();
+            moved.value[k] += probe;
+            with(&moved).map(|trial| (trial, probe))
+        };
+        let Some(steps) = (0..count).map(moved).collect::<Option<Vec<_>>>() else { return Ok(None) };
+        let Normal { score, information, columns } = fit.normal(&steps)?;
+        let now = DVector::from_column_slice(&curve.value);
+        let Some(factor) = (&information + &prior).cholesky() else { return Ok(None) };
+        let far = FARTHEST * largest;
+        let step = factor.solve(&-(score + &prior * now)).map(|by| by.clamp(-far, far));
+        // Errors are larger than the information has them.
+        if let Some(sure) = (information / (ERRORS * ERRORS) + &prior).try_inverse() {
+            curve.error = (0..count).map(|k| libm::sqrt(sure[(k, k)])).collect();
+        }
+        curve.value.iter_mut().zip(step.iter()).for_each(|(value, by)| *value += by);
+        let Some(trial) = with(&curve) else { return Ok(None) };
+        fit.follow(trial, &columns, step.as_slice())?;
+        fit.release();
+        fit.rounds(1)?;
+        if step.amax() < STILL * largest {
+            break;
+        }
+    }
+    let level = Level::of(&mut fit)?;
+    let gained = level.left_out.iter().zip(&without.left_out).map(|(with, without)| with - without);
+    curve.nats_per_event = gained.sum::<f64>() / ground.events().max(1) as f64;
+    curve.formulas = level.formulas(ground, &curve);
+    Ok(Some((curve, fit)))
+}
