@@ -160,8 +160,9 @@ mod tests {
     fn probabilities_of_what_is_reported_sum_to_one_and_a_zigzag_has_no_formula() {
         let line = found(Covariate::Time, (0.0, 0.2), |x| 0.5 * x);
         assert!((line.iter().map(|formula| formula.probability).sum::<f64>() - 1.0).abs() < 1e-9, "{line:?}");
-        let zigzag =
-            found(Covariate::Time, (0.0, 0.6), |x| if (x * 10.0) as usize % 2 == 0 { 0.2 } else { -0.2 });
+        let zigzag = found(Covariate::Time, (0.0, 0.6), |x| {
+            if ((x * 10.0) as usize).is_multiple_of(2) { 0.2 } else { -0.2 }
+        });
         assert!(zigzag.is_empty(), "{zigzag:?}");
     }
 }
