@@ -9,6 +9,7 @@ use crate::curves::Curves;
 use crate::sample::Sample;
 use photocurrent_core::Extent;
 use photocurrent_scene::case::Case;
+use photocurrent_sensor::effects::Site;
 use serde::{Deserialize, Serialize};
 
 /// Something that a mismatch may depend on.
@@ -200,22 +201,14 @@ impl<'a> Surroundings<'a> {
     /// (no event before, no neighbour in the sample).
     pub fn value(&self, covariate: Covariate, pixel: usize, t_ns: i64, polarity: i8) -> Option<f64> {
         let (x, y) = self.case.place(pixel);
-        let (width, height) = (self.case.extent.width, self.case.extent.height);
+        let Extent { width, height } = self.case.extent;
+        let site = Site { x, y, width, height, seed: 0 };
         Some(match covariate {
             Covariate::Row => f64::from(y),
             Covariate::RowParity => f64::from(y % 2),
             Covariate::Column => f64::from(x),
-            Covariate::ColumnBlock => f64::from(8 * x / width),
-            Covariate::Radius => {
-                let off = |at: u32, size: u32| {
-                    (f64::from(at) - 0.5 * f64::from(size - 1)) / f64::max(0.5 * f64::from(size - 1), 0.5)
-                };
-                let (dx, dy) = (off(x, width) * f64::from(width), off(y, height) * f64::from(height));
-                libm::sqrt(
-                    (dx * dx + dy * dy)
-                        / (f64::from(width) * f64::from(width) + f64::from(height) * f64::from(height)),
-                )
-            }
+            Covariate::ColumnBlock => f64::from(site.column_block()),
+            Covariate::Radius => site.radius(),
             Covariate::Time => (t_ns - self.case.span.0) as f64 * 1e-9,
             Covariate::FramePhase => {
                 let times = &self.case.frames.as_ref()?.times;

@@ -2,11 +2,14 @@
 
 use crate::covariates::Covariate;
 use crate::formula::Formula;
+use crate::record::Described;
 use crate::report::{short, six_digits};
-use photocurrent_core::Sensor;
 use photocurrent_sensor::effects::from_description;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
+
+/// The effect of the catalogue that has any curve.
+const EFFECT: &str = "dependence";
 
 /// What is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,12 +35,12 @@ impl Moved {
         }
     }
 
-    /// How its numbers are written: times what, and in which unit.
-    pub fn written(self) -> (f64, &'static str) {
+    /// How its numbers are written: times what, in which unit, and with how many digits behind the point.
+    fn written(self) -> (f64, &'static str, usize) {
         match self {
-            Moved::Threshold | Moved::EventRate => (100.0, " %"),
-            Moved::Stamps => (1e6, " us"),
-            Moved::Rate => (1.0, " Hz"),
+            Moved::Threshold | Moved::EventRate => (100.0, " %", 1),
+            Moved::Stamps => (1e6, " us", 0),
+            Moved::Rate => (1.0, " Hz", 2),
         }
     }
 
@@ -75,32 +78,43 @@ pub struct Dependence {
     pub significance: f64,
     /// Held-out gain in log-likelihood, nats an event.
     pub nats_per_event: f64,
+    /// Was the scene estimated along with it? Otherwise the scene has taken over a part of it.
+    #[serde(default)]
+    pub is_with_scene: bool,
     /// Formulas that explain it nearly as well as the best one, best first; none where none does.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub formulas: Vec<Formula>,
 }
 
 impl Dependence {
+    /// A curve without a point.
+    pub fn over(covariate: Covariate, moved: Moved) -> Dependence {
+        Dependence {
+            moved,
+            covariate,
+            period_s: None,
+            at: Vec::new(),
+            value: Vec::new(),
+            error: Vec::new(),
+            taken: 0.0,
+            significance: 0.0,
+            nats_per_event: 0.0,
+            is_with_scene: false,
+            formulas: Vec::new(),
+        }
+    }
+
     /// As an equation: by the formulas that explain it, and with the measured curve.
     pub fn equation(&self) -> String {
         let name = self.covariate.name();
-        let formulas: String = self
-            .formulas
-            .iter()
-            .map(|formula| {
-                let (of, sure) = (
-                    formula.equation(self.moved.written(), self.covariate, self.period_s),
-                    formula.probability,
-                );
-                format!(", c({name}) = {of} (probability {sure:.2})")
-            })
-            .collect::<Vec<_>>()
-            .join(" or");
-        let point = |(at, value): (&f64, &f64)| match self.moved {
-            Moved::Threshold | Moved::EventRate => format!("{:+.1} % at {}", 100.0 * value, short(*at)),
-            Moved::Stamps => format!("{:+.0} us at {}", 1e6 * value, short(*at)),
-            Moved::Rate => format!("{value:+.2} Hz at {}", short(*at)),
+        let (scale, unit, digits) = self.moved.written();
+        let of_formula = |formula: &Formula| {
+            let equation = formula.equation((scale, unit), self.covariate, self.period_s);
+            format!(", c({name}) = {equation} (probability {:.2})", formula.probability)
         };
+        let formulas = self.formulas.iter().map(of_formula).collect::<Vec<_>>().join(" or");
+        let point =
+            |(at, value): (&f64, &f64)| format!("{:+.digits$}{unit} at {}", scale * value, short(*at));
         let points: Vec<String> = self.at.iter().zip(&self.value).map(point).collect();
         let rhythm =
             self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
@@ -143,16 +157,15 @@ impl Dependence {
         let given = json!({ "moves": moves, "over": self.covariate.name(), "at": at, "by": by });
         let Value::Object(mut given) = given else { return None };
         given.extend(period.map(|period| ("period".to_owned(), Value::from(period))));
-        let described = [("dependence".to_owned(), given.clone())].into();
+        let described = [(EFFECT.to_owned(), given.clone())].into();
         from_description(&described).ok().map(|_| given)
     }
 
-    /// A description with this curve put in; none where it cannot be expressed, or the description states
-    /// another one.
-    pub fn put_in(&self, sensor: &Sensor, start_ns: i64) -> Option<Sensor> {
+    /// Effects of a description with this curve; none where it cannot be expressed, or they have another one.
+    pub fn put_in(&self, effects: &Described, start_ns: i64) -> Option<Described> {
         let given = self.parameters(start_ns)?;
-        let mut sensor = sensor.clone();
-        sensor.effects.insert("dependence".to_owned(), given).is_none().then_some(sensor)
+        let mut effects = effects.clone();
+        effects.insert(EFFECT.to_owned(), given).is_none().then_some(effects)
     }
 }
 
@@ -162,8 +175,6 @@ mod tests {
 
     fn dependence(moved: Moved, covariate: Covariate, period_s: Option<f64>) -> Dependence {
         Dependence {
-            moved,
-            covariate,
             period_s,
             at: vec![0.25, 0.75],
             value: vec![-0.1, 0.1],
@@ -171,7 +182,8 @@ mod tests {
             taken: 0.5,
             significance: 9.0,
             nats_per_event: 0.3,
-            formulas: Vec::new(),
+            is_with_scene: true,
+            ..Dependence::over(covariate, moved)
         }
     }
 
@@ -195,6 +207,17 @@ mod tests {
         );
         assert_eq!(of(Moved::Threshold, Covariate::Time, None).unwrap()["at"], json!([0.253, 0.753]));
         assert_eq!(of(Moved::Rate, Covariate::Row, None).unwrap()["by"], json!(["-0.1 Hz", "0.1 Hz"]));
+        // Every variable that the effect has is one of the covariates by the same name.
+        for covariate in [
+            Covariate::Row,
+            Covariate::RowParity,
+            Covariate::Column,
+            Covariate::ColumnBlock,
+            Covariate::Photocurrent,
+            Covariate::PreviousPolarity,
+        ] {
+            assert!(of(Moved::Threshold, covariate, None).is_some(), "{covariate:?}");
+        }
         // What a pixel does not have at its reset.
         assert_eq!(of(Moved::Stamps, Covariate::TimeSinceLastEvent, None), None);
         assert_eq!(of(Moved::EventRate, Covariate::RowParity, None), None);

@@ -157,8 +157,8 @@ pub fn confirm(
         found.or_else(|| (case.sensor != *stated).then(|| case.sensor.clone()))
     };
     let with_curve = |unexplained: Option<&Unexplained>| {
-        let curve = unexplained.and_then(|found| found.dependence.as_ref())?;
-        curve.put_in(&case.sensor, case.span.0)
+        let curve = unexplained.and_then(|found| found.dependence.as_ref()).filter(|of| of.is_with_scene)?;
+        Some(Sensor { effects: curve.put_in(&case.sensor.effects, case.span.0)?, ..case.sensor.clone() })
     };
     let predicted = |sensor: &Sensor| {
         sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve))
@@ -179,7 +179,8 @@ pub fn confirm(
     }
     let mut changed = with(&answer.findings);
     let mut fitted = fitted;
-    // What has no name is put in as its curve, unless frames that were held out are predicted worse with it.
+    // What has no name is put in as its curve, if that was estimated with the scene, unless frames that were
+    // held out are predicted worse with it.
     if let Some(sensor) = with_curve(answer.unexplained.as_ref()) {
         let after = predicted(&sensor)?;
         if !is_worse(&after) {

@@ -109,16 +109,13 @@ fn too_little_is_consistent_and_something_unexplained_has_no_name() {
 #[test]
 fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
     let dependence = Dependence {
-        moved: crate::dependence::Moved::EventRate,
-        covariate: crate::covariates::Covariate::RowParity,
-        period_s: None,
         at: vec![0.0, 1.0],
         value: vec![0.1, -0.1],
         error: vec![0.01, 0.01],
         taken: 0.4,
         significance: 16.0,
         nats_per_event: 0.01,
-        formulas: Vec::new(),
+        ..Dependence::over(crate::covariates::Covariate::RowParity, crate::dependence::Moved::EventRate)
     };
     let integrity = Integrity { dependences: vec![dependence], ..Integrity::default() };
     let alone = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));

@@ -62,3 +62,48 @@ fn between_events_the_level_is_what_the_light_rose_by_since_the_reference() {
         }
     }
 }
+
+#[test]
+fn what_a_dependence_does_to_events_is_known_to_who_has_it() {
+    use crate::effects::from_description;
+    use crate::forward::{Chain, LinearLight, Noiseless, TOLERANCE, simulate};
+    use serde_json::json;
+    let site = Site { x: 3, y: 5, width: 16, height: 12, seed: 0 };
+    let model = model(Reset::Resample, 200_000);
+    let t_ns: Vec<i64> = (0..=20_000).map(|k| k * 10_000).collect();
+    let log: Vec<f64> = t_ns.iter().map(|t| 4.0 + libm::sin(40.0 * *t as f64 * 1e-9)).collect();
+    let light: Vec<f64> = log.iter().map(|log| libm::exp(*log)).collect();
+    let track = Track::new(&t_ns, &log, 10_000);
+    let phase = [0.0, 0.25, 0.5, 0.75];
+    for given in [
+        json!({ "moves": "threshold", "over": "row_parity", "at": [0, 1], "by": [0.0, 0.2] }),
+        json!({ "moves": "threshold", "over": "time", "at": [0.0, 0.2], "by": [0.0, 0.3] }),
+        json!({ "moves": "threshold_on", "over": "photocurrent", "at": [3, 5], "by": [0.2, -0.2] }),
+        json!({ "moves": "threshold", "over": "previous_polarity", "at": [-1, 1], "by": [0.3, 0.0] }),
+        json!({ "moves": "delay", "over": "ac_phase", "period": "7 ms", "at": phase,
+            "by": ["0 us", "75 us", "150 us", "75 us"] }),
+        json!({ "moves": "leak", "over": "radius", "at": [0, 1], "by": ["5 Hz", "40 Hz"] }),
+    ] {
+        let described =
+            || from_description(&[("dependence".into(), given.as_object().unwrap().clone())].into());
+        let effects = described().unwrap();
+        let chain = Chain { pixel: model.pixel, reset: model.reset, effects: &effects, tolerance: TOLERANCE };
+        let seen = LinearLight::new(&t_ns, &light);
+        let events: Vec<PixelEvent> = simulate(&chain, &site, &seen, 0, 200_000_000, &mut Noiseless)
+            .into_iter()
+            .filter_map(|fired| fired.recorded)
+            .collect();
+        let worst = |effects: &[Box<dyn Effect>]| {
+            let look = Look { site, track: &track, seen: None, events: &events, frames: &[], quiet_ns: &[] };
+            let mut out = Conditional::default();
+            conditional(&model, effects, &look, &mut out);
+            out.excess.iter().fold(0.0, |most, excess| f64::max(most, excess.abs()))
+        };
+        // Stamps are undone to first order: what is left of 150 us that grow by 43 us a millisecond is 43 in a
+        // thousand of them, at 40 natural-log units a second, at an event and at its reference.
+        let (most, least) =
+            if given["moves"] == "delay" { (2.0 * 40.0 * 150e-6 * 0.043, 2.5e-3) } else { (1e-4, 0.01) };
+        let (with, without) = (worst(&effects), worst(&[]));
+        assert!(events.len() > 8 && with < most && without > least, "{given}: {with} {without}");
+    }
+}

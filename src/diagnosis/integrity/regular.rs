@@ -181,16 +181,13 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
         });
     let period_s = case.frames.as_ref()?.times.mean_period_ns()? * 1e-9;
     Some(Dependence {
-        moved: Moved::EventRate,
-        covariate: Covariate::FramePhase,
-        period_s: None,
         at: (0..folded.bins).map(|bin| (bin as f64 + 0.5) / folded.bins as f64 * period_s).collect(),
         error: (0..folded.bins).map(error).collect(),
         value,
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: regularity,
         nats_per_event: folded.nats() / case.events.len() as f64,
-        formulas: Vec::new(),
+        ..Dependence::over(Covariate::FramePhase, Moved::EventRate)
     })
 }
 
@@ -277,15 +274,12 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
         }
     }
     Some(Dependence {
-        moved: Moved::EventRate,
-        covariate: Covariate::RowParity,
-        period_s: None,
         at: vec![0.0, 1.0],
         value: vec![share, -share],
         error: vec![share.abs() / sigmas; 2],
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: sigmas,
         nats_per_event: gain / case.events.len() as f64,
-        formulas: Vec::new(),
+        ..Dependence::over(Covariate::RowParity, Moved::EventRate)
     })
 }

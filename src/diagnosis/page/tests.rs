@@ -106,16 +106,13 @@ fn what_is_claimed_is_shown_before_and_after() {
 fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
     let case = testing::case();
     let dependence = Dependence {
-        moved: Moved::Threshold,
-        covariate: Covariate::RowParity,
-        period_s: None,
         at: vec![0.0, 1.0],
         value: vec![0.11, -0.11],
         error: vec![0.01, 0.01],
         taken: 0.2,
         significance: 9.0,
         nats_per_event: 0.1,
-        formulas: Vec::new(),
+        ..Dependence::over(Covariate::RowParity, Moved::Threshold)
     };
     let unexplained = Unexplained {
         covariate: dependence.covariate.name().into(),

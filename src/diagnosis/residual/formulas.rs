@@ -12,12 +12,10 @@ use super::Residuals;
 use super::fit::{Column, Fitted, Plain, Rows, heldout};
 use super::laid::Laid;
 use super::open::moving;
+use super::setting::ERRORS;
 use crate::dependence::Dependence;
 use crate::formula::{Form, Formula};
 
-/// Standard errors are so many times what independent events would give: that of sizes on scenes that
-/// follow events.
-const ERRORS: f64 = 3.0;
 /// Formulas whose criterion is within this of the best one's are reported (Kass and Raftery, Bayes factors,
 /// 1995: beyond 6 is strong).
 const NEAR: f64 = 6.0;
@@ -132,6 +130,7 @@ mod tests {
         assert_eq!((square[0].form, square[0].shape), (Form::Power, 2.0), "{square:?}");
         assert!((square[0].amplitudes[0] - 0.3).abs() < 0.01, "{square:?}");
 
+        // Sixteenths of the range are tried.
         let step = found(Covariate::Time, (0.0, 0.16), |x| if x < 0.1 { 0.0 } else { -0.2 });
         assert_eq!(step[0].form, Form::Step, "{step:?}");
         assert!(
@@ -139,6 +138,7 @@ mod tests {
             "{step:?}"
         );
 
+        // Those of time constants that are tried are a factor of 1.22 apart.
         let relaxed = found(Covariate::Time, (0.0, 0.2), |x| 0.3 * libm::exp(-x / 0.03));
         let one = relaxed.iter().find(|formula| formula.form == Form::Relaxation).expect("reported");
         assert!(

@@ -208,8 +208,6 @@ fn dependence(
         / f64::max((0..count).map(weight).sum(), 1.0);
     let taken = 1.0 - libm::exp(-2.0 * gain.max(0.0));
     let dependence = Dependence {
-        moved,
-        covariate: laid.covariate,
         period_s: laid.period_ns.map(|period_ns| period_ns as f64 * 1e-9),
         at: bins.at,
         value: value.iter().map(|value| value - mean).collect(),
@@ -217,7 +215,7 @@ fn dependence(
         taken,
         significance: gain / f64::max(all.gain_error, 1e-9),
         nats_per_event: gain,
-        formulas: Vec::new(),
+        ..Dependence::over(laid.covariate, moved)
     };
     Some(Open { dependence, mean, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
 }

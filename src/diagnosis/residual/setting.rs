@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 
 /// Known light is sampled at least this often, ns.
 pub(super) const KNOWN_STEP_NS: i64 = 25_000;
+/// On scenes that follow events standard errors are this much larger than the information has them: what
+/// sound recordings show.
+pub(super) const ERRORS: f64 = 3.0;
 /// Least threshold noise, as a share of the threshold.
 pub(super) const LEAST_NOISE: f64 = 1e-3;
 /// Effect size of the finite differences, as a share of a usual one.

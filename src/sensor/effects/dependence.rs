@@ -138,7 +138,7 @@ impl Variable {
             Variable::Row => f64::from(site.y),
             Variable::RowParity => f64::from(site.y % 2),
             Variable::Column => f64::from(site.x),
-            Variable::ColumnBlock => f64::from(8 * site.x / site.width.max(1)),
+            Variable::ColumnBlock => f64::from(site.column_block()),
             Variable::Radius => site.radius(),
             _ => return None,
         })

@@ -39,6 +39,11 @@ impl Site {
         if self.width < 2 { 0.0 } else { 2.0 * f64::from(self.x) / f64::from(self.width - 1) - 1.0 }
     }
 
+    /// Which eighth of the array's width, from 0.
+    pub fn column_block(&self) -> u32 {
+        8 * self.x / self.width.max(1)
+    }
+
     /// Distance from the array's centre over the distance of a corner pixel: 0 to 1; 0 for a single pixel.
     pub fn radius(&self) -> f64 {
         let (half_x, half_y) =

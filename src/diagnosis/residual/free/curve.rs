@@ -2,7 +2,8 @@
 //! do that a description leaves open ([`super::unknowns`]).
 
 use super::super::open::Open;
-use super::fit::{ERRORS, Fit, Ground};
+use super::super::setting::ERRORS;
+use super::fit::{Fit, Ground};
 use super::places::Level;
 use super::unknowns::Normal;
 use crate::candidates::Trial;
@@ -21,8 +22,6 @@ const STILL: f64 = 0.01;
 /// Standard deviation of the prior of each knot, about 0, as a multiple of the largest value of the curve
 /// that was found without the scene.
 const PRIOR: f64 = 3.0;
-/// The effect that has any curve.
-const ID: &str = "dependence";
 
 /// The best curve as it is when the scene follows it, with what is the same in all bins, and that scene. On
 /// residuals of a scene that was estimated without it, what the scene takes over is missing. None where the
@@ -38,9 +37,10 @@ pub(super) fn with_scene<'a, L: FreeScene>(
     let start_ns = ground.case.span.0;
     let mut curve = best.dependence.clone();
     curve.value.iter_mut().for_each(|value| *value += best.mean);
+    curve.is_with_scene = true;
+    let Trial { nominal, effects } = &nothing.trial;
     let with = |curve: &Dependence| -> Option<Trial> {
-        let mut trial = nothing.trial.clone();
-        trial.effects.insert(ID.to_owned(), curve.parameters(start_ns)?).is_none().then_some(trial)
+        Some(Trial { nominal: nominal.clone(), effects: curve.put_in(effects, start_ns)? })
     };
     let largest = curve.value.iter().fold(0.0, |most, value| f64::max(most, value.abs()));
     let Some(trial) = with(&curve).filter(|_| largest > 0.0) else { return Ok(None) };

@@ -1,8 +1,8 @@
 //! Exact fits: scene and size of an effect, in turn and together.
 
 use super::super::evidence::Ranked;
-use super::super::setting::LARGEST_EFFECT_SIZE;
-use super::fit::{ERRORS, Fit, Ground};
+use super::super::setting::{ERRORS, LARGEST_EFFECT_SIZE};
+use super::fit::{Fit, Ground};
 use super::places::Level;
 use crate::candidates::{CANDIDATES, Signs, Trial};
 use photocurrent_scene::free::{FreeScene, Predicted};

@@ -25,8 +25,6 @@ const SOON_NS: i64 = 1_000_000;
 const NEAR: f64 = 0.2;
 /// Noise is a share of thresholds, which are at least this share of the stated ones.
 const LEAST_THRESHOLD: f64 = 0.1;
-/// Standard errors are this much larger than the information has them: what sound recordings show.
-pub(super) const ERRORS: f64 = 3.0;
 /// Of a gain so many standard errors are no sign of anything: a convention; the decision is calibrated on
 /// what is left.
 pub(super) const BY_CHANCE: f64 = 2.0;

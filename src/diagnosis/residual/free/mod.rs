@@ -30,12 +30,13 @@ mod unknowns;
 use super::chance::of_noise;
 use super::evidence::{Evidence, KINDS, Ranked};
 use super::fit::{MEDIAN_T, probability_t};
+use super::setting::ERRORS;
 use super::table::is_physics;
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::report::Estimate;
 use crate::unknowns::Unknown;
 use exact::Exact;
-use fit::{BY_CHANCE, ERRORS, Fit, Ground, STEP_NS};
+use fit::{BY_CHANCE, Fit, Ground, STEP_NS};
 use photocurrent_scene::block::Block;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::free::{FreeScene, Noise, frame_noise};
@@ -350,7 +351,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     follow_curve(&mut open, (&nothing, &level), first.as_ref().map_or(0.0, Ranked::beyond), plan)?;
     noise[1] = of_noise(&random_second);
     let median = nothing.left()?;
-    let left = with.map_or(Ok(median), |with| with.fit.left())?.min(open.left);
+    let left = with.map_or(Ok(median), |with| with.fit.left())?;
     let wrong = self::wrong(with.map_or(&nothing, |with| &with.fit), plan)?;
     // What is in no catalogue is no fault of the scene.
     let wrong = wrong.min(open.left).min(open_second.left);

@@ -1,7 +1,8 @@
 //! Numbers that the description states as a range, estimated with the scene: both take steps together, the
 //! range as a prior (mean and variance of even probability in it).
 
-use super::fit::{ERRORS, Fit, Ground};
+use super::super::setting::ERRORS;
+use super::fit::{Fit, Ground};
 use super::score::Moved;
 use crate::candidates::Trial;
 use crate::report::Estimate;
