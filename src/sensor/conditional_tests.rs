@@ -84,9 +84,8 @@ fn what_a_dependence_does_to_events_is_known_to_who_has_it() {
             "by": ["0 us", "75 us", "150 us", "75 us"] }),
         json!({ "moves": "leak", "over": "radius", "at": [0, 1], "by": ["5 Hz", "40 Hz"] }),
     ] {
-        let described =
-            || from_description(&[("dependence".into(), given.as_object().unwrap().clone())].into());
-        let effects = described().unwrap();
+        let parameters = given.as_object().unwrap().clone();
+        let effects = from_description(&[("dependence".into(), parameters)].into()).unwrap();
         let chain = Chain { pixel: model.pixel, reset: model.reset, effects: &effects, tolerance: TOLERANCE };
         let seen = LinearLight::new(&t_ns, &light);
         let events: Vec<PixelEvent> = simulate(&chain, &site, &seen, 0, 200_000_000, &mut Noiseless)
@@ -99,8 +98,8 @@ fn what_a_dependence_does_to_events_is_known_to_who_has_it() {
             conditional(&model, effects, &look, &mut out);
             out.excess.iter().fold(0.0, |most, excess| f64::max(most, excess.abs()))
         };
-        // Stamps are undone to first order: what is left of 150 us that grow by 43 us a millisecond is 43 in a
-        // thousand of them, at 40 natural-log units a second, at an event and at its reference.
+        // Stamps are undone to first order: of 150 us that grow by 43 us a millisecond 43 in a thousand are
+        // left, at 40 natural-log units a second, at an event and at its reference.
         let (most, least) =
             if given["moves"] == "delay" { (2.0 * 40.0 * 150e-6 * 0.043, 2.5e-3) } else { (1e-4, 0.01) };
         let (with, without) = (worst(&effects), worst(&[]));
