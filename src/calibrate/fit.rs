@@ -338,7 +338,7 @@ mod tests {
     fn cross_validation_is_what_the_docs_say() {
         let examples = training();
         let without = examples.iter().filter(|one| one.facts.is_none()).count();
-        assert_eq!((examples.len(), without), (1232, 204));
+        assert_eq!((examples.len(), without), (1232, 203));
         // Nothing wrong, claimed; one effect, claimed, first, in the set; two, both; in no catalogue,
         // unnamed, named: the table of docs/diagnosis.md.
         let named = |kind: &str| {
@@ -347,10 +347,10 @@ mod tests {
             (nothing, one, (two.0, two.1), other)
         };
         assert_eq!(named("picture"), ((214, 6), (241, 101, 79, 91), (75, 11), (45, 17, 4)));
-        assert_eq!(named("patches"), ((54, 0), (70, 13, 11, 13), (18, 0), (16, 0, 1)));
+        assert_eq!(named("patches"), ((54, 0), (70, 13, 11, 13), (18, 0), (16, 1, 0)));
         assert_eq!(named("given"), ((36, 0), (46, 36, 31, 31), (9, 2), (9, 6, 1)));
         assert_eq!(named("pixels"), ((42, 1), (66, 14, 8, 11), (16, 0), (10, 0, 1)));
-        assert_eq!(named("joint"), ((19, 0), (27, 13, 9, 10), (7, 0), (8, 3, 2)));
+        assert_eq!(named("joint"), ((19, 0), (27, 13, 8, 9), (7, 0), (9, 6, 1)));
     }
 
     #[test]

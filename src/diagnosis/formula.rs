@@ -2,97 +2,38 @@
 
 use crate::covariates::Covariate;
 use crate::report::short;
+use photocurrent_sensor::form::Form;
 use serde::{Deserialize, Serialize};
 
-/// A form of a formula over a variable x, with a shape number s.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
-    /// x.
-    Linear,
-    /// ln x.
-    Logarithm,
-    /// x^s.
-    Power,
-    /// exp(-x / s).
-    Relaxation,
-    /// x / (x + s).
-    Saturation,
-    /// 0 below s, 1 from s on.
-    Step,
-    /// sin and cos of 2 pi x.
-    Sine,
+/// Does a form apply where the variable takes values from `low` to `high`?
+pub(crate) fn applies(form: Form, covariate: Covariate, low: f64, high: f64) -> bool {
+    let is_phase = covariate == Covariate::AcPhase;
+    match form {
+        Form::Sine => is_phase,
+        _ if is_phase => false,
+        Form::Logarithm => low > 0.0 && high > 2.0 * low,
+        Form::Power => low >= 0.0,
+        Form::Saturation => low >= 0.0 && high > 0.0,
+        Form::Linear | Form::Relaxation | Form::Step => true,
+    }
 }
 
-impl Form {
-    /// All of them.
-    pub const ALL: [Form; 7] = [
-        Form::Linear,
-        Form::Logarithm,
-        Form::Power,
-        Form::Relaxation,
-        Form::Saturation,
-        Form::Step,
-        Form::Sine,
-    ];
-
-    /// How many amplitudes it has.
-    pub fn amplitudes(self) -> usize {
-        if self == Form::Sine { 2 } else { 1 }
-    }
-
-    /// How many shape numbers.
-    pub fn shapes(self) -> usize {
-        match self {
-            Form::Linear | Form::Logarithm | Form::Sine => 0,
-            Form::Power | Form::Relaxation | Form::Saturation | Form::Step => 1,
-        }
-    }
-
-    /// Does it apply where the variable takes values from `low` to `high`?
-    pub fn applies(self, covariate: Covariate, low: f64, high: f64) -> bool {
-        let is_phase = covariate == Covariate::AcPhase;
-        match self {
-            Form::Sine => is_phase,
-            _ if is_phase => false,
-            Form::Logarithm => low > 0.0 && high > 2.0 * low,
-            Form::Power => low >= 0.0,
-            Form::Saturation => low >= 0.0 && high > 0.0,
-            Form::Linear | Form::Relaxation | Form::Step => true,
-        }
-    }
-
-    /// Shape numbers to be tried where the variable takes values from `low` to `high`.
-    pub fn tried(self, low: f64, high: f64) -> Vec<f64> {
-        let range = high - low;
-        let steps = |from: f64, to: f64| -> Vec<f64> {
-            let at = |k: usize| from * libm::pow(to / from, k as f64 / (TRIED - 1) as f64);
-            (0..TRIED).map(at).collect()
-        };
-        match self {
-            Form::Linear | Form::Logarithm | Form::Sine => vec![0.0],
-            Form::Power => vec![-2.0, -1.0, -0.5, 0.5, 1.5, 2.0, 3.0]
-                .into_iter()
-                .filter(|power| *power > 0.0 || low > 0.0)
-                .collect(),
-            Form::Relaxation => steps(range / 20.0, range),
-            Form::Saturation => steps(high / 20.0, high),
-            Form::Step => (1..TRIED).map(|k| low + range * k as f64 / TRIED as f64).collect(),
-        }
-    }
-
-    /// The value of amplitude `n`'s part at `x`.
-    pub fn value(self, n: usize, shape: f64, x: f64) -> f64 {
-        match (self, n) {
-            (Form::Linear, _) => x,
-            (Form::Logarithm, _) => libm::log(x),
-            (Form::Power, _) => libm::pow(x, shape),
-            (Form::Relaxation, _) => libm::exp(-x / shape),
-            (Form::Saturation, _) => x / (x + shape),
-            (Form::Step, _) => f64::from(u8::from(x >= shape)),
-            (Form::Sine, 0) => libm::sin(core::f64::consts::TAU * x),
-            (Form::Sine, _) => libm::cos(core::f64::consts::TAU * x),
-        }
+/// Shape numbers of a form to be tried where the variable takes values from `low` to `high`.
+pub(crate) fn tried(form: Form, low: f64, high: f64) -> Vec<f64> {
+    let range = high - low;
+    let steps = |from: f64, to: f64| -> Vec<f64> {
+        let at = |k: usize| from * libm::pow(to / from, k as f64 / (TRIED - 1) as f64);
+        (0..TRIED).map(at).collect()
+    };
+    match form {
+        Form::Linear | Form::Logarithm | Form::Sine => vec![0.0],
+        Form::Power => vec![-2.0, -1.0, -0.5, 0.5, 1.5, 2.0, 3.0]
+            .into_iter()
+            .filter(|power| *power > 0.0 || low > 0.0)
+            .collect(),
+        Form::Relaxation => steps(range / 20.0, range),
+        Form::Saturation => steps(high / 20.0, high),
+        Form::Step => (1..TRIED).map(|k| low + range * k as f64 / TRIED as f64).collect(),
     }
 }
 

@@ -5,7 +5,7 @@ use crate::light::{Knots, Light};
 use crate::nominal::Nominal;
 use crate::picture::FRAME_NOISE;
 use crate::scene::{Scene, Tolerance};
-use crate::statistics::median;
+use crate::statistics::{MEDIAN_NORMAL, median};
 use photocurrent_sensor::conditional::at;
 use photocurrent_sensor::elementary::ln;
 use std::sync::Arc;
@@ -51,7 +51,8 @@ impl KnownLight {
                 let mut left: Vec<f64> = bin.iter().map(|&k| f64::from(self.residual[k])).collect();
                 let middle = median(&mut left);
                 left.iter_mut().for_each(|r| *r = (*r - middle).abs());
-                median(&mut left) / (0.6745 * nominal.frame_sigma_dn(signal(bin[bin.len() / 2]), FRAME_NOISE))
+                median(&mut left)
+                    / (MEDIAN_NORMAL * nominal.frame_sigma_dn(signal(bin[bin.len() / 2]), FRAME_NOISE))
             })
             .collect();
         self.misfit = if shares.is_empty() { 1.0 } else { median(&mut shares) };

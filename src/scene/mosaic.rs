@@ -15,7 +15,7 @@ use crate::picture::patches::{LEAST_EVENTS, MOVES, Part, Patch, TURN, follow, fo
 use crate::picture::register::{Search, register};
 use crate::picture::{Begin, FRAME_NOISE, Picture, PictureSetting};
 use crate::scene::{Scene, Tolerance, usual_step_dn};
-use crate::statistics::median;
+use crate::statistics::{MEDIAN_NORMAL, median};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -417,7 +417,7 @@ fn usual(
         let size = f64::from(of(l, x, y)).abs() / sigma;
         sizes.push(if size.is_finite() { size } else { f64::INFINITY });
     });
-    if sizes.is_empty() { 0.0 } else { median(&mut sizes) / 0.6745 }
+    if sizes.is_empty() { 0.0 } else { median(&mut sizes) / MEDIAN_NORMAL }
 }
 
 impl Scene for Mosaic {

@@ -1,4 +1,11 @@
-//! Order statistics.
+//! Order statistics, and medians of distributions.
+
+/// Degrees of freedom of the Student-t distribution of what events miss their thresholds by.
+pub const NU: f64 = 3.0;
+/// The median of its absolute value, in units of its scale.
+pub const MEDIAN_T: f64 = 0.765;
+/// The median of the absolute value of a standard normal distribution.
+pub const MEDIAN_NORMAL: f64 = 0.6745;
 
 /// The value below which a share of sorted values lies; 0 of none.
 pub fn quantile<T: Copy + Default>(sorted: &[T], share: f64) -> T {

@@ -39,8 +39,8 @@ pub struct Model {
     pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: f64,
-    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain
-    /// with the best effect, and alone, over that effect's.
+    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of what the best curve
+    /// gains beyond the best effect, and alone, over that effect's gain.
     pub unnamed: [f64; 3],
     /// What gains less than this is no sign that something differs, nats an event: sound recordings gain as
     /// much.
@@ -63,7 +63,7 @@ impl Default for Model {
             discount_of_curves: 2.0,
             softness: [-2.588, -0.92],
             random: 0.119,
-            unnamed: [-0.501, 0.649, 0.654],
+            unnamed: [-0.498, 0.698, 0.594],
             least_gain: LEAST_GAIN,
         }
     }
@@ -132,9 +132,9 @@ impl Model {
             second: [2.601, 0.951, 0.607],
             discount: [1.5, 0.5],
             discount_of_curves: 2.0,
-            softness: [-1.667, -0.441],
-            random: 2.378,
-            unnamed: [0.432, 0.895, -0.016],
+            softness: [-1.661, -0.449],
+            random: 2.334,
+            unnamed: [0.437, 1.078, -0.293],
             least_gain: LEAST_GAIN,
         }
     }
@@ -146,9 +146,9 @@ impl Model {
             second: [0.708, -0.684, 2.119],
             discount: [3.0, 0.0],
             discount_of_curves: NO_CURVES,
-            softness: [-2.203, -0.406],
+            softness: [-2.203, -0.402],
             random: 0.0,
-            unnamed: [0.781, 0.375, 0.0],
+            unnamed: [0.719, 0.375, 0.0],
             least_gain: 0.02,
         }
     }
@@ -157,13 +157,13 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [5.388, 1.885, 0.024],
-            second: [0.499, 0.367, 1.059],
-            discount: [0.0, 0.5],
-            discount_of_curves: NO_CURVES,
-            softness: [-3.101, -0.736],
-            random: -1.777,
-            unnamed: [1.479, 0.92, -0.119],
+            something: [5.135, 1.830, 0.047],
+            second: [0.575, 0.584, 0.411],
+            discount: [0.0, 0.0],
+            discount_of_curves: 0.0,
+            softness: [-3.234, -0.764],
+            random: -1.523,
+            unnamed: [0.551, 1.191, -0.730],
             least_gain: 0.05,
         }
     }
@@ -175,9 +175,9 @@ impl Model {
             second: [1.693, 0.319, 0.471],
             discount: [0.0, 0.0],
             discount_of_curves: NO_CURVES,
-            softness: [-3.216, -0.102],
-            random: -2.206,
-            unnamed: [1.52, 1.763, 0.776],
+            softness: [-3.183, -0.115],
+            random: -1.930,
+            unnamed: [1.540, 2.172, 0.405],
             least_gain: LEAST_GAIN,
         }
     }
@@ -306,6 +306,14 @@ impl Facts {
         }
     }
 
+    /// Logarithm of what a curve gains more than the best effect, over that effect's gain: with the effect
+    /// applied, or by itself. Thresholds of each pixel's own take every curve over the place with them, and
+    /// leave nothing beside themselves of one that explains more than they do.
+    fn beyond_best(&self) -> f64 {
+        let [with, alone] = self.open;
+        with.max(libm::log((libm::exp(alone) - 1.0).max(LEAST_GAIN)))
+    }
+
     /// 1, the logarithm of what the best effect, or a curve, gains and another effect in addition to it, as
     /// some only show together, at least `least_gain`, and that of the share of the events that count.
     /// `of_curves`: [`Model::discount_of_curves`].
@@ -375,7 +383,7 @@ pub struct Posterior {
 impl Model {
     /// Posterior of the first effect.
     pub fn first(&self, facts: &Facts) -> Posterior {
-        let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
+        let odds = self.unnamed[0] + self.unnamed[1] * facts.beyond_best() + self.unnamed[2] * facts.open[1];
         self.posterior(
             dot(&self.something, &facts.something(self.discount, self.discount_of_curves, self.least_gain)),
             facts.gains.best(),
@@ -426,4 +434,23 @@ pub fn logistic(x: f64) -> f64 {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_that_explains_more_than_the_best_effect_needs_nothing_beside_it() {
+        let facts = |alone: f64| Facts {
+            gains: Gains { sized: LEAST_GAIN.ln(), random: 0.4_f64.ln(), swing: LEAST_GAIN.ln() },
+            first: vec![("threshold_mismatch".into(), 1.0, true)],
+            // With thresholds of each pixel's own nothing of a curve over the rows is left.
+            open: [(LEAST_GAIN / 0.4).ln(), (alone / 0.4).ln()],
+            ..Facts::default()
+        };
+        let unnamed = |alone: f64| Model::default().first(&facts(alone)).unnamed;
+        assert!(unnamed(0.6) > 5.0 * unnamed(0.4), "{} {}", unnamed(0.6), unnamed(0.4));
+        assert!(unnamed(0.4) < 1.5 * unnamed(0.3));
+    }
 }

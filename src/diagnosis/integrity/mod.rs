@@ -41,6 +41,7 @@ mod intervals;
 mod load;
 pub(crate) mod means;
 pub(crate) mod regular;
+mod rest;
 pub(crate) mod stamps;
 mod steps;
 mod still;
@@ -189,9 +190,10 @@ fn others(
         found.extend(load::frame_coupling(case, stream));
     }
     let Some(nominal) = nominal else { return found };
-    if wanted(&["leak_events", "parasitic_leak", "frame_coupling"]) {
+    if wanted(&["leak_events", "parasitic_leak", "frame_coupling", "background_activity"]) {
         let still = still::still(case, nominal, masked);
-        found.extend(still::leak(case, nominal, &still));
+        found.extend(still::leak(case, nominal, &still, masked));
+        found.extend(rest::noise(case, &still, masked).filter(|_| wanted(&["background_activity"])));
         found.extend(coupling::coupling(case, nominal, &still, masked));
     }
     if wanted(&["clock_offset", "refractory"]) {

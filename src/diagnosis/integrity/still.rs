@@ -11,6 +11,7 @@
 
 use super::array::half;
 use super::departure::{Departure, Heldout};
+use super::rest::is_at_rest;
 use crate::units::readable;
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvent};
 use photocurrent_scene::nominal::Nominal;
@@ -29,8 +30,9 @@ const THRESHOLD_SHARE: f64 = 0.25;
 const DISTANCE: usize = 4;
 /// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
-/// ON events must be so many times as many as OFF events.
+/// ON events must be so many times as many as OFF events; and of a camera at rest, where OFF events are noise.
 const ON_OVER_OFF: usize = 4;
+const ON_OVER_OFF_AT_REST: usize = 2;
 /// Their difference over the root of their sum.
 const SIGMAS: f64 = 7.0;
 /// A pixel may have this share of them, for one that is hot is no leak of all.
@@ -103,7 +105,7 @@ fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, 
 
 /// ON events where nothing moves, all the time and in no pixel above all: the reference leaks, by itself or
 /// by the light that falls on it.
-pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Departure> {
+pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Departure> {
     if still.len() < FEWEST_PIXELS {
         return None;
     }
@@ -121,8 +123,9 @@ pub(super) fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Depa
     let sigmas = (ons as f64 - offs as f64) / libm::sqrt((ons + offs).max(1) as f64);
     let of_one = still.iter().map(|&pixel| case.events.of(pixel as usize).len()).max().unwrap_or(0);
     let is_steady = parts.iter().filter(|part| **part).count() >= STEADY;
+    let on_over_off = if is_at_rest(case, still, masked) { ON_OVER_OFF_AT_REST } else { ON_OVER_OFF };
     if ons < FEWEST_EVENTS
-        || ons < ON_OVER_OFF * offs
+        || ons < on_over_off * offs
         || sigmas < SIGMAS
         || of_one as f64 > f64::max(3.0, SHARE_OF_ONE * ons as f64)
         || !is_steady

@@ -1,6 +1,7 @@
 //! A static scene in front of a camera whose pixels fire now and then, at instants that are made up here.
 
 use super::coupling::coupling;
+use super::rest;
 use super::still::{leak, still};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
@@ -70,7 +71,7 @@ fn any_time(random: &mut Random) -> i64 {
 fn found(case: &Case) -> (usize, Option<super::Departure>, Option<super::Departure>) {
     let nominal = case.nominal().unwrap();
     let still = still(case, &nominal, &[]);
-    (still.len(), leak(case, &nominal, &still), coupling(case, &nominal, &still, &[]))
+    (still.len(), leak(case, &nominal, &still, &[]), coupling(case, &nominal, &still, &[]))
 }
 
 fn value(finding: &super::Departure, parameter: &str) -> f64 {
@@ -206,4 +207,44 @@ fn the_size_of_an_impulse_is_counted_where_light_rises() {
     case.events = PixelEvents::new(pixels);
     let step = value(&found(&case).2.unwrap(), "step");
     assert!((step / 0.05 - 1.0).abs() < 0.25, "{step}");
+}
+
+/// A camera before which nothing moves at all: so many ON and so many OFF events, at any time and place.
+fn at_rest(on: usize, off: usize, pixel: impl Fn(&mut Random) -> usize) -> Case {
+    let mut case = camera(|_, random| (any_time(random), 0, 1));
+    let mut random = Random::new(6, &[]);
+    let dn = (0..FRAMES * WIDTH * HEIGHT).map(|_| (80.0 + random.normal()) as f32).collect();
+    let times = case.frames.as_ref().unwrap().times.clone();
+    case.frames = Some(CaseFrames::new(times, dn));
+    let mut pixels = vec![Vec::new(); WIDTH * HEIGHT];
+    for n in 0..on + off {
+        let t = any_time(&mut random);
+        let polarity = if n < on { 1 } else { -1 };
+        pixels[pixel(&mut random)].push(PixelEvent { t_in_ns: t, t_off_ns: t, polarity });
+    }
+    pixels.iter_mut().for_each(|of: &mut Vec<PixelEvent>| of.sort_by_key(|event| event.t_in_ns));
+    Case { events: PixelEvents::new(pixels), ..case }
+}
+
+#[test]
+fn a_camera_at_rest_fires_noise_both_ways_and_a_leak_one_way() {
+    let anywhere = |random: &mut Random| (random.uniform() * (WIDTH * HEIGHT) as f64) as usize;
+    let seen = |case: &Case| {
+        let nominal = case.nominal().unwrap();
+        let still = still(case, &nominal, &[]);
+        (rest::noise(case, &still, &[]), leak(case, &nominal, &still, &[]))
+    };
+    // One second of 1,920 pixels: 120 OFF events are 0.125 Hz of noise, and 180 ON events more a leak.
+    let (noise, leak) = seen(&at_rest(300, 120, anywhere));
+    assert!((noise.expect("noise").parameters[0].1 - 0.125).abs() < 0.005);
+    assert!((leak.expect("a leak").parameters[0].1 - 180.0 / 1920.0).abs() < 0.005);
+    // As many of both are noise alone, and ON events alone a leak.
+    let (noise, leak) = seen(&at_rest(200, 200, anywhere));
+    assert!(noise.is_some() && leak.is_none());
+    let (noise, leak) = seen(&at_rest(300, 0, anywhere));
+    assert!(noise.is_none() && leak.is_some());
+    // What fires in one corner has company: something is there that frames do not show.
+    let corner =
+        |random: &mut Random| (random.uniform() * 4.0) as usize * WIDTH + (random.uniform() * 4.0) as usize;
+    assert!(seen(&at_rest(300, 120, corner)).0.is_none());
 }

@@ -11,10 +11,11 @@
 //! counts as noise of pixels.
 
 use super::Residuals;
-use super::fit::{EventNoise, NU, Rows, fit};
+use super::fit::{EventNoise, Rows, fit};
 use crate::candidates::CANDIDATES;
 use photocurrent_scene::Cell;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::NU;
 use photocurrent_scene::statistics::median;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.

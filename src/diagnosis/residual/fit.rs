@@ -1,12 +1,8 @@
 //! Size and gain of an effect, by the residuals of events: Student-t noise with a threshold part and a part
 //! that grows with the slope.
 
+use photocurrent_scene::statistics::{MEDIAN_T, NU};
 use std::ops::Range;
-
-/// Degrees of freedom of the residuals' Student-t distribution.
-pub(super) const NU: f64 = 3.0;
-/// The median of its absolute value, in units of its scale.
-pub(super) const MEDIAN_T: f64 = 0.765;
 
 /// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope
 /// (stamps).

@@ -14,7 +14,8 @@ use super::laid::Laid;
 use super::open::moving;
 use super::setting::ERRORS;
 use crate::dependence::Dependence;
-use crate::formula::{Form, Formula};
+use crate::formula::{Formula, applies, tried};
+use photocurrent_sensor::form::Form;
 
 /// Formulas whose criterion is within this of the best one's are reported (Kass and Raftery, Bayes factors,
 /// 1995: beyond 6 is strong).
@@ -75,10 +76,10 @@ pub(crate) fn formulas(
         Some((Formula { form, shape, constant, amplitudes, errors, gain, probability: 0.0 }, criterion))
     };
     let best_of = |form: Form| {
-        let tried = form.tried(low, high).into_iter().filter_map(|shape| fitted(form, shape));
+        let tried = tried(form, low, high).into_iter().filter_map(|shape| fitted(form, shape));
         tried.max_by(|a, b| a.1.total_cmp(&b.1))
     };
-    let applies = |form: &Form| form.applies(curve.covariate, low, high);
+    let applies = |form: &Form| applies(*form, curve.covariate, low, high);
     let mut found: Vec<(Formula, f64)> = Form::ALL.into_iter().filter(applies).filter_map(best_of).collect();
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     let Some(best) = found.first().map(|(_, criterion)| *criterion) else { return Vec::new() };

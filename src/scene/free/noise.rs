@@ -3,15 +3,9 @@
 use super::predicted::{Predicted, PredictedEvent, PredictedFrame};
 use crate::case::Case;
 use crate::nominal::Nominal;
-use crate::statistics::median;
+use crate::statistics::{MEDIAN_NORMAL, MEDIAN_T, NU, median};
 use rayon::prelude::*;
 
-/// The median of the absolute value of Student's t with three degrees of freedom.
-pub(crate) const MEDIAN_T: f64 = 0.765;
-/// And of a standard normal distribution.
-const MEDIAN_NORMAL: f64 = 0.674;
-/// Degrees of freedom of the events' Student-t distribution.
-pub(crate) const NU: f64 = 3.0;
 /// Noise of thresholds as a share of them: at first, and the limits of what is estimated.
 const FIRST_SHARE: f64 = 0.02;
 const SHARES: (f64, f64) = (0.003, 0.3);

@@ -35,13 +35,13 @@ mod score;
 
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, PredictedEvent, Score, frame_scale, line};
+use crate::free::{FreeScene, Noise, Predicted, PredictedEvent, Score, frame_scale, line};
 use crate::light::Light;
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::{Picture, PictureSetting};
 use crate::scene::{Cell, Scene};
-use crate::statistics::median;
+use crate::statistics::{MEDIAN_T, median};
 use fields::Fields;
 use normal::Factor;
 use part::LARGEST;

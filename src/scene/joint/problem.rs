@@ -7,11 +7,12 @@ use super::normal::{Factor, Sums};
 use super::prior::Prior;
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{NU, Noise, Predicted};
+use crate::free::{Noise, Predicted};
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::motion::{DEGREES, RIGID};
 use crate::picture::{MOTION_WEIGHT, Picture, PictureSetting, ROBUST, STRETCH};
+use crate::statistics::NU;
 use std::sync::Arc;
 
 /// Events whose two places lie further apart than so many coefficients along an axis take no part.

@@ -15,6 +15,7 @@ use super::system::{Smoothness, Unknowns, add, again, draw, roughness, solve};
 use crate::block::Block;
 use crate::case::Case;
 use crate::nominal::Nominal;
+use crate::statistics::MEDIAN_NORMAL;
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
 
@@ -569,7 +570,7 @@ impl<'a> Fit<'a> {
             return 0.0;
         }
         sizes.select_nth_unstable_by(middle, f64::total_cmp);
-        let misfit = sizes[middle] / 0.6745;
+        let misfit = sizes[middle] / MEDIAN_NORMAL;
         self.scale = misfit.max(LEAST_MISFIT);
         for r in 0..rows.count() {
             if rows.weight[r] == 0.0 {

@@ -26,9 +26,10 @@ mod step;
 
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{FreeScene, MEDIAN_T, Noise, Predicted, Score};
+use crate::free::{FreeScene, Noise, Predicted, Score};
 use crate::light::Light;
 use crate::nominal::Nominal;
+use crate::statistics::MEDIAN_T;
 use path::Splines;
 use photocurrent_core::time::between;
 use rayon::prelude::*;

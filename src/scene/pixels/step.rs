@@ -3,8 +3,9 @@
 
 use super::envelope::{Envelope, InverseRoom, dot};
 use super::path::{Path, Rows, Splines};
-use crate::free::{NU, Noise, Predicted, Score};
+use crate::free::{Noise, Predicted, Score};
 use crate::picture::ROBUST;
+use crate::statistics::NU;
 
 /// The voltage rises by at least this share of a threshold over an instant before an event.
 pub const LEAST_RISE: f64 = 0.01;

@@ -4,7 +4,7 @@
 //! departure can still be measured: by how much thresholds, stamps, a leak or the response of the frame
 //! pixel differ over the place on the array, the time, the phase of a rhythm, the light or the event
 //! before. This is that curve. It is given at knots, linear between them and constant beyond; over a phase
-//! it goes round.
+//! it goes round. Or it is given as a formula: a constant and a form with an amplitude.
 //!
 //! Sources: none, it is a measurement; a diagnosis writes it where it finds a mismatch without a name.
 //! Limits: one curve over one variable; a threshold is taken at the reset, so what changes while a pixel
@@ -18,6 +18,7 @@ use super::{
     Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, PixelEvent, Reading, Site,
     Stage, Thresholds, Unit,
 };
+use crate::form::Form;
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -27,7 +28,8 @@ pub(super) const KIND: EffectKind = EffectKind {
         stage: Stage::Comparator,
         about: "Something differs over one variable, by a curve that was measured",
         equation: "threshold * (1 + c), stamp + c, leak + c * threshold, loss with probability c, or frame \
-                   signal * (1 + c), with c(variable) linear between knots",
+                   signal * (1 + c), with c(variable) linear between knots, or constant + amplitude * \
+                   form(variable)",
         parameters: &[
             ParameterDecl {
                 name: "moves",
@@ -56,7 +58,7 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: None,
                 allowed: (-1e9, 1e9),
                 plausible: (-1e9, 1e9),
-                about: "the knots, rising; at least one",
+                about: "the knots, rising; at least one; not with `form`",
             },
             ParameterDecl {
                 name: "by",
@@ -64,7 +66,7 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: None,
                 allowed: (-1e9, 1e9),
                 plausible: (-1e9, 1e9),
-                about: "the curve at the knots: shares of a threshold, of events or of a signal as numbers, \
+                about: "the curve at the knots, or constant and amplitude of `form`: shares of a threshold, of events or of a signal as numbers, \
                         delays of stamps as texts such as \"50 us\", leaks as texts such as \"0.2 Hz\"",
             },
             ParameterDecl {
@@ -74,6 +76,25 @@ pub(super) const KIND: EffectKind = EffectKind {
                 allowed: (1e-6, 1e3),
                 plausible: (1e-4, 0.1),
                 about: "the period of `ac_phase`; of nothing else",
+            },
+            ParameterDecl {
+                name: "form",
+                unit: Unit::Choice(&Form::NAMES),
+                null: None,
+                allowed: (0.0, 0.0),
+                plausible: (0.0, 0.0),
+                about: "a formula in the place of knots: `by` is then a constant and what is multiplied by x \
+                        (`linear`), ln x (`logarithm`), x^s (`power`), exp(-x / s) (`relaxation`), x / (x + s) \
+                        (`saturation`), 0 below s and 1 from there (`step`), or sin and cos of 2 pi x (`sine`, \
+                        two amplitudes), with x the variable; where that has no value, nothing differs",
+            },
+            ParameterDecl {
+                name: "shape",
+                unit: Unit::Number("of the variable"),
+                null: None,
+                allowed: (-1e9, 1e9),
+                plausible: (-1e9, 1e9),
+                about: "s of the forms that have one: a power, or a value of the variable",
             },
         ],
         covariate: "the variable",
@@ -157,16 +178,38 @@ impl Variable {
     }
 }
 
-/// A curve, linear between knots.
+/// A curve over a variable.
 #[derive(Clone, Debug, PartialEq)]
-struct Curve {
+enum Curve {
+    Knots(Knots),
+    /// Shape number, constant and amplitudes of a form.
+    Formula(Form, f64, Vec<f64>),
+}
+
+impl Curve {
+    /// In the unit of what differs.
+    fn value(&self, x: f64) -> f64 {
+        match self {
+            Curve::Knots(knots) => knots.value(x),
+            Curve::Formula(form, shape, by) => {
+                let parts = by[1..].iter().enumerate().map(|(n, size)| size * form.value(n, *shape, x));
+                let value = by[0] + parts.sum::<f64>();
+                if value.is_finite() { value } else { 0.0 }
+            }
+        }
+    }
+}
+
+/// A curve that is linear between knots.
+#[derive(Clone, Debug, PartialEq)]
+struct Knots {
     at: Vec<f64>,
     by: Vec<f64>,
     /// Does it go round at 1?
     is_round: bool,
 }
 
-impl Curve {
+impl Knots {
     fn value(&self, x: f64) -> f64 {
         let last = self.at.len() - 1;
         let between = |a: (f64, f64), b: (f64, f64)| {
@@ -245,8 +288,42 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
         Moved::Leak => Unit::Rate,
         _ => Unit::Number("fraction"),
     };
-    let at = parameters.need_values("at", Unit::Number("number"))?;
     let by = parameters.need_values("by", unit)?;
+    let curve = match parameters.choice("form") {
+        Some(form) => formula(parameters, form, by)?,
+        None => knots(parameters, by, matches!(variable, Variable::Phase(_)))?,
+    };
+    Ok(Box::new(Dependence { moved, variable, curve }))
+}
+
+/// A formula of constant and amplitudes.
+fn formula(parameters: &Parameters, name: &str, by: Vec<f64>) -> Result<Curve, String> {
+    let id = KIND.decl.id;
+    let form = Form::named(name).ok_or_else(|| format!("`effects.{id}.form`: no form is `{name}`"))?;
+    if parameters.has_values("at") {
+        return Err(format!("`effects.{id}`: knots (`at`) or a `form`, not both"));
+    }
+    let expected = 1 + form.amplitudes();
+    if by.len() != expected {
+        let found = by.len();
+        return Err(format!(
+            "`effects.{id}.by`: expected {expected} values of `{name}`, the constant first, found {found}"
+        ));
+    }
+    match (form.shapes(), parameters.get("shape")) {
+        (0, Some(_)) => Err(format!("`effects.{id}.shape`: `{name}` has no shape number")),
+        (1, None) => Err(format!("`effects.{id}`: `{name}` needs `shape`")),
+        (_, shape) => Ok(Curve::Formula(form, shape.unwrap_or(0.0), by)),
+    }
+}
+
+/// A curve at knots.
+fn knots(parameters: &Parameters, by: Vec<f64>, is_round: bool) -> Result<Curve, String> {
+    let id = KIND.decl.id;
+    if parameters.get("shape").is_some() {
+        return Err(format!("`effects.{id}.shape` is a number of a `form`, and there is none"));
+    }
+    let at = parameters.need_values("at", Unit::Number("number"))?;
     if at.is_empty() || at.len() != by.len() {
         let (knots, values) = (at.len(), by.len());
         return Err(format!(
@@ -260,8 +337,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
             pair[0], pair[1]
         ));
     }
-    let is_round = matches!(variable, Variable::Phase(_));
-    Ok(Box::new(Dependence { moved, variable, curve: Curve { at, by, is_round } }))
+    Ok(Curve::Knots(Knots { at, by, is_round }))
 }
 
 /// Something that differs over one variable.
@@ -361,7 +437,7 @@ mod tests {
 
     #[test]
     fn a_curve_is_linear_between_knots_constant_beyond_and_goes_round_over_a_phase() {
-        let curve = |is_round| Curve { at: vec![0.2, 0.6], by: vec![1.0, 3.0], is_round };
+        let curve = |is_round| Knots { at: vec![0.2, 0.6], by: vec![1.0, 3.0], is_round };
         for (x, plain, round) in
             [(0.0, 1.0, 2.0), (0.2, 1.0, 1.0), (0.3, 1.5, 1.5), (0.6, 3.0, 3.0), (0.9, 3.0, 2.0)]
         {
@@ -370,7 +446,7 @@ mod tests {
             assert!((curve(false).value(x) - plain).abs() < 1e-12, "{x}");
             assert!((curve(true).value(x) - round).abs() < 1e-12, "{x}: {}", curve(true).value(x));
         }
-        let one = Curve { at: vec![0.5], by: vec![0.1], is_round: true };
+        let one = Knots { at: vec![0.5], by: vec![0.1], is_round: true };
         assert!([0.0, 0.5, 0.9].iter().all(|x| (one.value(*x) - 0.1).abs() < 1e-12));
     }
 
@@ -418,6 +494,45 @@ mod tests {
             events.windows(2).map(|pair| level(pair[1].t_in_ns) - level(pair[0].t_in_ns)).collect();
         assert!((steps[turn - 1] + 0.3).abs() < 1e-4, "{}", steps[turn - 1]);
         assert!((steps[turn - 2] - 0.2).abs() < 1e-4 && (steps[turn] + 0.2).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_formula_is_the_curve_of_many_knots() {
+        let sine = |x: f64| {
+            0.05 + 0.1 * libm::sin(core::f64::consts::TAU * x) - 0.2 * libm::cos(core::f64::consts::TAU * x)
+        };
+        let square = |x: f64| -0.02 + 0.3 * x * x;
+        let many: Vec<f64> = (0..1000).map(|k| f64::from(k) / 1000.0).collect();
+        for (over, formula, of) in [
+            ("ac_phase", json!({ "form": "sine", "by": [0.05, 0.1, -0.2] }), &sine as &dyn Fn(f64) -> f64),
+            ("radius", json!({ "form": "power", "shape": 2.0, "by": [-0.02, 0.3] }), &square),
+        ] {
+            let effect = |more: Value| {
+                let mut given = json!({ "moves": "threshold", "over": over });
+                more.as_object().unwrap().iter().for_each(|(key, value)| given[key] = value.clone());
+                if over == "ac_phase" {
+                    given["period"] = json!("10 ms");
+                }
+                described("dependence", given)
+            };
+            let by: Vec<f64> = many.iter().map(|x| of(*x)).collect();
+            let [formula, curve] = [formula, json!({ "at": many, "by": by })].map(effect);
+            for t_reset_ns in [0, 1_234_567, 27_100_000] {
+                let threshold = |effect: &dyn Effect| {
+                    let mut thresholds = Thresholds { on: 0.2, off: 0.2 };
+                    let history = History::default();
+                    effect.thresholds(&SITE, &history, &mut Random::new(1, &[]), t_reset_ns, &mut thresholds);
+                    thresholds.on
+                };
+                assert!((threshold(&*formula) - threshold(&*curve)).abs() < 1e-6, "{over} {t_reset_ns}");
+            }
+        }
+        // What has no value differs in nothing.
+        let light = json!({ "moves": "threshold", "over": "row", "form": "logarithm", "by": [0.0, 0.1] });
+        let mut thresholds = Thresholds { on: 0.2, off: 0.2 };
+        let at = (&site(3, 0), &History::default());
+        described("dependence", light).thresholds(at.0, at.1, &mut Random::new(1, &[]), 0, &mut thresholds);
+        assert_eq!(thresholds.on, 0.2);
     }
 
     #[test]
@@ -490,10 +605,23 @@ mod tests {
             ),
             (json!({ "moves": "delay" }), "`effects.dependence.by`: expected a time such as"),
             (json!({ "by": ["1 us", "2 us"] }), "expected a number (fraction), found \"1 us\""),
+            (json!({ "form": "linear" }), "knots (`at`) or a `form`, not both"),
+            (json!({ "shape": 2.0 }), "is a number of a `form`, and there is none"),
         ] {
             let found = with(changes);
             assert!(found.contains(expected), "{found}");
         }
         assert_eq!(refused(json!({ "over": "row" })), "`effects.dependence` needs `moves`");
+        let formula = |form: &str, shape: Option<f64>, by: &[f64]| {
+            let mut given = json!({ "moves": "threshold", "over": "radius", "form": form, "by": by });
+            shape.iter().for_each(|shape| given["shape"] = json!(shape));
+            refused(given)
+        };
+        assert!(formula("power", None, &[0.0, 0.3]).contains("`power` needs `shape`"));
+        assert!(formula("linear", Some(2.0), &[0.0, 0.3]).contains("`linear` has no shape number"));
+        assert!(
+            formula("sine", None, &[0.0, 0.3]).contains("expected 3 values of `sine`, the constant first")
+        );
+        assert!(formula("sinus", None, &[0.0]).contains("did you mean \"sine\"?"));
     }
 }

@@ -261,7 +261,17 @@ impl Parameters {
     /// # Errors
     /// When it is not given.
     pub(crate) fn need_choice(&self, name: &str) -> Result<&'static str, String> {
-        self.words.get(name).copied().ok_or_else(|| format!("`effects.{}` needs `{name}`", self.effect))
+        self.choice(name).ok_or_else(|| format!("`effects.{}` needs `{name}`", self.effect))
+    }
+
+    /// One of the words of [`Unit::Choice`], when it is given.
+    pub(crate) fn choice(&self, name: &str) -> Option<&'static str> {
+        self.words.get(name).copied()
+    }
+
+    /// Is a [`Unit::List`] given?
+    pub(crate) fn has_values(&self, name: &str) -> bool {
+        self.rows.contains_key(name)
     }
 
     /// The values of a [`Unit::List`], each in this unit.

@@ -8,6 +8,7 @@ use photocurrent_scene::case::Case;
 use photocurrent_scene::free::{FreeScene, Predicted, PredictedEvent, PredictedFrame};
 use photocurrent_scene::light::Light;
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::MEDIAN_NORMAL;
 use photocurrent_sensor::conditional::{Conditional, Look, Quiet, Track, conditional, frame_values};
 use photocurrent_sensor::map::{MapFrame, PixelEvent};
 use rayon::prelude::*;
@@ -167,6 +168,18 @@ impl<'a, L: FreeScene> Ground<'a, L> {
 
     fn count(&self, is: impl Fn(usize) -> bool) -> usize {
         (0..self.events.len()).filter(|place| is(*place)).map(|place| self.events[place].len()).sum()
+    }
+
+    /// Noise of thresholds that the description states, as a share of them.
+    pub(super) fn stated_noise(&self) -> f64 {
+        self.nominal.threshold_noise / self.scales.threshold
+    }
+
+    /// What of a median miss, as a share of a threshold, is more than the noise of thresholds that the
+    /// description states.
+    pub(super) fn beyond_stated(&self, left: f64) -> f64 {
+        let stated = MEDIAN_NORMAL * self.stated_noise();
+        libm::sqrt(f64::max(left * left - stated * stated, 0.0))
     }
 
     /// Median slope of the voltage at events, ln/s.
@@ -408,6 +421,18 @@ impl<'a, L: FreeScene> Fit<'a, L> {
                 break;
             }
         }
+        self.shorten()
+    }
+
+    /// Takes the last step again by less where it was too long.
+    fn shorten(&mut self) -> Result<(), String> {
+        if L::IS_ONE {
+            self.predict()?;
+            while self.light.back(&self.predicted()?) {
+                self.current = None;
+                self.predict()?;
+            }
+        }
         Ok(())
     }
 
@@ -417,15 +442,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
             let predicted = self.predicted_anew()?;
             self.light.settle(&predicted);
         }
-        self.rounds(1)?;
-        if L::IS_ONE {
-            self.predict()?;
-            while self.light.back(&self.predicted()?) {
-                self.current = None;
-                self.predict()?;
-            }
-        }
-        Ok(())
+        self.rounds(1)
     }
 
     /// The same so many times: what an effect's exact fit takes.

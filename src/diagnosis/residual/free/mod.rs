@@ -29,7 +29,7 @@ mod unknowns;
 
 use super::chance::of_noise;
 use super::evidence::{Evidence, KINDS, Ranked};
-use super::fit::{MEDIAN_T, probability_t};
+use super::fit::probability_t;
 use super::setting::ERRORS;
 use super::table::is_physics;
 use crate::candidates::{CANDIDATES, Scales, Trial};
@@ -44,6 +44,7 @@ use photocurrent_scene::joint::{JointPicture, Part};
 use photocurrent_scene::moving::MovingPicture;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_scene::pixels::PixelLight;
+use photocurrent_scene::statistics::MEDIAN_T;
 use photocurrent_scene::{Scene, gate};
 use places::{Dependences, Level};
 use random::is_mismatch;
@@ -130,9 +131,13 @@ const OF_CURVE: f64 = 0.1;
 /// A curve gains so much of what it does with the scene before that follows it, at the least: less than this
 /// share of the best effect's gain will not come up to that.
 const OF_BEST: f64 = 0.25;
-/// Of a moving picture's events about so many take part in the fit, and so many measure gains.
+/// Of a moving picture's events about so many take part in the fit, and more where the description states
+/// noise of each; so many measure gains.
 const TRAINED: usize = 24_000;
+const TRAINED_ON_NOISE: usize = 72_000;
 const MEASURED: usize = 8_000;
+/// Noise of thresholds below this share of them is none: a scene always leaves so much.
+const LEAST_NOISE: f64 = 0.01;
 /// Thresholds that differ from pixel to pixel are estimated where to predict each event from the others of
 /// its pixel gains more than this, nats an event.
 const LEAST_MISMATCH: f64 = 0.01;
@@ -262,7 +267,9 @@ fn with_picture<T>(
     find: impl FnOnce(&Ground<'_, JointPicture>) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     let scales = Scales::of(case, nominal);
-    let (is_trained, is_measured) = choose::pixels(case, &part.block, kept, (TRAINED, MEASURED));
+    let is_noisy = nominal.threshold_noise > LEAST_NOISE * scales.threshold;
+    let trained = if is_noisy { TRAINED_ON_NOISE } else { TRAINED };
+    let (is_trained, is_measured) = choose::pixels(case, &part.block, kept, (trained, MEASURED));
     let noise = Noise::new(frame_noise(case, nominal));
     let begin = JointPicture::begin(case, nominal, (scene, part), &is_trained, STEP_NS, noise)?;
     let keeps =
@@ -427,10 +434,17 @@ fn others(list: &[Ranked], first: &Ranked) -> Vec<Ranked> {
     list.iter().filter(|one| id(one) != id(first)).cloned().collect()
 }
 
-/// What events miss their thresholds by because of the scene, a median share of them. Where each pixel has
-/// thresholds of its own, what its few other events leave open of them is no fault of the scene.
+/// What events miss their thresholds by because of the scene, a median share of them: noise that the
+/// description states is no fault of it, and where it states some, nor is what events of one place do not
+/// share. Where each pixel has thresholds of its own, what its few other events leave open of them is none
+/// either.
 fn wrong<L: FreeScene>(fit: &Fit<'_, L>, plan: &Plan) -> Result<f64, String> {
-    if plan.is_noise_counted_off || fit.own.is_some() { fit.wrong() } else { fit.left() }
+    let beyond_stated = fit.ground.beyond_stated(fit.left()?);
+    let is_noise_stated = fit.ground.stated_noise() > LEAST_NOISE;
+    match plan.is_noise_counted_off || is_noise_stated || fit.own.is_some() {
+        true => Ok(f64::min(fit.wrong()?, beyond_stated)),
+        false => Ok(beyond_stated),
+    }
 }
 
 /// Share of the events that are explained when what they miss their thresholds by has Student's distribution

@@ -6,8 +6,9 @@
 //! what all pixels share is none of it, as far as it is more than the mean of so many pixels by chance. Scene
 //! and thresholds are estimated in turn.
 
-use super::super::fit::{EventNoise, NU};
+use super::super::fit::EventNoise;
 use photocurrent_scene::free::{Predicted, PredictedEvent};
+use photocurrent_scene::statistics::NU;
 
 /// Least standard deviation of thresholds over pixels, as a share of them.
 const LEAST: f64 = 1e-4;

@@ -118,9 +118,9 @@ impl Level {
             });
             if let Some(after) = after {
                 let of = after.residual.iter().zip(&self.threshold);
-                left = median(
-                    &mut of.map(|(residual, threshold)| residual.abs() / threshold).collect::<Vec<_>>(),
-                );
+                let mut shares: Vec<f64> =
+                    of.map(|(residual, threshold)| residual.abs() / threshold).collect();
+                left = ground.beyond_stated(median(&mut shares));
             }
         }
         Dependences { list, left }

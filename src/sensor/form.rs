@@ -1,0 +1,71 @@
+//! Forms of formulas: what a curve over a variable may follow.
+
+use serde::{Deserialize, Serialize};
+
+/// A form of a formula over a variable x, with a shape number s.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// x.
+    Linear,
+    /// ln x.
+    Logarithm,
+    /// x^s.
+    Power,
+    /// exp(-x / s).
+    Relaxation,
+    /// x / (x + s).
+    Saturation,
+    /// 0 below s, 1 from s on.
+    Step,
+    /// sin and cos of 2 pi x.
+    Sine,
+}
+
+impl Form {
+    /// All of them.
+    pub const ALL: [Form; 7] = [
+        Form::Linear,
+        Form::Logarithm,
+        Form::Power,
+        Form::Relaxation,
+        Form::Saturation,
+        Form::Step,
+        Form::Sine,
+    ];
+    /// Their names in a description, in the same order.
+    pub const NAMES: [&'static str; 7] =
+        ["linear", "logarithm", "power", "relaxation", "saturation", "step", "sine"];
+
+    /// The form of a name.
+    pub fn named(name: &str) -> Option<Form> {
+        Form::NAMES.iter().position(|other| *other == name).map(|n| Form::ALL[n])
+    }
+
+    /// How many amplitudes it has.
+    pub fn amplitudes(self) -> usize {
+        if self == Form::Sine { 2 } else { 1 }
+    }
+
+    /// How many shape numbers.
+    pub fn shapes(self) -> usize {
+        match self {
+            Form::Linear | Form::Logarithm | Form::Sine => 0,
+            Form::Power | Form::Relaxation | Form::Saturation | Form::Step => 1,
+        }
+    }
+
+    /// The value of amplitude `n`'s part at `x`; not finite where x has none.
+    pub fn value(self, n: usize, shape: f64, x: f64) -> f64 {
+        match (self, n) {
+            (Form::Linear, _) => x,
+            (Form::Logarithm, _) => libm::log(x),
+            (Form::Power, _) => libm::pow(x, shape),
+            (Form::Relaxation, _) => libm::exp(-x / shape),
+            (Form::Saturation, _) => x / (x + shape),
+            (Form::Step, _) => f64::from(u8::from(x >= shape)),
+            (Form::Sine, 0) => libm::sin(core::f64::consts::TAU * x),
+            (Form::Sine, _) => libm::cos(core::f64::consts::TAU * x),
+        }
+    }
+}
