@@ -27,7 +27,7 @@
 //! - [`mixing`]: whose photocurrent an event pixel sees; [`undo`]: what effects did to measurements, undone.
 //! - [`estimate`]: what a file does not say and its own events and frames do: offset, exposure, row time,
 //!   thresholds.
-//! - [`effects`]: non-idealities beyond the model above, one file each; [`form`]: formulas of measured curves.
+//! - [`effects`]: non-idealities beyond the model above, one file each; [`form`]: formulas of curves.
 //!
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
 //! ([`elementary`] and the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is

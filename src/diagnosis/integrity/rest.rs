@@ -59,8 +59,8 @@ pub(super) fn noise(case: &Case, still: &[u32], out: &[u32]) -> Option<Departure
         polarity: "both",
         pixels: Vec::new(),
         seen: format!(
-            "{} of {} pixels are still and have {} events of the rarer sign, {} of them near no other in place \
-             and time: {} a pixel of both signs",
+            "{} of {} pixels are still and have {} events of the rarer sign, {} of them near no other in \
+             place and time: {} a pixel of both signs",
             still.len(),
             case.extent.pixels(),
             rarer.len(),

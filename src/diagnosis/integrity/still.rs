@@ -30,7 +30,7 @@ const THRESHOLD_SHARE: f64 = 0.25;
 const DISTANCE: usize = 4;
 /// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
-/// ON events must be so many times as many as OFF events; and of a camera at rest, where OFF events are noise.
+/// ON events must be so many times as many as OFF events; and of a camera at rest, where these are noise.
 const ON_OVER_OFF: usize = 4;
 const ON_OVER_OFF_AT_REST: usize = 2;
 /// Their difference over the root of their sum.
@@ -89,11 +89,24 @@ pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
                 .map(|pair| (pair[1] - pair[0]).abs())
                 .filter(|step| step.is_finite())
                 .collect();
-            (steps.len() >= FEWEST_FRAMES - 1).then(|| 1.4826 * median(&mut steps) / std::f64::consts::SQRT_2)
+            (steps.len() >= FEWEST_FRAMES - 1).then(|| deviation(&mut steps))
         })
         .collect();
     all.sort_by(f64::total_cmp);
     quantile(&all, 0.2)
+}
+
+/// Standard deviation of a value whose absolute differences are `steps`. Where more than half of them are 0,
+/// as of dark pixels in whole digital numbers, from the share that is not: one step counts 1 at most, as more
+/// is no noise.
+fn deviation(steps: &mut [f64]) -> f64 {
+    match median(steps) {
+        0.0 => {
+            let mean = steps.iter().map(|step| step.min(1.0)).sum::<f64>() / steps.len() as f64;
+            mean * 0.5 * libm::sqrt(std::f64::consts::PI)
+        }
+        middle => 1.4826 * middle / std::f64::consts::SQRT_2,
+    }
 }
 
 /// Events of still pixels, by pixel.

@@ -248,3 +248,18 @@ fn a_camera_at_rest_fires_noise_both_ways_and_a_leak_one_way() {
         |random: &mut Random| (random.uniform() * 4.0) as usize * WIDTH + (random.uniform() * 4.0) as usize;
     assert!(seen(&at_rest(300, 120, corner)).0.is_none());
 }
+
+#[test]
+fn noise_below_a_digital_number_is_seen_in_whole_ones() {
+    let anywhere = |random: &mut Random| (random.uniform() * (WIDTH * HEIGHT) as f64) as usize;
+    let mut case = at_rest(300, 120, anywhere);
+    let frames = case.frames.as_ref().unwrap();
+    let mut random = Random::new(8, &[]);
+    // Dark: a quarter of a threshold is a quarter of a digital number there.
+    let dn = (0..FRAMES * WIDTH * HEIGHT).map(|_| (5.3 + 0.35 * random.normal()).round() as f32).collect();
+    case.frames = Some(CaseFrames::new(frames.times.clone(), dn));
+    let deviation = super::still::noise_dn(&case, case.frames.as_ref().unwrap());
+    assert!((0.3..0.6).contains(&deviation), "{deviation}");
+    let nominal = case.nominal().unwrap();
+    assert!(rest::noise(&case, &still(&case, &nominal, &[]), &[]).is_some());
+}

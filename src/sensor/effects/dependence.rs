@@ -66,8 +66,9 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: None,
                 allowed: (-1e9, 1e9),
                 plausible: (-1e9, 1e9),
-                about: "the curve at the knots, or constant and amplitude of `form`: shares of a threshold, of events or of a signal as numbers, \
-                        delays of stamps as texts such as \"50 us\", leaks as texts such as \"0.2 Hz\"",
+                about: "the curve at the knots, or constant and amplitude of `form`: shares of a \
+                        threshold, of events or of a signal as numbers, delays of stamps as texts such as \
+                        \"50 us\", leaks as texts such as \"0.2 Hz\"",
             },
             ParameterDecl {
                 name: "period",
@@ -83,10 +84,11 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: None,
                 allowed: (0.0, 0.0),
                 plausible: (0.0, 0.0),
-                about: "a formula in the place of knots: `by` is then a constant and what is multiplied by x \
-                        (`linear`), ln x (`logarithm`), x^s (`power`), exp(-x / s) (`relaxation`), x / (x + s) \
-                        (`saturation`), 0 below s and 1 from there (`step`), or sin and cos of 2 pi x (`sine`, \
-                        two amplitudes), with x the variable; where that has no value, nothing differs",
+                about: "a formula in the place of knots: `by` is then a constant and what is multiplied by \
+                        x (`linear`), ln x (`logarithm`), x^s (`power`), exp(-x / s) (`relaxation`), \
+                        x / (x + s) (`saturation`), 0 below s and 1 from there (`step`), or sin and cos of \
+                        2 pi x (`sine`, two amplitudes), with x the variable; where that has no value, \
+                        nothing differs",
             },
             ParameterDecl {
                 name: "shape",
