@@ -56,7 +56,7 @@ pub enum Covariate {
     Laplacian,
     /// Seconds since the last event of one of the eight neighbours.
     NeighbourEvent,
-    /// Phase of a rhythm, in periods from 0 to 1; see [`Surroundings::with_period`].
+    /// Phase of a rhythm, in periods from 0 to 1; see [`Surroundings::set_period`].
     AcPhase,
 }
 
@@ -186,10 +186,9 @@ impl<'a> Surroundings<'a> {
         Surroundings { case, light, pixels, tau, array_load, row_load, period_ns: None }
     }
 
-    /// With the period of a rhythm.
-    #[must_use]
-    pub fn with_period(self, period_ns: Option<i64>) -> Self {
-        Surroundings { period_ns, ..self }
+    /// Sets the period of a rhythm.
+    pub fn set_period(&mut self, period_ns: Option<i64>) {
+        self.period_ns = period_ns;
     }
 
     /// Size of the array, and number of pixels whose light is known.

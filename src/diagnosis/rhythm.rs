@@ -11,13 +11,23 @@ const SPACING: f64 = 0.25;
 /// Rhythms of the frames and so many multiples of theirs are the frames'.
 const MULTIPLES: i64 = 4;
 
-/// The period at which `values` (instant, value) swing most, ns; rhythms of period `apart_from_ns` and its
-/// fractions are left out. None where the recording is too short for any.
+/// A rhythm of what events miss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Rhythm {
+    /// Its period, ns.
+    pub period_ns: i64,
+    /// Is its phase that of the reset that the event followed, as of thresholds, which are taken there?
+    /// Otherwise it is that of the event.
+    pub is_at_reset: bool,
+}
+
+/// The period at which `values` (instant, value) swing most, ns, and by how much, squared; rhythms of period
+/// `apart_from_ns` and its fractions are left out. None where the recording is too short for any.
 pub(crate) fn strongest_period_ns(
     values: impl Iterator<Item = (i64, f64)>,
     span: (i64, i64),
     apart_from_ns: Option<i64>,
-) -> Option<i64> {
+) -> Option<(i64, f64)> {
     let length_ns = span.1 - span.0;
     let bins = usize::try_from(length_ns / BIN_NS + 1).ok()?;
     let mut sums = vec![(0.0, 0.0); bins];
@@ -56,7 +66,7 @@ pub(crate) fn strongest_period_ns(
         }
         hz += step_hz;
     }
-    best.filter(|(power, _)| *power > 0.0).map(|(_, hz)| (1e9 / hz) as i64)
+    best.filter(|(power, _)| *power > 0.0).map(|(power, hz)| ((1e9 / hz) as i64, power))
 }
 
 #[cfg(test)]
@@ -78,12 +88,12 @@ mod tests {
     fn a_swing_is_found_with_its_period_and_that_of_the_frames_is_passed_over() {
         for hz in [61.0, 180.0, 700.0] {
             let found =
-                1e9 / strongest_period_ns(values(hz).into_iter(), (0, 150_000_000), None).unwrap() as f64;
+                1e9 / strongest_period_ns(values(hz).into_iter(), (0, 150_000_000), None).unwrap().0 as f64;
             assert!((found - hz).abs() < 0.15 / 0.15, "{found} for {hz}");
         }
         let frames = 1e9 / 180.0;
         let other = 1e9
-            / strongest_period_ns(values(180.0).into_iter(), (0, 150_000_000), Some(frames as i64)).unwrap()
+            / strongest_period_ns(values(180.0).into_iter(), (0, 150_000_000), Some(frames as i64)).unwrap().0
                 as f64;
         assert!((other - 180.0).abs() > 5.0, "{other}");
         assert!(strongest_period_ns(std::iter::empty(), (0, 150_000_000), None).is_none());

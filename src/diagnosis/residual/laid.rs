@@ -2,6 +2,7 @@
 
 use super::Residuals;
 use crate::covariates::{Covariate, Surroundings};
+use crate::rhythm::Rhythm;
 
 /// Values of a covariate at every event and at the event before it; NaN where it has none.
 #[derive(Clone, Debug)]
@@ -16,8 +17,15 @@ pub(crate) struct Laid {
     pub(super) before: Vec<f64>,
 }
 
-/// Lays every covariate over the events.
-pub(super) fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
+/// Lays every covariate over the events; of a rhythm its phase.
+pub(super) fn lay(
+    events: &Residuals,
+    surroundings: &mut Surroundings<'_>,
+    rhythm: Option<Rhythm>,
+) -> Vec<Laid> {
+    let period_ns = rhythm.map(|rhythm| rhythm.period_ns);
+    let is_at_reset = |covariate| covariate == Covariate::AcPhase && rhythm.is_some_and(|of| of.is_at_reset);
+    surroundings.set_period(period_ns);
     Covariate::ALL
         .into_iter()
         .filter(|covariate| *covariate != Covariate::AcPhase || period_ns.is_some())
@@ -25,10 +33,13 @@ pub(super) fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns
             let value = |k: usize, t_ns: i64, polarity: i8| {
                 surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN)
             };
-            let at = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect();
-            let before = (0..events.t_ns.len())
+            let before: Vec<f64> = (0..events.t_ns.len())
                 .map(|k| value(k, events.t_ns[k] - events.since_ns[k], events.previous[k]))
                 .collect();
+            let at = match is_at_reset(covariate) {
+                true => before.clone(),
+                false => (0..before.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect(),
+            };
             Laid { covariate, period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase), at, before }
         })
         .collect()
@@ -75,5 +86,46 @@ impl Bins {
     /// The bin of a value; none of what is not finite.
     pub(super) fn bin(&self, value: f64) -> Option<u32> {
         value.is_finite().then(|| self.edges.partition_point(|edge| *edge <= value) as u32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::ranking::rhythm_of;
+    use super::*;
+    use crate::testing;
+    use core::f64::consts::TAU;
+    use photocurrent_core::random::Random;
+
+    #[test]
+    fn a_rhythm_is_laid_over_the_resets_where_thresholds_follow_it_there() {
+        // 270 Hz, 25 frames 8 ms apart; intervals of 1 to 12 ms.
+        let (case, period_ns) = (testing::case_of(25, &Default::default()), 3.7e6);
+        for is_at_reset in [false, true] {
+            let mut random = Random::new(2, &[]);
+            let mut events = Residuals::default();
+            for _ in 0..3000 {
+                let t_ns = 12_000_000 + (random.uniform() * 180e6) as i64;
+                let since_ns = (1e6 + random.uniform() * 11e6) as i64;
+                let polarity = if random.uniform() < 0.5 { 1 } else { -1 };
+                let at = if is_at_reset { t_ns - since_ns } else { t_ns };
+                events.pixel.push(0);
+                events.t_ns.push(t_ns);
+                events.since_ns.push(since_ns);
+                events.polarity.push(polarity);
+                events.previous.push(polarity);
+                let swing = 0.02 * libm::sin(TAU * at as f64 / period_ns);
+                events.excess.push(f64::from(polarity) * swing + 0.02 * random.normal());
+            }
+            let rhythm = rhythm_of(&case, &events, &events.excess).expect("a rhythm");
+            assert_eq!(rhythm.is_at_reset, is_at_reset);
+            assert!((rhythm.period_ns as f64 / period_ns - 1.0).abs() < 0.01, "{rhythm:?}");
+            let light = Box::new(|_: usize, _: i64| None);
+            let mut surroundings = Surroundings::of(&case, light, case.extent.pixels(), (0.0, 0.0));
+            let laid = lay(&events, &mut surroundings, Some(rhythm));
+            let phase = laid.iter().find(|one| one.covariate == Covariate::AcPhase).expect("its phase");
+            assert!(phase.at.iter().all(|at| (0.0..1.0).contains(at)));
+            assert_eq!(phase.at == phase.before, is_at_reset);
+        }
     }
 }

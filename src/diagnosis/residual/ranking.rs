@@ -21,7 +21,7 @@ use super::open::{self, Open};
 use super::setting::{DEPENDENCES, EvidenceSetting, KNOWN_STEP_NS, LEAST_NOISE, LEAST_SPREAD};
 use super::table::{Seen, Table, median_share};
 use crate::candidates::{CANDIDATES, Scales, Trial};
-use crate::rhythm::strongest_period_ns;
+use crate::rhythm::{Rhythm, strongest_period_ns};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::gate::Gate;
 use photocurrent_scene::nominal::Nominal;
@@ -58,9 +58,9 @@ pub fn evidence(
     let table = seen.table(&stated, None, softest)?;
     enough_left(&table, &control_table, setting)?;
 
-    let period_ns = period_of(case, &table.events, table.residual());
+    let rhythm = rhythm_of(case, &table.events, table.residual());
     let control_dependences =
-        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+        control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, rhythm)[0]);
     let slope_per_s = median_slope(&table);
     let control_white = control_seen.white(&stated, control_source.as_ref())?;
     let chance = of_chance(&seen, nominal, &control_table, control_white, slope_per_s);
@@ -70,7 +70,7 @@ pub fn evidence(
         control_table: &control_table,
         control_dependences: &control_dependences,
         chance: &chance,
-        period_ns,
+        rhythm,
         step_ns,
         softest,
     };
@@ -199,13 +199,20 @@ fn enough_left(table: &Table, control_table: &Table, setting: &EvidenceSetting) 
     Ok(())
 }
 
-/// The period in which residuals swing most, apart from that of the frames, ns.
-pub(super) fn period_of(case: &Case, events: &Residuals, residual: &[f64]) -> Option<i64> {
-    let swing =
-        residual.iter().enumerate().map(|(k, left)| (events.t_ns[k], f64::from(events.polarity[k]) * left));
+/// The rhythm in which residuals swing most, apart from that of the frames: of events, or of the resets
+/// before them.
+pub(super) fn rhythm_of(case: &Case, events: &Residuals, residual: &[f64]) -> Option<Rhythm> {
     let frame_ns =
         case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
-    strongest_period_ns(swing, case.span, frame_ns)
+    let of = |is_at_reset: bool| {
+        let instant = |k: usize| events.t_ns[k] - if is_at_reset { events.since_ns[k] } else { 0 };
+        let swing =
+            residual.iter().enumerate().map(|(k, left)| (instant(k), f64::from(events.polarity[k]) * left));
+        let (period_ns, power) = strongest_period_ns(swing, case.span, frame_ns)?;
+        Some((Rhythm { period_ns, is_at_reset }, power))
+    };
+    let found = [of(false), of(true)].into_iter().flatten();
+    found.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(rhythm, _)| rhythm)
 }
 
 /// Median slope of the voltage at the events, ln/s.
@@ -261,7 +268,7 @@ struct Ranking<'a> {
     control_table: &'a Table,
     control_dependences: &'a [Open],
     chance: &'a Chance<'a>,
-    period_ns: Option<i64>,
+    rhythm: Option<Rhythm>,
     step_ns: i64,
     softest: f64,
 }
@@ -276,7 +283,7 @@ impl Ranking<'_> {
         first: Option<(usize, f64)>,
         refined: usize,
     ) -> Result<Round, String> {
-        let laid = seen.lay(table, self.nominal, self.period_ns);
+        let laid = seen.lay(table, self.nominal, self.rhythm);
         let places = seen.places(table, &laid);
         let ranked =
             seen.rank(self.stated, table, self.control_table, first, refined, self.nominal, &places)?;

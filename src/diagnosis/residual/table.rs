@@ -14,6 +14,7 @@ use super::setting::{CELL, EvidenceSetting, LARGEST_EFFECT_SIZE, LEAST_SLOPE, PR
 use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::covariates::{Covariate, Surroundings};
+use crate::rhythm::Rhythm;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::gate::Gate;
 use photocurrent_scene::light::Light;
@@ -336,18 +337,12 @@ impl Seen<'_> {
         Ok(white_share((&events.pixel, &events.polarity), &events.excess, &cells))
     }
 
-    /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is
-    /// known.
-    pub(super) fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
+    /// Covariates of the events of a table, and of its frame values.
+    pub(super) fn lay(&self, table: &Table, nominal: &Nominal, rhythm: Option<Rhythm>) -> [Vec<Laid>; 2] {
         let front_end = nominal.pixel.front_end;
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
-        let surroundings = Surroundings::of(
-            self.case,
-            light,
-            self.case.extent.pixels(),
-            (front_end.tau_0_s, front_end.alpha_s),
-        )
-        .with_period(period_ns);
+        let constants = (front_end.tau_0_s, front_end.alpha_s);
+        let mut surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), constants);
         let FrameValues { pixel, t_ns, .. } = table.frames.clone();
         let count = pixel.len();
         let values = Residuals {
@@ -358,9 +353,9 @@ impl Seen<'_> {
             since_ns: vec![0; count],
             ..Residuals::default()
         };
-        let mut of_frames = if count > 0 { lay(&values, &surroundings, None) } else { Vec::new() };
+        let mut of_frames = if count > 0 { lay(&values, &mut surroundings, None) } else { Vec::new() };
         of_frames.retain(|laid| Covariate::OF_FRAMES.contains(&laid.covariate));
-        [lay(&table.events, &surroundings, period_ns), of_frames]
+        [lay(&table.events, &mut surroundings, rhythm), of_frames]
     }
 
     /// What gains over the residuals of a table are located on.

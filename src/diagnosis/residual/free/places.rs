@@ -5,7 +5,7 @@ use super::super::formulas::formulas;
 use super::super::laid::{Laid, lay};
 use super::super::located::{Ground as Gains, Located, LocatedSetting, Values};
 use super::super::open::{Open, after, dependences, restored};
-use super::super::ranking::period_of;
+use super::super::ranking::rhythm_of;
 use super::super::setting::EvidenceSetting;
 use super::super::setting::{DEPENDENCES, LEAST_NOISE};
 use super::super::table::block_of;
@@ -87,8 +87,8 @@ impl Level {
         let light = Box::new(|pixel: usize, t_ns: i64| prediction.light.at(pixel, t_ns));
         let front_end = ground.nominal.pixel.front_end;
         let constants = (front_end.tau_0_s, front_end.alpha_s);
-        let surroundings = Surroundings::of(case, light, case.extent.pixels(), constants);
-        let laid = lay(&events, &surroundings, period_of(case, &events, &events.excess));
+        let mut surroundings = Surroundings::of(case, light, case.extent.pixels(), constants);
+        let laid = lay(&events, &mut surroundings, rhythm_of(case, &events, &events.excess));
         Ok(Level { left_out, predicted, events, threshold, block, laid })
     }
 
