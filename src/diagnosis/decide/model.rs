@@ -308,7 +308,7 @@ impl Facts {
 
     /// Logarithm of what a curve gains more than the best effect, over that effect's gain: with the effect
     /// applied, or by itself. Thresholds of each pixel's own take every curve over the place with them, and
-    /// leave nothing beside themselves of one that explains more than they do.
+    /// leave nothing in addition of one that explains more than they do.
     fn beyond_best(&self) -> f64 {
         let [with, alone] = self.open;
         with.max(libm::log((libm::exp(alone) - 1.0).max(LEAST_GAIN)))
@@ -441,12 +441,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_curve_that_explains_more_than_the_best_effect_needs_nothing_beside_it() {
+    fn a_curve_that_explains_more_than_the_best_effect_counts_by_what_it_explains_more() {
         let facts = |alone: f64| Facts {
-            gains: Gains { sized: LEAST_GAIN.ln(), random: 0.4_f64.ln(), swing: LEAST_GAIN.ln() },
+            gains: Gains {
+                sized: libm::log(LEAST_GAIN),
+                random: libm::log(0.4),
+                swing: libm::log(LEAST_GAIN),
+            },
             first: vec![("threshold_mismatch".into(), 1.0, true)],
             // With thresholds of each pixel's own nothing of a curve over the rows is left.
-            open: [(LEAST_GAIN / 0.4).ln(), (alone / 0.4).ln()],
+            open: [libm::log(LEAST_GAIN / 0.4), libm::log(alone / 0.4)],
             ..Facts::default()
         };
         let unnamed = |alone: f64| Model::default().first(&facts(alone)).unnamed;

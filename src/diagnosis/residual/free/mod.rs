@@ -81,14 +81,6 @@ struct Plan {
     is_open: bool,
 }
 
-impl Plan {
-    /// The share of their thresholds that half of the events may miss by the scene's fault: noise that is
-    /// larger hides it, as what b of systematic misses gains falls with b^2 over the square of the noise.
-    fn most_left<L: FreeScene>(&self, ground: &Ground<'_, L>) -> f64 {
-        f64::max(self.most_left, ground.stated_noise())
-    }
-}
-
 /// On the light of pixels.
 const ON_PIXELS: Plan = Plan {
     rounds: 11,
@@ -306,7 +298,7 @@ impl fmt::Display for Failure {
             Failure::Leaves(left) => write!(
                 f,
                 "events miss their thresholds by {left:.3} of them on a picture of frames and events, and it \
-                 decides where that is at most {EXPLAINED}, or the noise of thresholds that is stated"
+                 decides where that is at most {EXPLAINED}"
             ),
             Failure::Other(why) => f.write_str(why),
         }
@@ -370,7 +362,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     let wrong = self::wrong(with.map_or(&nothing, |with| &with.fit), plan)?;
     // What is in no catalogue is no fault of the scene.
     let wrong = wrong.min(open.left).min(open_second.left);
-    if wrong > plan.most_left(ground) {
+    if wrong > plan.most_left {
         return Err(Failure::Leaves(left));
     }
     Ok(Evidence {
@@ -397,8 +389,8 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
 
 /// May something explain what a scene leaves, where an effect gains `most` of it to first order?
 fn is_hopeful<L: FreeScene>(base: &mut Fit<'_, L>, most: f64, plan: &Plan) -> Result<bool, String> {
-    let (wrong, most_left) = (wrong(base, plan)?, plan.most_left(base.ground));
-    if wrong <= most_left || most >= HOPEFUL * libm::log(wrong / most_left) {
+    let wrong = wrong(base, plan)?;
+    if wrong <= plan.most_left || most >= HOPEFUL * libm::log(wrong / plan.most_left) {
         return Ok(true);
     }
     let ground = base.ground;
