@@ -311,6 +311,14 @@ impl MadeUp {
         made
     }
 
+    /// With noise of thresholds that the description states, a share of the ON threshold.
+    #[cfg(test)]
+    pub fn with_threshold_noise(mut self, share: f64) -> MadeUp {
+        let comparator = &mut self.sensor.comparator;
+        comparator.threshold_noise = comparator.threshold_on.map(|on| share * on);
+        self
+    }
+
     /// With edges of a width, pixels on either side.
     #[cfg(test)]
     pub fn with_edge(self, edge: f64) -> MadeUp {

@@ -69,3 +69,17 @@ impl Form {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_description_and_a_report_name_a_form_alike() {
+        for (form, name) in Form::ALL.into_iter().zip(Form::NAMES) {
+            assert_eq!(serde_json::to_value(form).unwrap(), name);
+            assert_eq!(Form::named(name), Some(form));
+        }
+        assert_eq!(Form::named("sinus"), None);
+    }
+}

@@ -3,7 +3,7 @@
 
 use super::departure::Departure;
 use crate::units::readable;
-use photocurrent_scene::case::Case;
+use photocurrent_scene::case::{Case, PixelEvent};
 
 /// The camera is at rest when this share of the pixels that count is still.
 const AT_REST: f64 = 0.9;
@@ -78,7 +78,7 @@ fn has_company(case: &Case, t_ns: i64, pixel: u32) -> bool {
     let (x, y) = (pixel as usize % width, pixel as usize / width);
     let near = |at: usize, size: usize| at.saturating_sub(NEAR)..(at + NEAR + 1).min(size);
     near(y, height).flat_map(|v| near(x, width).map(move |u| v * width + u)).any(|other| {
-        let is_near = |event: &photocurrent_scene::case::PixelEvent| (event.t_in_ns - t_ns).abs() < NEAR_NS;
+        let is_near = |event: &PixelEvent| (event.t_in_ns - t_ns).abs() < NEAR_NS;
         other != pixel as usize && case.events.of(other).iter().any(is_near)
     })
 }

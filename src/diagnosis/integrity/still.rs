@@ -103,6 +103,7 @@ fn deviation(steps: &mut [f64]) -> f64 {
     match median(steps) {
         0.0 => {
             let mean = steps.iter().map(|step| step.min(1.0)).sum::<f64>() / steps.len() as f64;
+            // Of two normal values the mean absolute difference is 2 / sqrt(pi) standard deviations.
             mean * 0.5 * libm::sqrt(std::f64::consts::PI)
         }
         middle => 1.4826 * middle / std::f64::consts::SQRT_2,
