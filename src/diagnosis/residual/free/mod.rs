@@ -138,9 +138,15 @@ const TRAINED_ON_NOISE: usize = 72_000;
 const MEASURED: usize = 8_000;
 /// Noise of thresholds below this share of them is none: a scene always leaves so much.
 const LEAST_NOISE: f64 = 0.01;
+/// A scene that misses thresholds by no more than this share of the noise that the description states: with
+/// it the noise is an eighth wider.
+const HIDDEN: f64 = 0.5;
 /// Thresholds that differ from pixel to pixel are estimated where to predict each event from the others of
 /// its pixel gains more than this, nats an event.
 const LEAST_MISMATCH: f64 = 0.01;
+/// What shifts all events against the frames, in time and in contrast: a scene of both follows that so far
+/// that its gain to first order is below those of its look-alikes. It is fitted where its size differs from 0.
+const FOLLOWED: [&str; 2] = ["clock_offset", "threshold_scale"];
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.
@@ -362,7 +368,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     let wrong = self::wrong(with.map_or(&nothing, |with| &with.fit), plan)?;
     // What is in no catalogue is no fault of the scene.
     let wrong = wrong.min(open.left).min(open_second.left);
-    if wrong > plan.most_left {
+    if wrong > most_left(ground, plan) {
         return Err(Failure::Leaves(left));
     }
     Ok(Evidence {
@@ -387,13 +393,18 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     })
 }
 
+/// What a scene may leave and decide: less than that where the noise of each event hides it.
+fn most_left<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> f64 {
+    f64::max(plan.most_left, HIDDEN * ground.stated_noise())
+}
+
 /// May something explain what a scene leaves, where an effect gains `most` of it to first order?
 fn is_hopeful<L: FreeScene>(base: &mut Fit<'_, L>, most: f64, plan: &Plan) -> Result<bool, String> {
-    let wrong = wrong(base, plan)?;
-    if wrong <= plan.most_left || most >= HOPEFUL * libm::log(wrong / plan.most_left) {
+    let (wrong, ground) = (wrong(base, plan)?, base.ground);
+    let most_left = most_left(ground, plan);
+    if wrong <= most_left || most >= HOPEFUL * libm::log(wrong / most_left) {
         return Ok(true);
     }
-    let ground = base.ground;
     Ok(plan.is_open && Level::of(base)?.dependences(ground).gain() > OF_CURVE)
 }
 
@@ -537,7 +548,7 @@ fn ranked<L: FreeScene>(scored: &Scored, ground: &Ground<'_, L>) -> Vec<Ranked> 
     list
 }
 
-/// The best by gain, and by how well places agree.
+/// The best by gain, and by how well places agree, and what is always fitted ([`FOLLOWED`]).
 fn worth_fitting(ranked: &[Ranked], scored: &Scored, plan: &Plan) -> Vec<usize> {
     let best = ranked.first().map_or(0.0, |one| one.gain);
     let is_something = |one: &&Ranked| one.gain > f64::max(plan.least_gain, plan.worth * best);
@@ -553,6 +564,13 @@ fn worth_fitting(ranked: &[Ranked], scored: &Scored, plan: &Plan) -> Vec<usize> 
         if !chosen.contains(&candidate) {
             chosen.push(candidate);
         }
+    }
+    let is_followed =
+        |one: &&Ranked| FOLLOWED.contains(&CANDIDATES[one.candidate].id) && one.effect_size.abs() > one.error;
+    if !chosen.is_empty() {
+        chosen.extend(ranked.iter().filter(is_followed).map(|one| one.candidate));
+        chosen.sort_unstable();
+        chosen.dedup();
     }
     chosen
 }
