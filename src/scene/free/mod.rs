@@ -8,7 +8,7 @@ use crate::case::Case;
 use crate::light::Light;
 use crate::scene::Cell;
 pub use noise::{LEAST_SHARE, Noise, frame_noise};
-pub(crate) use noise::{MOST_OF_RISE, frame_scale, line};
+pub(crate) use noise::{MOST_OF_RISE, frame_scale, is_rising, line, rise};
 pub use predicted::{Predicted, PredictedEvent, PredictedFrame};
 
 /// Efficient score of some effects, and its covariance: with H the normal matrix of the scene, g its

@@ -70,6 +70,13 @@ impl Noise {
         threshold * threshold + stamp * stamp + least * least
     }
 
+    /// The share of thresholds in an event's variance: the rest is of stamps, and the density of a time that
+    /// only stamps blur does not depend on how fast the voltage rises.
+    pub(crate) fn share_of_thresholds(&self, event: &PredictedEvent) -> f64 {
+        let stamp = self.stamp_s * event.slope_per_s;
+        1.0 - stamp * stamp / self.event_variance(event)
+    }
+
     /// Weight and residual of an instant at which an event did not fire, for a Newton step, and the
     /// logarithm of the probability that none did, nats.
     ///
@@ -183,11 +190,20 @@ impl Noise {
     pub(crate) fn log_density_left_out(&self, event: &PredictedEvent, leverage: f64) -> f64 {
         let left = 1.0 - leverage.clamp(0.0, MOST_LEVERAGE);
         let (excess, variance) = (event.excess / left, self.event_variance(event) / left);
-        let rise = f64::max(event.rise_per_s, LEAST_RISE_PER_S * event.threshold);
-        libm::log(rise)
+        libm::log(rise(event))
             - 0.5 * libm::log(variance)
             - 0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
     }
+}
+
+/// How fast the voltage rises when an event fires, ln/s: at least so fast that it is no chance.
+pub(crate) fn rise(event: &PredictedEvent) -> f64 {
+    f64::max(event.rise_per_s, LEAST_RISE_PER_S * event.threshold)
+}
+
+/// Does it rise as fast as that?
+pub(crate) fn is_rising(event: &PredictedEvent) -> bool {
+    event.rise_per_s > LEAST_RISE_PER_S * event.threshold
 }
 
 /// The scale of a Student-t distribution of frame values' misfits: at least that of their noise.

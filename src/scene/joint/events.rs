@@ -5,7 +5,7 @@ use super::super::picture::spline::{ORDER, weights};
 use super::fields::Fields;
 use super::lines::Lines;
 use crate::case::Case;
-use crate::free::Predicted;
+use crate::free::{Predicted, rise};
 use crate::picture::Picture;
 use rayon::prelude::*;
 
@@ -16,12 +16,25 @@ const LAGS: [(f64, f64); 3] = [
     (6.289_945_082_937_479, 0.010_389_256_501_586),
 ];
 
+/// An event's rise is the difference of the voltage over this long before it, ns, or half of the time since its
+/// reference where that is shorter.
+const RISE_NS: i64 = 100_000;
+
 /// Events as rows, in order of pixel and time.
 pub(super) struct OfEvents {
+    /// Of their excesses.
     pub lines: Lines,
+    /// Of the logarithms of how fast the voltage rises when they fire.
+    pub rises: Lines,
     /// Place of the pixel, number among its predicted events, and whether both places that the event compares
     /// are on the picture and near each other.
     pub of: Vec<(u32, u32, bool)>,
+}
+
+impl OfEvents {
+    fn none() -> OfEvents {
+        OfEvents { lines: Lines::new(), rises: Lines::new(), of: Vec::new() }
+    }
 }
 
 /// Rows of all predicted events: what the voltage's change from reference to event derives from. The voltage
@@ -36,38 +49,39 @@ pub(super) fn lines(
         .par_chunks(64)
         .enumerate()
         .map(|(chunk, of)| {
-            let mut part = OfEvents { lines: Lines::new(), of: Vec::new() };
+            let mut part = OfEvents::none();
             let (mut of_picture, mut of_rest) = (Vec::new(), Vec::new());
             for (n, predicted) in of.iter().enumerate() {
                 let place = chunk * 64 + n;
                 let pixel = pixels[place] as usize;
                 for (k, event) in predicted.events.iter().enumerate() {
-                    let is_whole =
-                        [(1.0, event.t_ns), (-1.0, event.reference_ns)].iter().all(|(sign, t_ns)| {
-                            voltage(
-                                case,
-                                picture,
-                                predicted,
-                                (pixel, *t_ns, *sign),
-                                &mut of_picture,
-                                &mut of_rest,
-                            )
+                    let mut push = |by: [(f64, i64); 2], to: &mut Lines| {
+                        let is_whole = by.iter().all(|(sign, t_ns)| {
+                            let at = (pixel, *t_ns, *sign);
+                            voltage(case, picture, predicted, at, &mut of_picture, &mut of_rest)
                         });
-                    let is_near = is_whole && is_within(&of_picture, &Fields::of(picture), reach + 4);
-                    if !is_near {
-                        of_picture.clear();
-                        of_rest.clear();
-                    }
-                    part.lines.push(&mut of_picture, &mut of_rest);
+                        let is_near = is_whole && is_within(&of_picture, &Fields::of(picture), reach + 4);
+                        if !is_near {
+                            of_picture.clear();
+                            of_rest.clear();
+                        }
+                        to.push(&mut of_picture, &mut of_rest);
+                        is_near
+                    };
+                    let is_near = push([(1.0, event.t_ns), (-1.0, event.reference_ns)], &mut part.lines);
+                    let before_ns = RISE_NS.min((event.t_ns - event.reference_ns) / 2).max(1);
+                    let by = event.polarity / (1e-9 * before_ns as f64 * rise(event));
+                    push([(by, event.t_ns), (-by, event.t_ns - before_ns)], &mut part.rises);
                     part.of.push((place as u32, k as u32, is_near));
                 }
             }
             part
         })
         .collect();
-    let mut all = OfEvents { lines: Lines::new(), of: Vec::new() };
+    let mut all = OfEvents::none();
     for part in parts {
         all.lines.extend(&part.lines);
+        all.rises.extend(&part.rises);
         all.of.extend(part.of);
     }
     all

@@ -292,7 +292,7 @@ impl JointPicture {
         let probe = sides.get(1).cloned();
         factor.solve(&mut sides);
         if let Some(probe) = probe {
-            let events = problem.weight[problem.frames()..].iter().filter(|w| **w > 0.0).count().max(1);
+            let events = problem.weight[problem.of_events()].iter().filter(|w| **w > 0.0).count().max(1);
             let trace: f64 = probe.iter().zip(&sides[1]).map(|(a, b)| a * b).sum();
             self.free = (trace / events as f64).clamp(0.0, MOST_FREE);
         }
@@ -318,7 +318,7 @@ impl JointPicture {
         let (mut of_events, mut sample) = (vec![0.0; all], vec![0.0; all]);
         for r in problem.used() {
             let by = problem.weight[r].sqrt() * random.normal();
-            if r >= problem.frames() {
+            if problem.of_events().contains(&r) {
                 problem.add(r, by, &mut of_events, count);
             }
             problem.add(r, by, &mut sample, count);

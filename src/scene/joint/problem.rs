@@ -7,12 +7,13 @@ use super::normal::{Factor, Sums};
 use super::prior::Prior;
 use crate::block::Block;
 use crate::case::Case;
-use crate::free::{Noise, Predicted};
+use crate::free::{Noise, Predicted, is_rising, rise};
 use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::motion::{DEGREES, RIGID};
 use crate::picture::{MOTION_WEIGHT, Picture, PictureSetting, ROBUST, STRETCH};
 use crate::statistics::NU;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Events whose two places lie further apart than so many coefficients along an axis take no part.
@@ -32,13 +33,16 @@ pub(super) struct FrameRows {
     sums: Sums,
 }
 
-/// Rows with what they leave: frame values, then events.
+/// Rows with what they leave: frame values, then events, then the logarithms of the rises that events end. The
+/// time of an event is what is measured, and the density of times is that of excesses times the rise; without
+/// it a picture that its prior holds back is as probable as a steeper one, and thresholds come out too small.
 pub(super) struct Problem {
     pub of_frames: Arc<FrameRows>,
     pub events: Lines,
+    pub rises: Lines,
     /// Pixel of each row, by its place.
     pub place: Vec<u32>,
-    /// Which of the pixel's predicted frame values, or events, it is.
+    /// Which of the pixel's predicted frame values, or events, it is or ends in.
     pub number: Vec<u32>,
     pub residual: Vec<f64>,
     /// 0: takes no part.
@@ -55,26 +59,42 @@ impl Problem {
         self.weight.len()
     }
 
+    /// Rows of events.
+    pub(super) fn of_events(&self) -> Range<usize> {
+        self.frames()..self.frames() + self.events.len()
+    }
+
+    /// A row among those of its kind.
+    fn line(&self, r: usize) -> (&Lines, usize) {
+        let of_events = self.of_events();
+        if r < of_events.start {
+            (&self.of_frames.lines, r)
+        } else if r < of_events.end {
+            (&self.events, r - of_events.start)
+        } else {
+            (&self.rises, r - of_events.end)
+        }
+    }
+
     /// Derivative of row `r` along a step of all unknowns.
     pub(super) fn along(&self, r: usize, step: &[f64], picture: usize) -> f64 {
-        match r.checked_sub(self.frames()) {
-            None => self.of_frames.lines.along(r, step, picture),
-            Some(event) => self.events.along(event, step, picture),
-        }
+        let (lines, line) = self.line(r);
+        lines.along(line, step, picture)
     }
 
     /// Adds row `r` times a factor to a vector of all unknowns.
     pub(super) fn add(&self, r: usize, factor: f64, to: &mut [f64], picture: usize) {
-        match r.checked_sub(self.frames()) {
-            None => self.of_frames.lines.add(r, factor, to, picture),
-            Some(event) => self.events.add(event, factor, to, picture),
-        }
+        let (lines, line) = self.line(r);
+        lines.add(line, factor, to, picture);
     }
 
     /// Where a row stands in the columns of its pixel.
     pub(super) fn row_of(&self, r: usize, predicted: &[Predicted]) -> usize {
-        let number = self.number[r] as usize;
-        if r < self.frames() { number } else { predicted[self.place[r] as usize].frames.len() + number }
+        let (number, of) = (self.number[r] as usize, &predicted[self.place[r] as usize]);
+        let of_events = self.of_events();
+        let before = usize::from(r >= of_events.start) * of.frames.len()
+            + usize::from(r >= of_events.end) * of.events.len();
+        before + number
     }
 
     /// Rows that take part.
@@ -176,7 +196,7 @@ impl Standing<'_> {
             number.push(n);
             residual.push(predicted[of].frames.get(n as usize).map_or(0.0, |frame| frame.residual_dn));
         }
-        let OfEvents { lines: events, of } =
+        let OfEvents { lines: events, rises, of } =
             events::lines(self.case, self.picture(), (self.pixels, predicted), REACH);
         for (of, k, is_near) in &of {
             let event = &predicted[*of as usize].events[*k as usize];
@@ -189,7 +209,15 @@ impl Standing<'_> {
             let full = (NU + 1.0) / variance / (NU + event.excess * event.excess / variance);
             weight.push(if takes_part { full } else { 0.0 });
         }
-        Problem { of_frames, events, place, number, residual, weight }
+        for (n, (of, k, _)) in of.iter().enumerate() {
+            let event = &predicted[*of as usize].events[*k as usize];
+            place.push(*of);
+            number.push(*k);
+            residual.push(-1.0);
+            let takes_part = weight[frames + n] > 0.0 && is_rising(event);
+            weight.push(if takes_part { self.noise.share_of_thresholds(event) } else { 0.0 });
+        }
+        Problem { of_frames, events, rises, place, number, residual, weight }
     }
 
     /// Which of a pixel's predicted frame values each frame value is, [frame][y][x].
@@ -235,7 +263,9 @@ impl Standing<'_> {
     pub(super) fn factored(&self, problem: &Problem) -> Option<Factor> {
         let (fields, rest) = (self.fields(), self.picture().rest().len());
         let mut sums = problem.of_frames.sums.clone();
-        sums.add_all(&problem.events, &problem.weight[problem.frames()..]);
+        let of_events = problem.of_events();
+        sums.add_all(&problem.events, &problem.weight[of_events.clone()]);
+        sums.add_all(&problem.rises, &problem.weight[of_events.end..]);
         self.prior.each(&fields, |at, by, weight| sums.add_picture(at, by, weight));
         self.each_of_rest(|at, by, weight| sums.add_rest(at, by, weight));
         let motion = self.picture().motion.knots.len() * DEGREES;
@@ -263,7 +293,8 @@ impl Standing<'_> {
         gradient
     }
 
-    /// What steps lessen: misfit of frames and events under the noise as it stands, and roughness.
+    /// What steps lessen: misfit of frames and of the times of events under the noise as it stands, and
+    /// roughness.
     pub(super) fn objective(&self, predicted: &[Predicted]) -> f64 {
         let (fields, now) = (self.fields(), self.unknowns());
         let of_frames = |of: &Predicted| -> f64 {
@@ -284,7 +315,8 @@ impl Standing<'_> {
                     let far = FAR * event.threshold;
                     let excess = event.excess.clamp(-far, far);
                     let variance = self.noise.event_variance(event);
-                    0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
+                    0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU) + 0.5 * libm::log(variance)
+                        - libm::log(rise(event))
                 })
                 .sum()
         };

@@ -106,7 +106,7 @@ pub(super) fn gains(
             let by = if k < effects { size * f64::from(columns[place][n * effects + k]) } else { 0.0 };
             frame.residual_dn += by - problem.along(r, &sides[k], count);
         }
-        for r in problem.frames()..problem.rows() {
+        for r in problem.of_events() {
             let (place, n) = (problem.place[r] as usize, problem.number[r] as usize);
             let (frames, events) = (predicted[place].frames.len(), predicted[place].events.len());
             let by = |row: usize| {
@@ -114,7 +114,8 @@ pub(super) fn gains(
             };
             let event: &mut PredictedEvent = &mut moved[place].events[n];
             event.excess += by(frames + n) - problem.along(r, &sides[k], count);
-            event.rise_per_s *= libm::exp(by(frames + events + n).clamp(-MOST_OF_RISE, MOST_OF_RISE));
+            let of_rise = by(frames + events + n) - problem.along(r + problem.events.len(), &sides[k], count);
+            event.rise_per_s *= libm::exp(of_rise.clamp(-MOST_OF_RISE, MOST_OF_RISE));
         }
         left_out(&moved)
     };

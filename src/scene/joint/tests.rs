@@ -104,23 +104,28 @@ fn rows_are_what_a_small_step_changes(case: &Case, nominal: &Nominal, joint: &Jo
             now(case, nominal, &moved)
         };
         let (more, less) = (moved(0.5), moved(-0.5));
-        let (mut off, mut size) = ([0.0; 2], [0.0; 2]);
+        let (mut off, mut size) = ([0.0; 3], [0.0; 3]);
         for r in problem.used() {
             let (pixel, n) = (problem.place[r] as usize, problem.number[r] as usize);
-            let is_event = usize::from(r >= problem.frames());
-            let change = match is_event {
+            let of_events = problem.of_events();
+            let row = usize::from(r >= of_events.start) + usize::from(r >= of_events.end);
+            let log_rise = |of: &[Predicted]| libm::log(of[pixel].events[n].rise_per_s);
+            let change = match row {
                 0 => more[pixel].frames[n].residual_dn - less[pixel].frames[n].residual_dn,
-                _ => more[pixel].events[n].excess - less[pixel].events[n].excess,
+                1 => more[pixel].events[n].excess - less[pixel].events[n].excess,
+                _ => log_rise(&more) - log_rise(&less),
             };
             let found = problem.along(r, &step, count);
-            off[is_event] += (found - change) * (found - change);
-            size[is_event] += change * change;
+            off[row] += (found - change) * (found - change);
+            size[row] += change * change;
         }
-        for is_event in 0..2 {
-            let share = libm::sqrt(off[is_event] / size[is_event].max(1e-12));
-            // Shading cancels from one voltage to another; the lag is taken at three instants.
-            let is_nothing = kind == 2 && is_event == 1;
-            assert!(if is_nothing { off[1] < 1e-9 } else { share < 0.04 }, "{kind} {is_event}: {share}");
+        for (row, most) in [0.04, 0.04, 0.2].into_iter().enumerate() {
+            let share = libm::sqrt(off[row] / size[row].max(1e-12));
+            // Shading cancels from one voltage to another; the lag is taken at three instants, and a rise over
+            // 100 us.
+            let is_nothing = kind == 2 && row > 0;
+            let nothing = if row == 1 { 1e-9 } else { 1e-5 };
+            assert!(if is_nothing { off[row] < nothing } else { share < most }, "{kind} {row}: {share} {}", off[row]);
         }
     }
 }
@@ -269,7 +274,7 @@ fn a_step_with_an_effect_gains_what_the_scene_that_takes_it_does() {
     assert!(together.0 < still - 0.5 * (still - alone.0), "{still} to {}, {}", together.0, alone.0);
     let found: f64 = joint.gains(&measured, &columns, &[1.0]).iter().flatten().map(|of| of[0]).sum();
     let gained = together.1 - alone.1;
-    assert!(gained < -20.0 && (found - gained).abs() < 0.1 * gained.abs(), "{found} is {gained}");
+    assert!(gained < -20.0 && (found - gained).abs() < 0.15 * gained.abs(), "{found} is {gained}");
     // Each event's part of it, by the noise that is left with it.
     let of_events = joint.event_gains(&with, &measured);
     let of = |place: usize| joint.is_measured(place) && !measured[place].events.is_empty();
