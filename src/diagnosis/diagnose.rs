@@ -12,6 +12,7 @@ use crate::report::{
     BeforeAfter, Detectable, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
 };
 use crate::residual::located::Located;
+use crate::rivals::{by_frames, is_random};
 use crate::sample::Sample;
 use crate::stages::{Decided, Proposal, Proposed, Unexplained};
 use crate::units::readable;
@@ -173,6 +174,7 @@ pub fn confirm(
             .zip(after.as_ref())
             .is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
+    answer = by_frames(case, &nominal, proposed.decided(), answer, setting.least_better_db, &after)?;
     let (findings, fitted, withdrawn) = kept(&answer.findings, after, is_worse)?;
     if !withdrawn.is_empty() {
         answer.set(findings);
@@ -224,7 +226,7 @@ fn kept(
             }
         }
     }
-    if kept.iter().any(is_random) {
+    if kept.iter().any(|one| is_random(&one.id)) {
         predicted = after(&kept)?;
     }
     let is_left = |one: &&Finding| kept.iter().all(|left| left.id != one.id);
@@ -232,21 +234,15 @@ fn kept(
     Ok((kept, predicted, withdrawn))
 }
 
-/// Is what an effect does random? Then it is not undone, and how well frames are predicted is no evidence of
-/// it.
-fn is_random(finding: &Finding) -> bool {
-    CANDIDATES.iter().any(|candidate| candidate.id == finding.id && candidate.is_random)
-}
-
 /// Findings of what is not random.
 fn systematic(findings: &[Finding]) -> Vec<Finding> {
-    findings.iter().filter(|one| !is_random(one)).cloned().collect()
+    findings.iter().filter(|one| !is_random(&one.id)).cloned().collect()
 }
 
 /// Findings without one of those that an estimate of the scene made, the weakest left out first; at last
 /// without all of them. What direct tests found stays, and what is random.
 fn fewer(findings: &[Finding]) -> Vec<Vec<Finding>> {
-    let is_judged = |one: &&Finding| !one.is_direct() && !is_random(one);
+    let is_judged = |one: &&Finding| !one.is_direct() && !is_random(&one.id);
     let estimated: Vec<&str> = findings.iter().filter(is_judged).map(|finding| &finding.id[..]).collect();
     let without = |ids: &[&str]| {
         findings.iter().filter(|one| !ids.contains(&&one.id[..])).cloned().collect::<Vec<Finding>>()

@@ -51,6 +51,7 @@ mod record;
 pub mod report;
 pub mod residual;
 mod rhythm;
+mod rivals;
 mod sample;
 #[cfg(any(test, feature = "simulated"))]
 pub mod scenes;

@@ -14,10 +14,10 @@ const SLOWEST: f64 = 0.6;
 const STILL: f64 = 0.003;
 
 /// Where the last correction changed what is left of a scene that is one problem by more than this, nats an
-/// event, more follow: up to so many times as many. A clock's offset of 1 ms before noisy frames came to 1.74
+/// event, more follow: up to so many in all. A clock's offset of 1 ms before noisy frames came to 1.74
 /// effect sizes of 1.82 with three, and gained a fifth of what it does.
 const STILL_CHANGES: f64 = 0.01;
-const TIMES_MORE: usize = 3;
+const MOST_CORRECTIONS: usize = 9;
 
 /// A fit of an effect with its size.
 pub(super) struct Exact<'a, L> {
@@ -73,7 +73,7 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         let mut last: Option<f64> = None;
         let mut left = f64::INFINITY;
         let mut column = if L::IS_ONE { fit.score(&[candidate], None)?.column } else { None };
-        let most = if L::IS_ONE { TIMES_MORE * corrections } else { corrections };
+        let most = if L::IS_ONE { corrections.max(MOST_CORRECTIONS) } else { corrections };
         for turn in 0..most {
             let trial = self.with(candidate, next);
             match column.take() {

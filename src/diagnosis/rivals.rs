@@ -1,0 +1,142 @@
+//! Effects that explain events nearly as well as the one that was chosen, judged by frames that were held out.
+//!
+//! On a scene that follows events, effects that move all of them in one way differ in what frames show: a clock
+//! that is late by 1 ms before a turning fan gained less on the light of pixels than an exposure that is
+//! shorter by 2 ms, and predicts held-out frames 5 dB better. Whichever predicts them best is taken.
+
+use crate::candidates::CANDIDATES;
+use crate::heldout::Prediction;
+use crate::report::Finding;
+use crate::stages::{Decided, Proposal};
+use crate::verdict::Answer;
+use photocurrent_core::NodeError;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
+
+/// An effect that explains so much of what the chosen one does is its rival. By the fan: 0.40.
+const RIVAL_SHARE: f64 = 0.25;
+/// The most of them.
+const MOST_RIVALS: usize = 3;
+
+/// The answer with the effect of the scene that predicts held-out frames best, where that is better by
+/// `least_better_db` than the chosen one. `after`: what is predicted with findings.
+///
+/// # Errors
+/// As `after`.
+pub fn by_frames(
+    case: &Case,
+    nominal: &Nominal,
+    decided: Option<&Decided>,
+    mut answer: Answer,
+    least_better_db: f64,
+    after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
+) -> Result<Answer, NodeError> {
+    let Some((decided, place, rivals)) = decided.and_then(|decided| {
+        let place = answer.findings.iter().position(|one| !one.is_direct() && !is_random(&one.id))?;
+        Some((decided, place, rivals(case, nominal, decided, &answer.findings[place])))
+    }) else {
+        return Ok(answer);
+    };
+    if rivals.is_empty() {
+        return Ok(answer);
+    }
+    let chosen = answer.findings[place].clone();
+    // A second effect was fitted with the first one applied.
+    let others: Vec<Finding> = answer.findings.iter().filter(|one| one.is_direct()).cloned().collect();
+    let psnr_db = |finding: &Finding| -> Result<Option<f64>, NodeError> {
+        let with = [std::slice::from_ref(finding), &others].concat();
+        Ok(after(&with)?.map(|prediction| prediction.psnr_db()))
+    };
+    let Some(of_chosen) = psnr_db(&chosen)? else { return Ok(answer) };
+    let mut tried = vec![(of_chosen, chosen)];
+    for rival in &rivals {
+        let finding = Finding::of_proposal(case, nominal, &decided.name, rival);
+        tried.extend(psnr_db(&finding)?.map(|db| (db, finding)));
+    }
+    tried.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let best = tried[0].0;
+    if best > of_chosen + least_better_db {
+        let near = tried.iter().skip(1).filter(|one| one.0 > best - least_better_db);
+        let also_possible = near.map(|one| one.1.id.clone()).collect();
+        let better = Finding { also_possible, ..tried[0].1.clone() };
+        answer.set([vec![better], others].concat());
+    }
+    Ok(answer)
+}
+
+/// What explains about as much as a finding, of another effect: most first.
+fn rivals(case: &Case, nominal: &Nominal, decided: &Decided, finding: &Finding) -> Vec<Proposal> {
+    let gain = |one: &Proposal| one.heldout_nats_per_event.unwrap_or(0.0);
+    let own = decided.proposals.iter().filter(|one| one.id() == finding.id).map(gain).fold(0.0, f64::max);
+    let is_rival = |one: &&Proposal| {
+        let candidate = &CANDIDATES[one.candidate];
+        one.id() != finding.id
+            && !candidate.is_random
+            && candidate.is_material(case, nominal, one.value)
+            && gain(one) > RIVAL_SHARE * own
+    };
+    let mut rivals: Vec<Proposal> = decided.proposals.iter().filter(is_rival).cloned().collect();
+    rivals.sort_by(|a, b| gain(b).total_cmp(&gain(a)).then(a.candidate.cmp(&b.candidate)));
+    rivals.truncate(MOST_RIVALS);
+    rivals
+}
+
+/// Is what an effect does random? Then it is not undone, and how well frames are predicted is no evidence of it.
+pub(crate) fn is_random(id: &str) -> bool {
+    CANDIDATES.iter().any(|candidate| candidate.id == id && candidate.is_random)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::candidates::Candidate;
+    use crate::heldout::Prediction;
+    use crate::report::Verdict;
+    use crate::testing;
+
+    /// An effect that gains so many nats an event.
+    fn proposal(id: &str, parameter: &str, value: f64, gain: f64) -> Proposal {
+        Proposal {
+            candidate: Candidate::number(id, parameter).unwrap(),
+            value,
+            passed: true,
+            heldout_nats_per_event: Some(gain),
+            ..Proposal::default()
+        }
+    }
+
+    /// Frames that are predicted to so many dB.
+    fn prediction(db: f64) -> Prediction {
+        Prediction { square_error: libm::pow(10.0, -0.1 * db), peak_dn: 1.0, ..Prediction::default() }
+    }
+
+    #[test]
+    fn the_rival_that_predicts_frames_best_is_taken_where_it_is_clearly_better() {
+        let case = testing::case();
+        let nominal = case.nominal().unwrap();
+        let exposure = proposal("exposure_time", "difference_s", -2e-3, 0.39);
+        let clock = proposal("clock_offset", "offset_s", 1e-3, 0.16);
+        let small = proposal("row_time", "row_time_s", 5e-5, 0.05);
+        let decided = Decided { proposals: vec![exposure.clone(), clock, small], ..Decided::default() };
+        let answer = || {
+            let finding = Finding::of_proposal(&case, &nominal, "pixels", &exposure);
+            let mut answer =
+                Answer { verdict: Verdict::Consistent, findings: Vec::new(), unexplained: None };
+            answer.set(vec![finding]);
+            answer
+        };
+        let taken = |of_clock: f64| {
+            let after = |with: &[Finding]| {
+                // What gains an eighth as much is not tried.
+                assert!(with[0].id != "row_time");
+                Ok(Some(prediction(if with[0].id == "clock_offset" { of_clock } else { 38.0 })))
+            };
+            by_frames(&case, &nominal, Some(&decided), answer(), 1.0, after).unwrap()
+        };
+        let better = taken(43.0);
+        assert_eq!((better.verdict, &better.findings[0].id[..]), (Verdict::Named, "clock_offset"));
+        assert_eq!(better.findings[0].values[0].1, 1e-3);
+        assert_eq!(taken(38.9), answer());
+        assert_eq!(taken(30.0), answer());
+    }
+}
