@@ -22,6 +22,9 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Computes the numbers of the diagnosis' decision from simulated recordings, with cross-validation.
 #[derive(Parser)]
 #[command(name = "photocurrent-calibrate", version)]

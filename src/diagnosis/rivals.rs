@@ -23,7 +23,7 @@ const MOST_RIVALS: usize = 3;
 ///
 /// # Errors
 /// As `after`.
-pub fn by_frames(
+pub(crate) fn by_frames(
     case: &Case,
     nominal: &Nominal,
     decided: Option<&Decided>,
@@ -120,8 +120,7 @@ mod tests {
         let decided = Decided { proposals: vec![exposure.clone(), clock, small], ..Decided::default() };
         let answer = || {
             let finding = Finding::of_proposal(&case, &nominal, "pixels", &exposure);
-            let mut answer =
-                Answer { verdict: Verdict::Consistent, findings: Vec::new(), unexplained: None };
+            let mut answer = Answer { verdict: Verdict::Consistent, findings: Vec::new(), unexplained: None };
             answer.set(vec![finding]);
             answer
         };

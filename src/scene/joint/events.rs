@@ -3,7 +3,7 @@
 use super::super::picture::motion::{DEGREES, apply, derivatives, map_of};
 use super::super::picture::spline::{ORDER, weights};
 use super::fields::Fields;
-use super::lines::Lines;
+use super::lines::{Derived, Lines};
 use crate::case::Case;
 use crate::free::{Predicted, rise};
 use crate::picture::Picture;
@@ -50,28 +50,21 @@ pub(super) fn lines(
         .enumerate()
         .map(|(chunk, of)| {
             let mut part = OfEvents::none();
-            let (mut of_picture, mut of_rest) = (Vec::new(), Vec::new());
+            let mut at = [Derived::default(), Derived::default(), Derived::default()];
             for (n, predicted) in of.iter().enumerate() {
                 let place = chunk * 64 + n;
                 let pixel = pixels[place] as usize;
                 for (k, event) in predicted.events.iter().enumerate() {
-                    let mut push = |by: [(f64, i64); 2], to: &mut Lines| {
-                        let is_whole = by.iter().all(|(sign, t_ns)| {
-                            let at = (pixel, *t_ns, *sign);
-                            voltage(case, picture, predicted, at, &mut of_picture, &mut of_rest)
-                        });
-                        let is_near = is_whole && is_within(&of_picture, &Fields::of(picture), reach + 4);
-                        if !is_near {
-                            of_picture.clear();
-                            of_rest.clear();
-                        }
-                        to.push(&mut of_picture, &mut of_rest);
-                        is_near
-                    };
-                    let is_near = push([(1.0, event.t_ns), (-1.0, event.reference_ns)], &mut part.lines);
                     let before_ns = RISE_NS.min((event.t_ns - event.reference_ns) / 2).max(1);
+                    let is_whole = [event.t_ns, event.reference_ns, event.t_ns - before_ns]
+                        .into_iter()
+                        .zip(&mut at)
+                        .all(|(t_ns, at)| voltage(case, picture, predicted, (pixel, t_ns), at));
+                    let [now, reference, before] = &at;
+                    let is_near = is_whole && is_within([now, reference], &Fields::of(picture), reach + 4);
                     let by = event.polarity / (1e-9 * before_ns as f64 * rise(event));
-                    push([(by, event.t_ns), (-by, event.t_ns - before_ns)], &mut part.rises);
+                    part.lines.push_difference((now, reference), 1.0, is_near);
+                    part.rises.push_difference((now, before), by, is_near);
                     part.of.push((place as u32, k as u32, is_near));
                 }
             }
@@ -88,9 +81,9 @@ pub(super) fn lines(
 }
 
 /// Do coefficients lie within `most` of each other along both axes?
-fn is_within(of_picture: &[(u32, f32)], fields: &Fields, most: usize) -> bool {
+fn is_within(of: [&Derived; 2], fields: &Fields, most: usize) -> bool {
     let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
-    for (at, _) in of_picture {
+    for (at, _) in of.iter().flat_map(|of| &of.of_picture) {
         let k = *at as usize / fields.count;
         let (x, y) = (k % fields.grid.width, k / fields.grid.width);
         low = (low.0.min(x), low.1.min(y));
@@ -99,16 +92,17 @@ fn is_within(of_picture: &[(u32, f32)], fields: &Fields, most: usize) -> bool {
     high.0 - low.0.min(high.0) <= most && high.1 - low.1.min(high.1) <= most
 }
 
-/// Adds what the voltage of a pixel at an instant derives from, times a sign; false where the picture does
-/// not reach.
+/// What the voltage of a pixel at an instant derives from; false where the picture does not reach.
 fn voltage(
     case: &Case,
     picture: &Picture,
     predicted: &Predicted,
-    (pixel, t_ns, sign): (usize, i64, f64),
-    of_picture: &mut Vec<(u32, f32)>,
-    of_rest: &mut Vec<(u16, f32)>,
+    (pixel, t_ns): (usize, i64),
+    derived: &mut Derived,
 ) -> bool {
+    let Derived { of_picture, of_rest } = derived;
+    of_picture.clear();
+    of_rest.clear();
     let (x, y) = case.place(pixel);
     let place = (f64::from(x) - picture.centre.0, f64::from(y) - picture.centre.1);
     let shade = picture.shade(place);
@@ -133,7 +127,7 @@ fn voltage(
         let Some((i, j, f, g)) = picture.grid.locate(px, py) else { return false };
         let (wx, wy) = (weights(f), weights(g));
         let value = picture.value(behind, (px, py)).unwrap_or(0.0);
-        let by = sign * share / f64::max(value, picture.least / shade);
+        let by = share / f64::max(value, picture.least / shade);
         for (row, wy) in wy.iter().enumerate() {
             for (column, wx) in wx.iter().enumerate() {
                 let k = (j + row) * picture.grid.width + i + column;
@@ -151,5 +145,6 @@ fn voltage(
             }
         }
     }
+    derived.sum();
     true
 }

@@ -52,10 +52,12 @@ impl Lines {
         lines
     }
 
-    /// Takes a row in: derivatives in any order, those by one unknown added up.
-    pub(super) fn push(&mut self, picture: &mut Vec<(u32, f32)>, rest: &mut Vec<(u16, f32)>) {
-        merge(picture, &mut self.at, &mut self.by);
-        merge(rest, &mut self.rest_at, &mut self.rest_by);
+    /// Takes a row in: the difference of two, times a factor; an empty one where it takes no part.
+    pub(super) fn push_difference(&mut self, (a, b): (&Derived, &Derived), by: f64, takes_part: bool) {
+        if takes_part {
+            difference((&a.of_picture, &b.of_picture), by as f32, &mut self.at, &mut self.by);
+            difference((&a.of_rest, &b.of_rest), by as f32, &mut self.rest_at, &mut self.rest_by);
+        }
         self.end();
     }
 
@@ -109,17 +111,57 @@ impl Lines {
     }
 }
 
-/// Puts derivatives behind others by rising unknowns, those by one added up.
-fn merge<A: Ord + Copy>(row: &mut Vec<(A, f32)>, at: &mut Vec<A>, by: &mut Vec<f32>) {
+/// What one value derives from, by unknowns of the picture and of the rest.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Derived {
+    pub of_picture: Vec<(u32, f32)>,
+    pub of_rest: Vec<(u16, f32)>,
+}
+
+impl Derived {
+    /// Puts derivatives in order of their unknowns, those by one added up.
+    pub(super) fn sum(&mut self) {
+        sum(&mut self.of_picture);
+        sum(&mut self.of_rest);
+    }
+}
+
+fn sum<A: Ord + Copy>(row: &mut Vec<(A, f32)>) {
     row.sort_unstable_by_key(|(unknown, _)| *unknown);
-    let begun = at.len();
-    for (unknown, derivative) in row.drain(..) {
-        match by.last_mut() {
-            Some(sum) if at.len() > begun && at.last() == Some(&unknown) => *sum += derivative,
-            _ => {
-                at.push(unknown);
-                by.push(derivative);
-            }
+    row.dedup_by(|next, sum| {
+        let is_same = next.0 == sum.0;
+        if is_same {
+            sum.1 += next.1;
         }
+        is_same
+    });
+}
+
+/// Puts the difference of two ordered rows, times a factor, behind others.
+fn difference<A: Ord + Copy>(
+    (a, b): (&[(A, f32)], &[(A, f32)]),
+    by: f32,
+    to: &mut Vec<A>,
+    to_by: &mut Vec<f32>,
+) {
+    let (mut i, mut j) = (0, 0);
+    while i < a.len() || j < b.len() {
+        let (of_a, of_b) = (a.get(i), b.get(j));
+        let unknown = match (of_a, of_b) {
+            (Some(a), Some(b)) => a.0.min(b.0),
+            (Some(one), None) | (None, Some(one)) => one.0,
+            (None, None) => break,
+        };
+        let mut derivative = 0.0;
+        if let Some(one) = of_a.filter(|one| one.0 == unknown) {
+            derivative += one.1;
+            i += 1;
+        }
+        if let Some(one) = of_b.filter(|one| one.0 == unknown) {
+            derivative -= one.1;
+            j += 1;
+        }
+        to.push(unknown);
+        to_by.push(by * derivative);
     }
 }

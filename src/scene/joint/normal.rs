@@ -192,6 +192,7 @@ impl Factor {
 
 #[cfg(test)]
 mod tests {
+    use super::super::lines::Derived;
     use super::*;
     use photocurrent_core::random::Random;
 
@@ -207,9 +208,10 @@ mod tests {
                 (0..9).map(|n| ((corner + n % 3 + n / 3 * width) as u32, random.normal() as f32)).collect();
             // One unknown twice.
             of_picture.push((corner as u32, 0.5));
-            let mut of_rest: Vec<(u16, f32)> =
-                (0..rest as u16).map(|n| (n, random.normal() as f32)).collect();
-            lines.push(&mut of_picture, &mut of_rest);
+            let of_rest: Vec<(u16, f32)> = (0..rest as u16).map(|n| (n, random.normal() as f32)).collect();
+            let mut row = Derived { of_picture, of_rest };
+            row.sum();
+            lines.push_difference((&row, &Derived::default()), 1.0, true);
         }
         let all = picture + rest;
         let mut dense = DMatrix::<f64>::identity(all, all);

@@ -315,7 +315,8 @@ impl Standing<'_> {
                     let far = FAR * event.threshold;
                     let excess = event.excess.clamp(-far, far);
                     let variance = self.noise.event_variance(event);
-                    0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU) + 0.5 * libm::log(variance)
+                    0.5 * (NU + 1.0) * libm::log1p(excess * excess / variance / NU)
+                        + 0.5 * libm::log(variance)
                         - libm::log(rise(event))
                 })
                 .sum()

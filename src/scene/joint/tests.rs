@@ -125,7 +125,11 @@ fn rows_are_what_a_small_step_changes(case: &Case, nominal: &Nominal, joint: &Jo
             // 100 us.
             let is_nothing = kind == 2 && row > 0;
             let nothing = if row == 1 { 1e-9 } else { 1e-5 };
-            assert!(if is_nothing { off[row] < nothing } else { share < most }, "{kind} {row}: {share} {}", off[row]);
+            assert!(
+                if is_nothing { off[row] < nothing } else { share < most },
+                "{kind} {row}: {share} {}",
+                off[row]
+            );
         }
     }
 }
