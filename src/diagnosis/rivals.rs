@@ -114,9 +114,9 @@ mod tests {
     fn the_rival_that_predicts_frames_best_is_taken_where_it_is_clearly_better() {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
-        let exposure = proposal("exposure_time", "difference_s", -2e-3, 0.39);
-        let clock = proposal("clock_offset", "offset_s", 1e-3, 0.16);
-        let small = proposal("row_time", "row_time_s", 5e-5, 0.05);
+        let exposure = proposal("exposure_time", "difference", -2e-3, 0.39);
+        let clock = proposal("clock_offset", "offset", 1e-3, 0.16);
+        let small = proposal("row_time", "row_time", 5e-5, 0.05);
         let decided = Decided { proposals: vec![exposure.clone(), clock, small], ..Decided::default() };
         let answer = || {
             let finding = Finding::of_proposal(&case, &nominal, "pixels", &exposure);

@@ -189,7 +189,7 @@ fn effects_of_events_and_of_frames_are_named_with_their_sizes_on_noisy_frames() 
 #[test]
 fn thresholds_that_differ_from_pixel_to_pixel_are_found_with_their_spread() {
     // Of a scene with many events: an eighth of the thresholds.
-    let extent = Extent { width: 30, height: 22 };
+    let extent = Extent { width: 24, height: 18 };
     let made = MadeUp::new(5, 2, extent, 0.12).with_frame_noise(Some((5.0, 2.0)));
     let case = recorded(&made, Some(("threshold_mismatch", "sigma", 0.75)));
     let nominal = case.nominal().unwrap();
@@ -209,11 +209,16 @@ fn thresholds_that_differ_from_pixel_to_pixel_are_found_with_their_spread() {
 
 #[test]
 fn noise_of_thresholds_that_is_stated_is_no_fault_of_the_scene() {
-    let made = MadeUp::photograph(5, 0, Extent { width: 44, height: 33 }, 0.1);
+    let made = MadeUp::new(5, 2, Extent { width: 30, height: 22 }, 0.12);
     let case = made.with_frame_noise(Some((5.0, 2.0))).with_threshold_noise(0.05).recording().unwrap();
     let found = joint(&case);
     // By noise of 5 % half of the events miss by 0.034 at the least, and a scene decides from 0.02 down.
     assert!(found.median > 0.03 && EXPLAINED < 0.03, "{}", found.median);
+    // Thresholds as a whole come out 7 % smaller than stated here, as events decide what noisy frames leave
+    // open: by 13 % (0.67 effect sizes) without the density of times.
+    let scale = Candidate::number("threshold_scale", "fraction").unwrap();
+    let whole = found.ranked.iter().find(|one| one.candidate == scale).unwrap();
+    assert!(whole.effect_size.abs() < 0.5, "{whole:?}");
     // Nor is that noise a curve over a phase that chance chose.
     let curve = found.open.first().map_or(0.0, |one| one.beyond());
     assert!(curve < OF_CURVE, "{:?}", found.open.first());
@@ -225,7 +230,11 @@ fn thresholds_of_odd_rows_are_a_curve_without_a_name() {
     use crate::covariates::Covariate;
     use crate::dependence::Moved;
     use photocurrent_scene::case::PixelEvents;
-    let even = photograph(None);
+    let small = |effect: Option<(&str, &str, f64)>| {
+        let made = MadeUp::photograph(5, 0, Extent { width: 38, height: 28 }, 0.1);
+        recorded(&made.with_frame_noise(Some((5.0, 2.0))), effect)
+    };
+    let even = small(None);
     let truth = 0.15;
     let scales = Scales::of(&even, &even.nominal().unwrap());
     let size = Candidate::find("threshold_scale", "fraction").unwrap().effect_size(
@@ -233,7 +242,7 @@ fn thresholds_of_odd_rows_are_a_curve_without_a_name() {
         &scales,
         &even.nominal().unwrap(),
     );
-    let odd = photograph(Some(("threshold_scale", "fraction", size)));
+    let odd = small(Some(("threshold_scale", "fraction", size)));
     let of = |pixel: usize| {
         let is_odd = even.place(pixel).1 % 2 == 1;
         (if is_odd { &odd } else { &even }).events.of(pixel).to_vec()
