@@ -55,8 +55,8 @@ impl Lines {
     /// Takes a row in: the difference of two, times a factor; an empty one where it takes no part.
     pub(super) fn push_difference(&mut self, (a, b): (&Derived, &Derived), by: f64, takes_part: bool) {
         if takes_part {
-            difference((&a.of_picture, &b.of_picture), by as f32, &mut self.at, &mut self.by);
-            difference((&a.of_rest, &b.of_rest), by as f32, &mut self.rest_at, &mut self.rest_by);
+            difference(&a.of_picture, &b.of_picture, by as f32, &mut self.at, &mut self.by);
+            difference(&a.of_rest, &b.of_rest, by as f32, &mut self.rest_at, &mut self.rest_by);
         }
         self.end();
     }
@@ -137,13 +137,11 @@ fn sum<A: Ord + Copy>(row: &mut Vec<(A, f32)>) {
     });
 }
 
+/// What is derived from, rising, with derivatives.
+type Row<A> = [(A, f32)];
+
 /// Puts the difference of two ordered rows, times a factor, behind others.
-fn difference<A: Ord + Copy>(
-    (a, b): (&[(A, f32)], &[(A, f32)]),
-    by: f32,
-    to: &mut Vec<A>,
-    to_by: &mut Vec<f32>,
-) {
+fn difference<A: Ord + Copy>(a: &Row<A>, b: &Row<A>, by: f32, to: &mut Vec<A>, to_by: &mut Vec<f32>) {
     let (mut i, mut j) = (0, 0);
     while i < a.len() || j < b.len() {
         let (of_a, of_b) = (a.get(i), b.get(j));
