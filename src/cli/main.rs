@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
-/// Blocks of a hundred megabytes that come and go are mapped anew each time by the system's allocator: a fifth
-/// of the time of a diagnosis.
+/// Blocks of a hundred megabytes that come and go are mapped anew each time by the system's allocator: a
+/// fifth of the time of a diagnosis.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -40,8 +40,8 @@ pub struct Setting {
     #[schemars(range(min = 0.0))]
     pub most_worse_db: f64,
     /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it
-    /// predicts held-out frames better by more than this, dB; and where one is, an effect that explains events
-    /// nearly as well as the chosen one takes its place.
+    /// predicts held-out frames better by more than this, dB; and where one is, an effect that explains
+    /// events nearly as well as the chosen one takes its place.
     #[schemars(range(min = 0.0))]
     pub least_better_db: f64,
     /// Seed of everything random.

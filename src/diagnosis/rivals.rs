@@ -1,8 +1,9 @@
-//! Effects that explain events nearly as well as the one that was chosen, judged by frames that were held out.
+//! Effects that explain events nearly as well as the one that was chosen, judged by frames that were held
+//! out.
 //!
-//! On a scene that follows events, effects that move all of them in one way differ in what frames show: a clock
-//! that is late by 1 ms before a turning fan gained less on the light of pixels than an exposure that is
-//! shorter by 2 ms, and predicts held-out frames 5 dB better. Whichever predicts them best is taken.
+//! On a scene that follows events, effects that move all of them in one way differ in what frames show: a
+//! clock that is late by 1 ms before a turning fan gained less on the light of pixels than an exposure that
+//! is shorter by 2 ms, and predicts held-out frames 5 dB better. Whichever predicts them best is taken.
 
 use crate::candidates::CANDIDATES;
 use crate::heldout::Prediction;
@@ -81,7 +82,8 @@ fn rivals(case: &Case, nominal: &Nominal, decided: &Decided, finding: &Finding) 
     rivals
 }
 
-/// Is what an effect does random? Then it is not undone, and how well frames are predicted is no evidence of it.
+/// Is what an effect does random? Then it is not undone, and how well frames are predicted is no evidence
+/// of it.
 pub(crate) fn is_random(id: &str) -> bool {
     CANDIDATES.iter().any(|candidate| candidate.id == id && candidate.is_random)
 }

@@ -16,8 +16,8 @@ const LAGS: [(f64, f64); 3] = [
     (6.289_945_082_937_479, 0.010_389_256_501_586),
 ];
 
-/// An event's rise is the difference of the voltage over this long before it, ns, or half of the time since its
-/// reference where that is shorter.
+/// An event's rise is the difference of the voltage over this long before it, ns, or half of the time since
+/// its reference where that is shorter.
 const RISE_NS: i64 = 100_000;
 
 /// Events as rows, in order of pixel and time.

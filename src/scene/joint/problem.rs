@@ -33,9 +33,10 @@ pub(super) struct FrameRows {
     sums: Sums,
 }
 
-/// Rows with what they leave: frame values, then events, then the logarithms of the rises that events end. The
-/// time of an event is what is measured, and the density of times is that of excesses times the rise; without
-/// it a picture that its prior holds back is as probable as a steeper one, and thresholds come out too small.
+/// Rows with what they leave: frame values, then events, then the logarithms of the rises that events end.
+/// The time of an event is what is measured, and the density of times is that of excesses times the rise;
+/// without it a picture that its prior holds back is as probable as a steeper one, and thresholds come out
+/// too small.
 pub(super) struct Problem {
     pub of_frames: Arc<FrameRows>,
     pub events: Lines,

@@ -121,8 +121,8 @@ fn rows_are_what_a_small_step_changes(case: &Case, nominal: &Nominal, joint: &Jo
         }
         for (row, most) in [0.04, 0.04, 0.2].into_iter().enumerate() {
             let share = libm::sqrt(off[row] / size[row].max(1e-12));
-            // Shading cancels from one voltage to another; the lag is taken at three instants, and a rise over
-            // 100 us.
+            // Shading cancels from one voltage to another; the lag is taken at three instants, and a rise
+            // over 100 us.
             let is_nothing = kind == 2 && row > 0;
             let nothing = if row == 1 { 1e-9 } else { 1e-5 };
             assert!(

@@ -57,8 +57,8 @@ impl<'a, L: FreeScene> Fit<'a, L> {
         Ok(())
     }
 
-    /// Light and size of an effect in turn; effects that are applied before keep their sizes. `corrections`: so
-    /// many, and more where what is left still changes.
+    /// Light and size of an effect in turn; effects that are applied before keep their sizes.
+    /// `corrections`: so many, and more where what is left still changes.
     pub(super) fn exact(
         &self,
         candidate: usize,

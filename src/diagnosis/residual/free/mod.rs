@@ -145,7 +145,8 @@ const HIDDEN: f64 = 0.5;
 /// its pixel gains more than this, nats an event.
 const LEAST_MISMATCH: f64 = 0.01;
 /// What shifts all events against the frames, in time and in contrast: a scene of both follows that so far
-/// that its gain to first order is below those of its look-alikes. It is fitted where its size differs from 0.
+/// that its gain to first order is below those of its look-alikes. It is fitted where its size differs from
+/// 0.
 const FOLLOWED: [&str; 2] = ["clock_offset", "threshold_scale"];
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;
