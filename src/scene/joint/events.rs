@@ -61,7 +61,7 @@ pub(super) fn lines(
                         .zip(&mut at)
                         .all(|(t_ns, at)| voltage(case, picture, predicted, (pixel, t_ns), at));
                     let [now, reference, before] = &at;
-                    let is_near = is_whole && is_within([now, reference], &Fields::of(picture), reach + 4);
+                    let is_near = is_whole && is_within(&at, &Fields::of(picture), reach + 4);
                     let by = event.polarity / (1e-9 * before_ns as f64 * rise(event));
                     part.lines.push_difference((now, reference), 1.0, is_near);
                     part.rises.push_difference((now, before), by, is_near);
@@ -81,7 +81,7 @@ pub(super) fn lines(
 }
 
 /// Do coefficients lie within `most` of each other along both axes?
-fn is_within(of: [&Derived; 2], fields: &Fields, most: usize) -> bool {
+fn is_within(of: &[Derived], fields: &Fields, most: usize) -> bool {
     let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
     for (at, _) in of.iter().flat_map(|of| &of.of_picture) {
         let k = *at as usize / fields.count;
