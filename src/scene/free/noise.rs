@@ -203,7 +203,7 @@ pub(crate) fn rise(event: &PredictedEvent) -> f64 {
 
 /// Does it rise as fast as that?
 pub(crate) fn is_rising(event: &PredictedEvent) -> bool {
-    event.rise_per_s > LEAST_RISE_PER_S * event.threshold
+    rise(event) == event.rise_per_s
 }
 
 /// The scale of a Student-t distribution of frame values' misfits: at least that of their noise.

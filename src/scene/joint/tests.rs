@@ -278,6 +278,7 @@ fn a_step_with_an_effect_gains_what_the_scene_that_takes_it_does() {
     assert!(together.0 < still - 0.5 * (still - alone.0), "{still} to {}, {}", together.0, alone.0);
     let found: f64 = joint.gains(&measured, &columns, &[1.0]).iter().flatten().map(|of| of[0]).sum();
     let gained = together.1 - alone.1;
+    // A step of everything, to first order: of the logarithms of rises too, which bend more than excesses.
     assert!(gained < -20.0 && (found - gained).abs() < 0.15 * gained.abs(), "{found} is {gained}");
     // Each event's part of it, by the noise that is left with it.
     let of_events = joint.event_gains(&with, &measured);

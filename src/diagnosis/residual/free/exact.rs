@@ -84,10 +84,15 @@ impl<'a, L: FreeScene> Fit<'a, L> {
             fit.applied = self.applied.clone();
             fit.applied.push((candidate, effect_size));
             fit.settle(self.ground.steps)?;
-            let before = std::mem::replace(&mut left, fit.light.objective(&fit.predicted()?));
-            let moves = (before - left).abs() > STILL_CHANGES * fit.ground.scored_events() as f64;
-            if is_still || turn + 1 == most || turn + 1 >= corrections && !moves {
+            if is_still || turn + 1 == most {
                 break;
+            }
+            if L::IS_ONE {
+                let before = std::mem::replace(&mut left, fit.light.objective(&fit.predicted()?));
+                let moves = (before - left).abs() > STILL_CHANGES * fit.ground.scored_events() as f64;
+                if turn + 1 >= corrections && !moves {
+                    break;
+                }
             }
             let scored = fit.score(&[candidate], None)?;
             if let Some(step) = scored.sizes[0] {
