@@ -12,6 +12,10 @@ import sys
 
 KINDS = [("One effect", ("single",)), ("Two effects", ("pair",)), ("In no catalogue", ("off_catalogue",)), ("Nothing", ("null", "hard_null", "trap"))]
 CLAIMS = ("named", "ambiguous", "unnamed")
+# Families of the plan `field` in which one picture moves; in the others nothing does as one.
+COHERENT = ("texture", "photograph", "star", "text")
+# Detection limits of known light from which on an effect is expected to be seen without it.
+EXPECTED = 5.0
 
 
 def read(run, answers):
@@ -75,6 +79,12 @@ def sums(recordings):
     strong = [one for one in single if (size_of(one[1]) or 0) >= 3]
     named = [one for one in recordings if one[2]["card"]["verdict"] == "named"]
     true = lambda one: set(one[2]["card"]["said"].split("+")) <= set(one[2]["card"]["truth"].split("+"))
+    for title, is_one in (("one picture moves", True), ("nothing moves as one", False)):
+        here = [one for one in recordings if "times" in (one[1].get("effects") or [{}])[0] and (one[1]["scene"]["family"] in COHERENT) == is_one]
+        seen = [one for one in here if one[1]["kind"] == "single" and one[1]["effects"][0]["times"] >= EXPECTED]
+        if here:
+            first, found = total(seen, "first_right"), total(seen, "in_set")
+            print(f"{title}, five times the detection limit of known light and more: claimed {verdict(seen, CLAIMS)}, first {first:g}, in the set {found:g} of {len(seen)}")
     errors = [metrics["parameter_error"] for *_, metrics in recordings if metrics.get("parameter_error") is not None]
     print(f"false alarms: {total(none, 'false_alarm'):g} of {len(none)}")
     print(f"one effect: claimed {verdict(single, CLAIMS)}, first {total(single, 'first_right'):g}, in the set {total(single, 'in_set'):g} of {len(single)}; surplus names {total(single, 'surplus'):g}")

@@ -66,6 +66,10 @@ pub struct Dependence {
     pub period_s: Option<f64>,
     /// Mean of the covariate in each bin.
     pub at: Vec<f64>,
+    /// Of a curve that is constant between steps, the first row or column of each bin but the lowest; of
+    /// others, linear between `at`, empty.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub steps: Vec<f64>,
     /// By how much in each bin, less the mean of all: a share, seconds, or events a second.
     pub value: Vec<f64>,
     /// Half the difference of what two halves of the pixels say; of a rate of events, its standard error.
@@ -94,6 +98,7 @@ impl Dependence {
             covariate,
             period_s: None,
             at: Vec::new(),
+            steps: Vec::new(),
             value: Vec::new(),
             error: Vec::new(),
             taken: 0.0,
@@ -113,13 +118,24 @@ impl Dependence {
             format!(", c({name}) = {equation} (probability {:.2})", formula.probability)
         };
         let formulas = self.formulas.iter().map(of_formula).collect::<Vec<_>>().join(" or");
-        let point =
-            |(at, value): (&f64, &f64)| format!("{:+.digits$}{unit} at {}", scale * value, short(*at));
-        let points: Vec<String> = self.at.iter().zip(&self.value).map(point).collect();
+        let points: Vec<String> = (0..self.at.len())
+            .map(|k| format!("{:+.digits$}{unit} {}", scale * self.value[k], self.place(k)))
+            .collect();
         let rhythm =
             self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
         let measured = if formulas.is_empty() { "" } else { "; measured" };
         format!("{}{formulas}{measured}, c({name}){rhythm} = {}", self.moved.equation(), points.join(", "))
+    }
+
+    /// Where a bin is.
+    fn place(&self, bin: usize) -> String {
+        let first = |bin: usize| self.steps.get(bin).map(|step| short(*step));
+        match (bin.checked_sub(1).and_then(first), first(bin)) {
+            (None, None) => format!("at {}", short(self.at[bin])),
+            (None, Some(next)) => format!("below {next}"),
+            (Some(from), None) => format!("from {from} on"),
+            (Some(from), Some(next)) => format!("from {from} to below {next}"),
+        }
     }
 
     /// The parameters of the effect `dependence` that has this curve, for a recording that starts at
@@ -132,7 +148,7 @@ impl Dependence {
             Moved::Rate => "leak",
             Moved::EventRate => return None,
         };
-        let mut knots: Vec<(f64, f64)> = self.at.iter().copied().zip(self.value.iter().copied()).collect();
+        let mut knots = self.knots();
         let mut period = None;
         match self.covariate {
             // From the recording's start there, from its zero here.
@@ -159,6 +175,20 @@ impl Dependence {
         given.extend(period.map(|period| ("period".to_owned(), Value::from(period))));
         let described = [(EFFECT.to_owned(), given.clone())].into();
         from_description(&described).ok().map(|_| given)
+    }
+
+    /// Places and values between which the curve is linear: with steps the last row or column before each and
+    /// the first one behind it.
+    fn knots(&self) -> Vec<(f64, f64)> {
+        if self.steps.is_empty() {
+            return self.at.iter().copied().zip(self.value.iter().copied()).collect();
+        }
+        let sides = |(step, of): (&f64, &[f64])| [(step - 1.0, of[0]), (*step, of[1])];
+        let mut knots: Vec<(f64, f64)> =
+            self.steps.iter().zip(self.value.windows(2)).flat_map(sides).collect();
+        // A bin of one row begins and ends there.
+        knots.dedup_by(|next, before| next.0 <= before.0);
+        knots
     }
 
     /// Effects of a description with this curve; none where it cannot be expressed, or they have another one.
@@ -218,6 +248,19 @@ mod tests {
         ] {
             assert!(of(Moved::Threshold, covariate, None).is_some(), "{covariate:?}");
         }
+        // Steps between rows 3 and 4 and rows 4 and 5.
+        let steps = Dependence {
+            at: vec![1.5, 4.0, 6.5],
+            steps: vec![4.0, 5.0],
+            value: vec![0.0, 0.2, 0.1],
+            ..dependence(Moved::Threshold, Covariate::Row, None)
+        };
+        let given = steps.parameters(0).unwrap();
+        assert_eq!((&given["at"], &given["by"]), (&json!([3.0, 4.0, 5.0]), &json!([0.0, 0.2, 0.1])));
+        assert_eq!(
+            steps.equation(),
+            "threshold * (1 + c), c(row) = +0.0 % below 4, +20.0 % from 4 to below 5, +10.0 % from 5 on"
+        );
         // What a pixel does not have at its reset.
         assert_eq!(of(Moved::Stamps, Covariate::TimeSinceLastEvent, None), None);
         assert_eq!(of(Moved::EventRate, Covariate::RowParity, None), None);

@@ -67,7 +67,11 @@ pub(crate) fn formulas(
         let amplitudes = size[1..].to_vec();
         let mean =
             |n: usize| known.iter().map(|x| form.value(n, shape, *x)).sum::<f64>() / known.len() as f64;
-        let constant = -amplitudes.iter().enumerate().map(|(n, size)| size * mean(n)).sum::<f64>();
+        // Only with the scene is known what is the same everywhere.
+        let constant = match curve.is_with_scene {
+            true => size[0],
+            false => -amplitudes.iter().enumerate().map(|(n, size)| size * mean(n)).sum::<f64>(),
+        };
         let gain = gain - alone;
         let numbers = (form.amplitudes() + form.shapes()) as f64;
         let count = known.len() as f64;
@@ -106,6 +110,15 @@ mod tests {
     /// Formulas of the curve that is found first in residuals to which `change` of the variable was added,
     /// as a share of thresholds of 0.2.
     fn found(covariate: Covariate, range: (f64, f64), change: impl Fn(f64) -> f64) -> Vec<Formula> {
+        found_by(covariate, range, change, false)
+    }
+
+    fn found_by(
+        covariate: Covariate,
+        range: (f64, f64),
+        change: impl Fn(f64) -> f64,
+        is_with_scene: bool,
+    ) -> Vec<Formula> {
         let (events, block, mut residual) = events(8_000);
         let mut random = Random::new(9, &[]);
         let x: Vec<f64> = residual.iter().map(|_| range.0 + (range.1 - range.0) * random.uniform()).collect();
@@ -114,9 +127,9 @@ mod tests {
         }
         let laid = [laid(x, covariate)];
         let curves = dependences(&events, &residual, &block, &laid, 0.2, 1e-4);
-        let curve = &curves[0].dependence;
+        let curve = Dependence { is_with_scene, ..curves[0].dependence.clone() };
         assert_eq!(curve.moved, Moved::Threshold);
-        formulas(&events, &residual, &block, &laid, curve, 0.2, 1e-4)
+        formulas(&events, &residual, &block, &laid, &curve, 0.2, 1e-4)
     }
 
     #[test]
@@ -126,6 +139,8 @@ mod tests {
         assert!((line[0].amplitudes[0] - 1.5).abs() < 0.05, "{line:?}");
         // The mean is an effect of the catalogue.
         assert!((line[0].constant + 1.5 * 0.1).abs() < 0.01, "{line:?}");
+        let with_scene = found_by(Covariate::Time, (0.0, 0.2), |x| 0.05 + 1.5 * x, true);
+        assert!((with_scene[0].constant - 0.05).abs() < 0.01, "{with_scene:?}");
 
         let square = found(Covariate::Radius, (0.0, 1.0), |x| 0.3 * x * x);
         assert_eq!((square[0].form, square[0].shape), (Form::Power, 2.0), "{square:?}");

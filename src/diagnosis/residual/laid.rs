@@ -72,6 +72,11 @@ impl Bins {
         edges.dedup();
         // A bin below the first value is none.
         edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
+        Bins::between(values, edges, is_class)
+    }
+
+    /// With these first values of all bins but the lowest, rising.
+    pub(super) fn between(values: &[f64], edges: Vec<f64>, is_class: bool) -> Bins {
         let mut bins = Bins { edges, at: Vec::new(), of: Vec::new(), is_class };
         bins.of = values.iter().map(|value| bins.bin(*value)).collect();
         let mut sums = vec![(0.0, 0.0); bins.edges.len() + 1];

@@ -9,12 +9,15 @@ use super::Residuals;
 use super::fit::{self, Column, Fitted, Plain, Rest, Rows, heldout};
 use super::laid::{Bins, Laid};
 use super::located::Located;
+use super::steps::steps;
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
 use serde::{Deserialize, Serialize};
 
 /// Bins of a covariate that is a number on a scale.
 const BINS: usize = 6;
+/// Of the place on the array and of the time, where what is confined to a part has steps.
+const BINS_OF_PLACE: usize = 12;
 /// And of the phase of a rhythm or of frames, whose curves turn.
 const BINS_OF_PHASE: usize = 8;
 /// Fewer events in a bin have no size of their own.
@@ -112,14 +115,29 @@ struct Free {
 }
 
 impl Free {
-    fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64) -> Option<Free> {
-        // Events without a value keep what they have.
-        let is_phase = matches!(laid.covariate, Covariate::AcPhase | Covariate::FramePhase);
-        let most = if is_phase { BINS_OF_PHASE } else { BINS };
-        let bins = Bins::new(&laid.at, most, LEAST_IN_BIN, laid.covariate.is_class());
-        if bins.at.len() < 2 {
-            return None;
+    /// With the bins of a curve that was found.
+    fn of(events: &Residuals, laid: &Laid, found: &Dependence, threshold: f64) -> Option<Free> {
+        match found.steps.is_empty() {
+            true => Free::new(events, laid, found.moved, threshold),
+            false => {
+                let bins = Bins::between(&laid.at, found.steps.clone(), false);
+                Some(Free::between(events, laid, found.moved, threshold, bins))
+            }
         }
+    }
+
+    fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64) -> Option<Free> {
+        let most = match laid.covariate {
+            Covariate::AcPhase | Covariate::FramePhase => BINS_OF_PHASE,
+            Covariate::Row | Covariate::Column | Covariate::Radius | Covariate::Time => BINS_OF_PLACE,
+            _ => BINS,
+        };
+        let bins = Bins::new(&laid.at, most, LEAST_IN_BIN, laid.covariate.is_class());
+        (bins.at.len() >= 2).then(|| Free::between(events, laid, moved, threshold, bins))
+    }
+
+    /// Events without a value keep what they have.
+    fn between(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64, bins: Bins) -> Free {
         let of = &bins.of;
         let of_before: Vec<Option<u32>> = laid.before.iter().map(|value| bins.bin(*value)).collect();
         let column = |bin: Option<u32>| -> Column {
@@ -129,7 +147,7 @@ impl Free {
         };
         let columns = (0..bins.at.len() as u32).map(|bin| column(Some(bin))).collect();
         let whole = column(None);
-        Some(Free { bins, columns, whole })
+        Free { bins, columns, whole }
     }
 }
 
@@ -151,7 +169,7 @@ pub(crate) fn after(
     least: f64,
 ) -> Option<After> {
     let laid = laid.iter().find(|laid| laid.covariate == dependence.covariate)?;
-    let free = Free::new(events, laid, dependence.moved, threshold)?;
+    let free = Free::of(events, laid, dependence, threshold)?;
     let rows =
         Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
     let left = |columns: &[&Column]| -> Vec<f64> {
@@ -178,7 +196,7 @@ pub(super) fn restored(
     threshold: f64,
 ) -> Option<Vec<f64>> {
     let laid = laid.iter().find(|laid| laid.covariate == curve.covariate)?;
-    let Free { columns, .. } = Free::new(events, laid, curve.moved, threshold)?;
+    let Free { columns, .. } = Free::of(events, laid, curve, threshold)?;
     let of_curve = |k: usize| {
         columns.iter().zip(&curve.value).map(|(column, value)| value * f64::from(column.of[k])).sum::<f64>()
     };
@@ -193,14 +211,25 @@ fn dependence(
     (laid, moved): (&Laid, Moved),
     (threshold, least): (f64, f64),
 ) -> Option<Open> {
-    let Free { bins, columns, whole } = Free::new(events, laid, moved, threshold)?;
-    let count = bins.at.len();
     let plain = Plain::new(
         residual,
         Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] },
     );
-    let all: Fitted = heldout(&plain, &columns.iter().collect::<Vec<_>>());
-    let one: Fitted = heldout(&plain, &[&whole]);
+    let free = Free::new(events, laid, moved, threshold)?;
+    let one: Fitted = heldout(&plain, &[&free.whole]);
+    let of_bins = |free: &Free| heldout(&plain, &free.columns.iter().collect::<Vec<_>>());
+    let mut found = (of_bins(&free), free.bins, Vec::new());
+    let is_stepped = matches!(laid.covariate, Covariate::Row | Covariate::Column);
+    if let Some(steps) = is_stepped.then(|| steps(&laid.at, residual, &free.whole, LEAST_IN_BIN)) {
+        let bins = Bins::between(&laid.at, steps.first.clone(), false);
+        let free = Free::between(events, laid, moved, threshold, bins);
+        let of_steps = of_bins(&free);
+        if !steps.first.is_empty() && of_steps.gain - steps.cost > found.0.gain {
+            found = (of_steps, free.bins, steps.first);
+        }
+    }
+    let (all, bins, steps): (Fitted, Bins, Vec<f64>) = found;
+    let count = bins.at.len();
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
     let weight = |bin: usize| bins.of.iter().filter(|at| **at == Some(bin as u32)).count() as f64;
@@ -210,6 +239,7 @@ fn dependence(
     let dependence = Dependence {
         period_s: laid.period_ns.map(|period_ns| period_ns as f64 * 1e-9),
         at: bins.at,
+        steps,
         value: value.iter().map(|value| value - mean).collect(),
         error: all.error.clone(),
         taken,

@@ -148,3 +148,30 @@ fn voltage(
     derived.sum();
     true
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::picture::spline::Grid;
+    use super::*;
+
+    #[test]
+    fn every_place_of_an_event_has_to_be_within_reach() {
+        let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 12 };
+        // Before a still ground two fields share each place.
+        let fields = Fields { grid, count: 2 };
+        let at = |x: usize, y: usize| Derived {
+            of_picture: vec![(fields.unknown(1, y * fields.grid.width + x) as u32, 1.0)],
+            of_rest: Vec::new(),
+        };
+        let is_near = |of: &[Derived]| is_within(of, &fields, 4);
+        assert!(is_near(&[at(3, 3), at(7, 3), at(3, 7)]));
+        // Any of the three too far along any axis.
+        for n in 0..3 {
+            for far in [at(8, 3), at(3, 8)] {
+                let mut of = [at(3, 3), at(3, 3), at(3, 3)];
+                of[n] = far;
+                assert!(!is_near(&of), "{n}");
+            }
+        }
+    }
+}

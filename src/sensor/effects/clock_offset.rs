@@ -50,6 +50,7 @@ pub const KIND: EffectKind = EffectKind {
         search: Search::For(&[Sought {
             typical: Size::Fixed(500e-6),
             material: DELAY,
+            is_followed: true,
             ..Sought::both("offset")
         }]),
     },

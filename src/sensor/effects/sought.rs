@@ -55,6 +55,9 @@ pub struct Sought {
     /// Does it change how far the log light swings on its way from event to event? A scene that is too soft
     /// or too sharp does as well, so that its gains say less.
     pub is_of_swing: bool,
+    /// Does it shift all events alike against the frames, in time or in contrast? A scene of both follows that
+    /// so far that its gain to first order is below those of its look-alikes.
+    pub is_followed: bool,
     /// Is a decision calibrated on recordings that are made with it? Not with what shows without any scene,
     /// nor with what looks like another number.
     pub is_made: bool,
@@ -78,6 +81,7 @@ impl Sought {
             spread_of: None,
             is_counted: false,
             is_of_swing: false,
+            is_followed: false,
             is_made: true,
             comes_last: false,
         }

@@ -50,6 +50,7 @@ pub(super) const KIND: EffectKind = EffectKind {
             material: GAIN,
             field: Some(Field::Thresholds { off: 1.0 }),
             is_of_swing: true,
+            is_followed: true,
             ..Sought::both("fraction")
         }]),
     },

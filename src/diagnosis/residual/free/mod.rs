@@ -125,9 +125,9 @@ const FALLS: f64 = 1.25;
 /// An effect that explains what is left gains the logarithm of how much less is left: where the best one
 /// gains less than this share of what [`Plan::most_left`] takes, to first order, none does.
 const HOPEFUL: f64 = 0.3;
-/// And a curve that gains as much may explain it, nats an event: sound recordings gain at most 0.06
-/// (`photocurrent-calibrate --scene joint`).
-const OF_CURVE: f64 = 0.1;
+/// And a curve that gains as much may explain it, nats an event: few sound recordings gain that
+/// (`photocurrent-calibrate --scene joint`), and to try costs time alone.
+const OF_CURVE: f64 = 0.04;
 /// A curve gains so much of what it does with the scene before that follows it, at the least: less than this
 /// share of the best effect's gain will not come up to that.
 const OF_BEST: f64 = 0.25;
@@ -144,10 +144,6 @@ const HIDDEN: f64 = 0.5;
 /// Thresholds that differ from pixel to pixel are estimated where to predict each event from the others of
 /// its pixel gains more than this, nats an event.
 const LEAST_MISMATCH: f64 = 0.01;
-/// What shifts all events against the frames, in time and in contrast: a scene of both follows that so far
-/// that its gain to first order is below those of its look-alikes. It is fitted where its size differs from
-/// 0.
-const FOLLOWED: [&str; 2] = ["clock_offset", "threshold_scale"];
 /// Fewer events than this are no evidence.
 const FEWEST_EVENTS: usize = 300;
 /// An event is explained when it misses its threshold by no more than this share of it.
@@ -549,7 +545,7 @@ fn ranked<L: FreeScene>(scored: &Scored, ground: &Ground<'_, L>) -> Vec<Ranked> 
     list
 }
 
-/// The best by gain, and by how well places agree, and what is always fitted ([`FOLLOWED`]).
+/// The best by gain, and by how well places agree; and where its size differs from 0, what the scene follows.
 fn worth_fitting(ranked: &[Ranked], scored: &Scored, plan: &Plan) -> Vec<usize> {
     let best = ranked.first().map_or(0.0, |one| one.gain);
     let is_something = |one: &&Ranked| one.gain > f64::max(plan.least_gain, plan.worth * best);
@@ -567,7 +563,7 @@ fn worth_fitting(ranked: &[Ranked], scored: &Scored, plan: &Plan) -> Vec<usize> 
         }
     }
     let is_followed =
-        |one: &&Ranked| FOLLOWED.contains(&CANDIDATES[one.candidate].id) && one.effect_size.abs() > one.error;
+        |one: &&Ranked| CANDIDATES[one.candidate].sought.is_followed && one.effect_size.abs() > one.error;
     if !chosen.is_empty() {
         chosen.extend(ranked.iter().filter(is_followed).map(|one| one.candidate));
         chosen.sort_unstable();
