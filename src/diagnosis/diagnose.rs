@@ -175,8 +175,9 @@ pub fn confirm(
             .zip(after.as_ref())
             .is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
-    answer =
-        by_frames(case, (&nominal, &scales), proposed.decided(), answer, setting.least_better_db, after)?;
+    let stated_db = before.as_ref().map(Prediction::psnr_db);
+    let better_db = (stated_db, setting.least_better_db);
+    answer = by_frames(case, (&nominal, &scales), proposed.decided(), answer, better_db, after)?;
     let (findings, fitted, withdrawn) = kept(&answer.findings, after, is_worse)?;
     if !withdrawn.is_empty() {
         answer.set(findings);

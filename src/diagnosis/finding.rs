@@ -3,12 +3,16 @@
 use crate::candidates::{CANDIDATES, Candidate};
 use crate::dependence::Moved;
 use crate::integrity::Departure;
+use crate::integrity::episodes::Episode;
 use crate::report::{DIRECT, Evidence, Finding, Location, MASK_LIMIT, Parameter};
 use crate::stages::{Decided, Proposal, Unexplained};
 use crate::unstated;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
+
+/// The id of what no effect of the catalogue is.
+pub(crate) const UNNAMED: &str = "unnamed";
 
 impl Finding {
     /// Of a direct test.
@@ -46,6 +50,40 @@ impl Finding {
         finding
     }
 
+    /// Of a failure that comes and goes.
+    pub fn of_episode(case: &Case, episode: &Episode) -> Finding {
+        let decl = episode.failure.id().map(decl);
+        let mut location = everywhere(case, decl.as_ref());
+        location.stream = "events".to_owned();
+        location.covariate = "time".to_owned();
+        let Episode { time_ns, rows, columns, pixels, statistic, seen, .. } = episode;
+        (location.time_ns, location.rows, location.columns) = (*time_ns, *rows, *columns);
+        let count = |ends: &[u32; 2]| u64::from(ends[1] - ends[0] + 1);
+        location.pixels = if pixels.is_empty() { count(rows) * count(columns) } else { pixels.len() as u64 };
+        location.pixel_list = pixels.iter().copied().take(MASK_LIMIT).collect();
+        let evidence =
+            Evidence { statistic: *statistic, found_by: vec![DIRECT.to_owned()], ..Evidence::default() };
+        let from_to = time_ns.map(|t_ns| format!("{:.1} ms", t_ns as f64 * 1e-6));
+        let plain = format!("from {} to {}: {seen}", from_to[0], from_to[1]);
+        match &decl {
+            Some(decl) => {
+                Finding { plain: format!("{}, {plain}", decl.about), ..Finding::of(decl, location, evidence) }
+            }
+            None => Finding {
+                id: UNNAMED.into(),
+                also_possible: Vec::new(),
+                equation: plain.clone(),
+                plain,
+                insertion: "comparator".into(),
+                parameters: Default::default(),
+                location,
+                evidence,
+                values: Vec::new(),
+                ks: None,
+            },
+        }
+    }
+
     /// Of a scene of this name.
     pub fn of_proposal(case: &Case, nominal: &Nominal, scene: &str, proposal: &Proposal) -> Finding {
         let candidate = &CANDIDATES[proposal.candidate];
@@ -80,7 +118,7 @@ impl Finding {
             ..Evidence::default()
         };
         Finding {
-            id: "unnamed".into(),
+            id: UNNAMED.into(),
             also_possible: Vec::new(),
             plain: "something that no effect of the catalogue explains".into(),
             equation: found.equation.clone(),

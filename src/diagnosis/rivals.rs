@@ -23,7 +23,8 @@ const MOST_RIVALS: usize = 3;
 const LARGER: [f64; 4] = [1.0, 1.6, 2.5, 4.0];
 
 /// The answer with the effect of the scene that predicts held-out frames best, where that is better by
-/// `least_better_db` than the chosen one. `after`: what is predicted with findings.
+/// `least_better_db` than the chosen one and than the description as it is, which comes to `stated_db`: what is
+/// better than a wrong effect alone explains no frames. `after`: what is predicted with findings.
 ///
 /// # Errors
 /// As `after`.
@@ -32,7 +33,7 @@ pub(crate) fn by_frames(
     (nominal, scales): (&Nominal, &Scales),
     decided: Option<&Decided>,
     mut answer: Answer,
-    least_better_db: f64,
+    (stated_db, least_better_db): (Option<f64>, f64),
     after: impl Fn(&[Finding]) -> Result<Option<Prediction>, NodeError>,
 ) -> Result<Answer, NodeError> {
     let Some((decided, place, rivals)) = decided.and_then(|decided| {
@@ -68,7 +69,7 @@ pub(crate) fn by_frames(
     }
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
     let best = tried[0].0;
-    if best > of_chosen + least_better_db {
+    if best > stated_db.map_or(of_chosen, |stated| of_chosen.max(stated)) + least_better_db {
         let near = tried.iter().skip(1).filter(|one| one.0 > best - least_better_db);
         let also_possible = near.map(|one| one.1.id.clone()).collect();
         let better = Finding { also_possible, ..tried[0].1.clone() };
@@ -146,7 +147,7 @@ mod tests {
             answer.set(vec![finding]);
             answer
         };
-        let taken = |of_clock: f64| {
+        let taken_over = |stated_db: f64, of_clock: f64| {
             let after = |with: &[Finding]| {
                 // What gains an eighth as much is not tried.
                 assert!(with[0].id != "row_time");
@@ -155,12 +156,16 @@ mod tests {
                 let of_clock = of_clock - 1e3 * off;
                 Ok(Some(prediction(if with[0].id == "clock_offset" { of_clock } else { 38.0 })))
             };
-            by_frames(&case, (&nominal, &scales), Some(&decided), answer(), 1.0, after).unwrap()
+            by_frames(&case, (&nominal, &scales), Some(&decided), answer(), (Some(stated_db), 1.0), after)
+                .unwrap()
         };
+        let taken = |of_clock: f64| taken_over(34.0, of_clock);
         let better = taken(43.0);
         assert_eq!((better.verdict, &better.findings[0].id[..]), (Verdict::Named, "clock_offset"));
         assert!((better.findings[0].values[0].1 - 1.6e-3).abs() < 1e-9);
         assert_eq!(taken(38.9), answer());
         assert_eq!(taken(30.0), answer());
+        // Without any effect frames are predicted as well.
+        assert_eq!(taken_over(42.5, 43.0), answer());
     }
 }

@@ -8,6 +8,7 @@
 //! million events a microsecond is a hundred standard deviations.
 
 use crate::candidates::{CANDIDATES, Candidate};
+use crate::finding::UNNAMED;
 use crate::integrity::{Departure, Integrity, data, regular};
 use crate::report::{Finding, Verdict};
 use crate::residual::located::Located;
@@ -33,6 +34,7 @@ impl Answer {
         self.verdict = match (&findings[..], &self.unexplained) {
             ([], Some(_)) => Verdict::Unnamed,
             ([], None) => Verdict::Consistent,
+            (found, _) if found.iter().all(|one| one.id == UNNAMED) => Verdict::Unnamed,
             (found, _) if found.iter().any(|one| !one.also_possible.is_empty()) => Verdict::Ambiguous,
             _ => Verdict::Named,
         };
@@ -53,6 +55,7 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     let departures = integrity.findings.iter().filter(|departure| matters(case, nominal, departure));
     let mut findings: Vec<Finding> =
         departures.map(|departure| Finding::of_departure(case, nominal, departure)).collect();
+    findings.extend(integrity.episodes.iter().map(|episode| Finding::of_episode(case, episode)));
     let left = decided.map(|decided| without(case, nominal, decided, &findings));
     // What shows without a scene comes first.
     let shown = integrity

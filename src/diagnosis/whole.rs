@@ -5,6 +5,7 @@ use crate::candidates::CANDIDATES;
 use crate::decide::{Decision, decide};
 use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
 use crate::integrity::Integrity;
+use crate::integrity::data::{FEWEST_FRAMES, is_enough};
 use crate::report::Estimate;
 use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
 use crate::residual::free;
@@ -118,8 +119,33 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
     });
     match without_scene(&case.sensor).or(filters) {
         Some(why) => Ok(Err(why)),
-        None => amend(case, integrity).map(Ok),
+        None => Ok(sound_part(amend(case, integrity)?, integrity)),
     }
+}
+
+/// The frames, one after the other, and their events, during which nothing fails ([`Integrity::episodes`]), as
+/// many as there are; pixels that are hot for a while are out already. Why there are none where too few are.
+fn sound_part(case: Case, integrity: &Integrity) -> Result<Case, String> {
+    let failures = integrity.episodes.iter().filter(|episode| episode.pixels.is_empty());
+    let failing: Vec<[i64; 2]> = failures.map(|episode| episode.time_ns).collect();
+    let Some(frames) = case.frames.as_ref().filter(|_| !failing.is_empty()) else { return Ok(case) };
+    let last_row = case.extent.height.saturating_sub(1);
+    let is_sound = |frame: usize| {
+        let exposure = |row: u32| frames.times.exposure(frame, row);
+        let (from, to) = (exposure(0).start.0, exposure(last_row).end.0);
+        failing.iter().all(|[begin, end]| to < *begin || from > *end)
+    };
+    let (mut best, mut from) = (0..0, 0);
+    for frame in 0..=case.frame_count() {
+        if frame == case.frame_count() || !is_sound(frame) {
+            if frame - from > best.len() {
+                best = from..frame;
+            }
+            from = frame + 1;
+        }
+    }
+    let part = (best.len() >= FEWEST_FRAMES).then(|| case.part(best)).filter(is_enough);
+    part.ok_or_else(|| "what fails for a while leaves too few frames without it, one after the other".into())
 }
 
 /// What the events of a recording ([`amended`]) miss on a scene that is fitted to its frames, or on the light

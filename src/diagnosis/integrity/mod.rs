@@ -26,6 +26,8 @@
 //! - `regular`: rates of events that repeat with the frames row by row, or from row to row: what no scene
 //!   does and no effect of the catalogue.
 //! - `flicker`: one rhythm common to the whole array.
+//! - [`episodes`]: failures that come and go: stalls, stuck signs, a silent rectangle, bursts of noise, pixels
+//!   that are hot for a while.
 //! - `again`: 95 % intervals of what is found, by tests made again without parts of the array.
 
 pub(crate) mod again;
@@ -35,6 +37,7 @@ mod contrary;
 mod coupling;
 pub(crate) mod data;
 mod departure;
+pub mod episodes;
 mod flicker;
 pub(crate) mod hot;
 mod intervals;
@@ -52,6 +55,7 @@ use crate::report::SceneProperty;
 use again::{add_intervals, lacks_interval};
 pub use array::{Stamped, Stream};
 pub use departure::{Departure, Heldout};
+use episodes::Episode;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
 use serde::{Deserialize, Serialize};
@@ -69,6 +73,9 @@ pub struct Integrity {
     /// strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dependences: Vec<Dependence>,
+    /// Failures from one instant to another, in the order of their beginnings.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub episodes: Vec<Episode>,
     /// Not mismatches.
     pub scene: Vec<SceneProperty>,
     /// Pixels that later stages should leave out, rising.
@@ -108,8 +115,13 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         return found;
     }
     let stream = Stream::of(case);
-    (found.findings, found.masked) = hot_ones(case, nominal, &[]);
+    // Pixels that are hot for a while are none that always are.
+    let hot = episodes::hot::hot(case);
+    let of_while = hot.iter().fold(Vec::new(), |all, one| joined(&all, &one.pixels));
+    (found.findings, found.masked) = hot_ones(case, nominal, &of_while);
     found.findings.extend(others(case, nominal, Some(&stream), &found.masked, &|_| true));
+    let is_on_grid = found.findings.iter().any(|finding| finding.id == stamps::GRID);
+    found.episodes = episodes::episodes(case, &stream, (hot, &found.masked), is_on_grid);
     found.dependences = regular::dependences(case, &found.masked);
     if found.findings.iter().any(|finding| finding.id == "frame_coupling") {
         found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
@@ -119,7 +131,8 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     found.findings.sort_by(|a, b| {
         (b.statistic / b.threshold).total_cmp(&(a.statistic / a.threshold)).then(a.id.cmp(b.id))
     });
-    let mut ids: Vec<&str> = Vec::new();
+    // And what fails for a while is no fault of the whole recording.
+    let mut ids: Vec<&str> = found.episodes.iter().filter_map(|one| one.failure.id()).collect();
     found.findings.retain(|finding| {
         let is_new = !ids.contains(&finding.id);
         ids.push(finding.id);
@@ -130,7 +143,7 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         findings.iter().filter(|finding| lacks_interval(finding)).map(|finding| finding.id).collect();
     add_intervals(case, findings, &|case, out| {
         let mut again = if ids.iter().any(|id| hot::IDS.contains(id)) {
-            hot_ones(case, nominal, out).0
+            hot_ones(case, nominal, &joined(&of_while, out)).0
         } else {
             Vec::new()
         };

@@ -1,0 +1,133 @@
+//! Failures put into recordings by hand, between known instants.
+
+use super::super::tests::{bursts_on, with};
+use super::*;
+use photocurrent_core::Extent;
+use photocurrent_core::random::Random;
+use photocurrent_scene::case::PixelEvent;
+
+const EXTENT: Extent = Extent { width: 64, height: 48 };
+/// When failures begin and end, ns.
+const BEGIN: i64 = 100_000_000;
+const END: i64 = 180_000_000;
+
+fn sound() -> Case {
+    bursts_on(EXTENT, 5, 1000)
+}
+
+fn found(case: &Case) -> Vec<Episode> {
+    episodes(case, &Stream::of(case), (hot::hot(case), &[]), false)
+}
+
+/// The one failure that is found, which begins and ends within 2 ms of where it does.
+fn one(case: &Case, failure: Failure) -> Episode {
+    let found = found(case);
+    assert_eq!(found.iter().map(|one| one.failure).collect::<Vec<_>>(), [failure], "{found:?}");
+    let [begin, end] = found[0].time_ns;
+    assert!((begin - BEGIN).abs() <= 2_000_000 && (end - END).abs() <= 2_000_000, "{found:?}");
+    found[0].clone()
+}
+
+fn is_inside(event: &PixelEvent) -> bool {
+    (BEGIN..END).contains(&event.t_off_ns)
+}
+
+fn at(t_ns: i64, polarity: i8) -> PixelEvent {
+    PixelEvent { t_in_ns: t_ns, t_off_ns: t_ns, polarity }
+}
+
+#[test]
+fn a_sound_recording_has_none() {
+    assert_eq!(found(&sound()), []);
+}
+
+#[test]
+fn a_stalled_readout_is_found_with_its_silences() {
+    let stall = 5_000_000;
+    let case = with(sound(), |_, events| {
+        for event in events.iter_mut().filter(|event| is_inside(event)) {
+            let released = BEGIN + ((event.t_off_ns - BEGIN) / stall + 1) * stall;
+            *event = at(released.min(END - 1000), event.polarity);
+        }
+    });
+    let one = one(&case, Failure::Stall);
+    assert!(one.seen.contains("16 silences of 5.00 ms"), "{}", one.seen);
+}
+
+#[test]
+fn stuck_signs_are_found_and_light_that_rises_everywhere_is_none() {
+    let stuck = |share: f64| {
+        let mut random = Random::new(3, &[]);
+        with(sound(), move |_, events| {
+            for event in events.iter_mut().filter(|event| is_inside(event)) {
+                event.polarity = if random.uniform() < share { 1 } else { event.polarity };
+            }
+        })
+    };
+    let whole = one(&stuck(1.0), Failure::Sign);
+    assert!(whole.seen.starts_with("OFF events carry the sign of ON"), "{}", whole.seen);
+    one(&stuck(0.8), Failure::Sign);
+    // Half of the array alone is the scene's.
+    let half = with(sound(), |pixel, events| {
+        for event in events.iter_mut().filter(|event| is_inside(event) && pixel % 64 < 32) {
+            event.polarity = 1;
+        }
+    });
+    assert_eq!(found(&half), []);
+}
+
+#[test]
+fn a_silent_rectangle_is_found_with_its_rows_and_columns() {
+    let is_silent = |pixel: usize| (21..45).contains(&(pixel % 64)) && (9..34).contains(&(pixel / 64));
+    let case = with(sound(), |pixel, events| {
+        if is_silent(pixel) {
+            events.retain(|event| !is_inside(event));
+        }
+    });
+    let one = one(&case, Failure::Lost);
+    assert_eq!((one.rows, one.columns), ([9, 33], [21, 44]));
+    // What leaves little by little is the scene's.
+    let fading = with(sound(), |pixel, events| {
+        let share = |t: i64| (((BEGIN - t) as f64) / 80e6).max((t - END) as f64 / 80e6).clamp(0.0, 1.0);
+        let mut random = Random::new(7, &[pixel as u64]);
+        if is_silent(pixel) {
+            events.retain(|event| random.uniform() < share(event.t_off_ns));
+        }
+    });
+    assert_eq!(found(&fading), []);
+}
+
+#[test]
+fn a_burst_of_noise_is_found_and_one_of_a_sign_is_none() {
+    let noisy = |sign: Option<i8>| {
+        let mut random = Random::new(9, &[]);
+        with(sound(), move |_, events| {
+            for _ in 0..60 {
+                let t = BEGIN + (random.uniform() * (END - BEGIN) as f64) as i64 / 1000 * 1000;
+                let polarity = sign.unwrap_or(if random.uniform() < 0.5 { 1 } else { -1 });
+                events.push(at(t, polarity));
+            }
+            events.sort_by_key(|event| event.t_off_ns);
+        })
+    };
+    one(&noisy(None), Failure::Noise);
+    assert!(found(&noisy(Some(1))).iter().all(|one| one.failure != Failure::Noise));
+}
+
+#[test]
+fn pixels_that_are_hot_for_a_while_are_found_together() {
+    let hot = [700, 1500, 2222];
+    let mut random = Random::new(11, &[]);
+    let case = with(sound(), |pixel, events| {
+        if hot.contains(&pixel) {
+            let mut t = BEGIN as f64;
+            while t < END as f64 {
+                events.push(at(t as i64, 1));
+                t += 1e5 * (0.8 + 0.4 * random.uniform());
+            }
+            events.sort_by_key(|event| event.t_off_ns);
+        }
+    });
+    let one = one(&case, Failure::Hot);
+    assert_eq!(one.pixels, hot.map(|pixel| pixel as u32));
+}
