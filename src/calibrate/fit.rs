@@ -72,8 +72,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
     let least_gain =
         seen.first().map_or(Model::default(), |(_, facts)| *Models::default().of(&facts.scene)).least_gain;
     let logistics = |(discount, of_curves): ([f64; 2], f64)| {
-        // From no gain on: so the prior of the constant is one of the odds where nothing is seen, and none of
-        // how steeply they rise.
+        // From no gain on: so the prior of the constant is one of the odds where nothing is seen.
         let from = libm::log(least_gain);
         let something: Vec<([f64; SOMETHING], bool)> = seen
             .iter()

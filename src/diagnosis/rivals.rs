@@ -23,8 +23,8 @@ const MOST_RIVALS: usize = 3;
 const LARGER: [f64; 4] = [1.0, 1.6, 2.5, 4.0];
 
 /// The answer with the effect of the scene that predicts held-out frames best, where that is better by
-/// `least_better_db` than the chosen one and than the description as it is, which comes to `stated_db`: what is
-/// better than a wrong effect alone explains no frames. `after`: what is predicted with findings.
+/// `least_better_db` than the chosen one and than the description as it is, which comes to `stated_db`: what
+/// is better than a wrong effect alone explains no frames. `after`: what is predicted with findings.
 ///
 /// # Errors
 /// As `after`.

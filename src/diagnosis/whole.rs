@@ -123,8 +123,9 @@ pub fn amended(case: &Case, integrity: &Integrity) -> Result<Result<Case, String
     }
 }
 
-/// The frames, one after the other, and their events, during which nothing fails ([`Integrity::episodes`]), as
-/// many as there are; pixels that are hot for a while are out already. Why there are none where too few are.
+/// The frames, one after the other, and their events, during which nothing fails ([`Integrity::episodes`]),
+/// as many as there are; pixels that are hot for a while are out already. Why there are none where too few
+/// are.
 fn sound_part(case: Case, integrity: &Integrity) -> Result<Case, String> {
     let failures = integrity.episodes.iter().filter(|episode| episode.pixels.is_empty());
     let failing: Vec<[i64; 2]> = failures.map(|episode| episode.time_ns).collect();

@@ -26,8 +26,8 @@
 //! - `regular`: rates of events that repeat with the frames row by row, or from row to row: what no scene
 //!   does and no effect of the catalogue.
 //! - `flicker`: one rhythm common to the whole array.
-//! - [`episodes`]: failures that come and go: stalls, stuck signs, a silent rectangle, bursts of noise, pixels
-//!   that are hot for a while.
+//! - [`episodes`]: failures that come and go: stalls, stuck signs, a silent rectangle, bursts of noise,
+//!   pixels that are hot for a while.
 //! - `again`: 95 % intervals of what is found, by tests made again without parts of the array.
 
 pub(crate) mod again;

@@ -10,7 +10,8 @@
 //! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
 //! - `fit`: size and gain of each effect.
 //! - `components`: random effects; `chance`: counted from what there is without them.
-//! - `open`: what no effect of the catalogue has, between which rows and columns (`steps`), and `formulas`: which formula it follows.
+//! - `open`: what no effect of the catalogue has; `steps`: between which rows and columns; `formulas`: which
+//!   formula it follows.
 //! - `control`: what is found where nothing is.
 //! - `located`: where the gain of an effect is.
 //! - [`free`]: scenes of frames and events together: one moving picture, and the light of pixels free in

@@ -55,8 +55,8 @@ pub struct Sought {
     /// Does it change how far the log light swings on its way from event to event? A scene that is too soft
     /// or too sharp does as well, so that its gains say less.
     pub is_of_swing: bool,
-    /// Does it shift all events alike against the frames, in time or in contrast? A scene of both follows that
-    /// so far that its gain to first order is below those of its look-alikes.
+    /// Does it shift all events alike against the frames, in time or in contrast? A scene of both follows
+    /// that so far that its gain to first order is below those of its look-alikes.
     pub is_followed: bool,
     /// Is a decision calibrated on recordings that are made with it? Not with what shows without any scene,
     /// nor with what looks like another number.

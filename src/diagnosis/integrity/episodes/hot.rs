@@ -17,6 +17,8 @@ const AROUND: f64 = 0.25;
 /// Intervals are even where nine of ten lie within this factor of each other; or so much is of one sign.
 const EVEN: f64 = 3.0;
 const ONE_SIGN: f64 = 0.8;
+/// Before and behind the row the pixel fires at most at this share of its rate: others are always hot.
+const QUIET: f64 = 0.25;
 /// Pixels that begin within this time of each other, and end so, are one episode, ns.
 const TOGETHER_NS: i64 = 5_000_000;
 /// Shorter is a moving edge, ns.
@@ -74,7 +76,8 @@ fn row(case: &Case, pixel: usize, span: i64) -> Option<Row> {
     let seconds = (end - begin) as f64 * 1e-9;
     let is_episode =
         of_row.len() >= FEWEST && end - begin >= SHORTEST_NS && (end - begin) as f64 <= LONGEST * span as f64;
-    if !is_episode {
+    let outside = (events.len() - of_row.len()) as f64 / (span - (end - begin)).max(1) as f64;
+    if !is_episode || outside > QUIET * of_row.len() as f64 / (end - begin) as f64 {
         return None;
     }
     let mut sorted = gaps[first..last].to_vec();

@@ -9,9 +9,9 @@ use photocurrent_scene::case::Case;
 const SIDE: usize = 8;
 const SMALL_SIDE: usize = 4;
 const SMALL: usize = 64;
-/// So many events would have come in a cell's silence.
+/// So many events would have come in a cell's gap.
 const EXPECTED: f64 = 12.0;
-/// Silences of cells are one where they share this much of the longer one.
+/// Gaps of cells are one where they share this much of the longer one.
 const SHARED: f64 = 0.8;
 /// So many cells, and of their rectangle this share.
 const FEWEST: usize = 4;
@@ -19,37 +19,37 @@ const FILLED: f64 = 0.8;
 /// Cells outside go on firing at this share of their rate, and this share of them does.
 const GOES_ON: f64 = 0.3;
 const OUTSIDE: f64 = 0.7;
-/// Within this share of the silence before it begins and behind its end the rectangle fires with this share
+/// Within this share of the gap before it begins and behind its end the rectangle fires with this share
 /// of its rate, where so many events are expected there.
 const EDGE: f64 = 0.1;
 const STANDS: f64 = 0.4;
 const EDGE_EVENTS: f64 = 20.0;
-/// Rows and columns are silent without this part of the silence at each end, or this long, ns.
+/// Rows and columns are silent without this part of the gap at each end, or this long, ns.
 const RIM: i64 = 20;
 const RIM_NS: i64 = 2_000_000;
 
-/// A cell's longest silence.
+/// A cell's longest gap.
 #[derive(Clone, Copy)]
-struct Silence {
+struct Gap {
     from: i64,
     to: i64,
     /// Events a nanosecond at other times.
     rate: f64,
 }
 
-impl Silence {
+impl Gap {
     fn expected(&self) -> f64 {
         self.rate * (self.to - self.from) as f64
     }
 
     /// Shared time over the longer one's.
-    fn shares(&self, other: &Silence) -> f64 {
+    fn shares(&self, other: &Gap) -> f64 {
         let shared = self.to.min(other.to) - self.from.max(other.from);
         shared.max(0) as f64 / i64::max(self.to - self.from, other.to - other.from).max(1) as f64
     }
 }
 
-/// The rectangle whose silence is the least probable.
+/// The rectangle whose gap is the least probable.
 pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let side = if width.min(height) < SMALL { SMALL_SIDE } else { SIDE };
@@ -58,10 +58,10 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let cell = |pixel: u32| (pixel as usize / width / side) * across + pixel as usize % width / side;
     stream.iter().for_each(|event| times[cell(event.pixel)].push(event.t_ns));
     let span = (stream.first()?.t_ns, stream.last()?.t_ns);
-    let silences: Vec<Option<Silence>> = times.iter().map(|times| silence(times, span)).collect();
-    let anchor = silences.iter().flatten().max_by(|a, b| a.expected().total_cmp(&b.expected()))?;
-    let is_member = |cell: usize| silences[cell].is_some_and(|one| one.shares(anchor) >= SHARED);
-    let members: Vec<usize> = (0..silences.len()).filter(|&cell| is_member(cell)).collect();
+    let gaps: Vec<Option<Gap>> = times.iter().map(|times| gap(times, span)).collect();
+    let anchor = gaps.iter().flatten().max_by(|a, b| a.expected().total_cmp(&b.expected()))?;
+    let is_member = |cell: usize| gaps[cell].is_some_and(|one| one.shares(anchor) >= SHARED);
+    let members: Vec<usize> = (0..gaps.len()).filter(|&cell| is_member(cell)).collect();
     let of = |value: fn(usize, usize) -> usize| {
         let all = members.iter().map(|&cell| value(cell, across));
         (all.clone().min().unwrap_or(0), all.max().unwrap_or(0))
@@ -70,10 +70,10 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let (top, bottom) = of(|cell, across| cell / across);
     let is_in =
         |cell: usize| (left..=right).contains(&(cell % across)) && (top..=bottom).contains(&(cell / across));
-    let can_show = |cell: &usize| silences[*cell].is_some();
-    let within: Vec<usize> = (0..silences.len()).filter(|&cell| is_in(cell)).filter(can_show).collect();
-    let begins = members.iter().filter_map(|&cell| Some(silences[cell]?.from)).max()?;
-    let ends = members.iter().filter_map(|&cell| Some(silences[cell]?.to)).min()?;
+    let can_show = |cell: &usize| gaps[*cell].is_some();
+    let within: Vec<usize> = (0..gaps.len()).filter(|&cell| is_in(cell)).filter(can_show).collect();
+    let begins = members.iter().filter_map(|&cell| Some(gaps[cell]?.from)).max()?;
+    let ends = members.iter().filter_map(|&cell| Some(gaps[cell]?.to)).min()?;
     let is_filled = members.len() >= FEWEST && members.len() as f64 >= FILLED * within.len() as f64;
     if !is_filled || ends <= begins || (ends - begins) as f64 > LONGEST * (span.1 - span.0) as f64 {
         return None;
@@ -83,7 +83,7 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     };
     let length = (ends - begins) as f64;
     // The rest of the array fires on.
-    let outside: Vec<usize> = (0..silences.len()).filter(|&cell| !is_in(cell)).filter(can_show).collect();
+    let outside: Vec<usize> = (0..gaps.len()).filter(|&cell| !is_in(cell)).filter(can_show).collect();
     let goes_on = |cell: &&usize| {
         let rate = times[**cell].len() as f64 / (span.1 - span.0) as f64;
         within_ns(**cell, begins, ends) >= GOES_ON * rate * length
@@ -96,7 +96,7 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let edge = (EDGE * length) as i64;
     let stands = |from: i64, to: i64| {
         let (from, to) = (from.max(span.0), to.min(span.1));
-        let rate: f64 = members.iter().filter_map(|&cell| Some(silences[cell]?.rate)).sum();
+        let rate: f64 = members.iter().filter_map(|&cell| Some(gaps[cell]?.rate)).sum();
         let expected = rate * (to - from).max(0) as f64;
         let there: f64 = members.iter().map(|&cell| within_ns(cell, from, to)).sum();
         expected >= EDGE_EVENTS && there >= STANDS * expected
@@ -106,7 +106,7 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     if !(is_first || stands(begins - edge, begins + 1)) || !(is_last || stands(ends, ends + edge)) {
         return None;
     }
-    let rate: f64 = members.iter().filter_map(|&cell| Some(silences[cell]?.rate)).sum();
+    let rate: f64 = members.iter().filter_map(|&cell| Some(gaps[cell]?.rate)).sum();
     let cells = [left, right, top, bottom].map(|at| at * side);
     let [rows, columns] = edges(case, stream, (begins, ends), (cells, side));
     Some(Episode {
@@ -117,8 +117,8 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         pixels: Vec::new(),
         statistic: rate * length / (EXPECTED * FEWEST as f64),
         seen: format!(
-            "rows {} to {} and columns {} to {} have no event for {:.1} ms, where {:.0} would have come; the rest of the \
-             array fires on",
+            "rows {} to {} and columns {} to {} have no event for {:.1} ms, where {:.0} would have come; \
+             the rest of the array fires on",
             rows[0],
             rows[1],
             columns[0],
@@ -130,12 +130,12 @@ pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
 }
 
 /// The longest stretch of a cell without an event; none where too few would have come in it.
-fn silence(times: &[i64], span: (i64, i64)) -> Option<Silence> {
+fn gap(times: &[i64], span: (i64, i64)) -> Option<Gap> {
     let ends =
         std::iter::once(span.0).chain(times.iter().copied()).zip(times.iter().copied().chain([span.1]));
     let (from, to) = ends.max_by_key(|(from, to)| to - from)?;
     let rest = (span.1 - span.0 - (to - from)).max(1) as f64;
-    let found = Silence { from, to, rate: times.len() as f64 / rest };
+    let found = Gap { from, to, rate: times.len() as f64 / rest };
     (found.expected() >= EXPECTED).then_some(found)
 }
 

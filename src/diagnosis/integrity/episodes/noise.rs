@@ -70,28 +70,11 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         return None;
     }
     let time_ns = [start + first as i64 * BIN_NS, (start + (last as i64 + 1) * BIN_NS).min(end)];
-    let is_quiet = |event: &&Stamped| order.contains(&block(case, event.pixel));
-    let watched: Vec<Stamped> = stream.iter().filter(is_quiet).copied().collect();
-    let near = near(case, &watched);
-    let pixels: f64 = order.iter().map(|&block| pixels[block]).sum();
-    let of = |is_in: bool, bins: f64| {
-        let is_of = |event: &Stamped| (time_ns[0]..time_ns[1]).contains(&event.t_ns) == is_in;
-        let events = watched.iter().zip(&near).filter(|(event, _)| is_of(event));
-        let sum = events.fold([0.0; 3], |[all, on, near], (event, is_near)| {
-            let one = |is: bool| f64::from(u8::from(is));
-            [all + 1.0, on + one(event.polarity > 0), near + one(*is_near)]
-        });
-        sum.map(|count| count / (bins * BIN_NS as f64))
-    };
-    let [inside, usual] = [of(true, length), of(false, rest)];
-    let [all, on, near] = [0, 1, 2].map(|k| inside[k] - usual[k]);
-    // A rate of one sign in the eight pixels around, and the chance of an event of it.
-    let chance = |rate: f64| 1.0 - libm::exp(-4.0 * rate / pixels * NEAR_NS as f64);
-    let by_chance = all * chance(inside[0]) + (usual[0] - usual[2]) * chance(all);
-    let on = on / all;
-    if !ON.contains(&on) || near > BY_CHANCE * by_chance {
-        return None;
-    }
+    let of_time = (time_ns, [length, rest].map(|bins| bins * BIN_NS as f64));
+    let quiet_pixels = order.iter().map(|&block| pixels[block]).sum();
+    let watched: Vec<Stamped> =
+        stream.iter().filter(|event| order.contains(&block(case, event.pixel))).copied().collect();
+    let on = without_light(case, &watched, of_time, quiet_pixels)?;
     let hz = added * 1e9 / BIN_NS as f64;
     let (rows, columns) = everywhere(case);
     Some(Episode {
@@ -102,11 +85,38 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         pixels: Vec::new(),
         statistic: nats / NATS,
         seen: format!(
-            "{hz:.1} events a pixel and second more than before and after, everywhere, of both signs ({:.0} % \
-             ON), each pixel by itself",
+            "{hz:.1} events a pixel and second more than before and after, everywhere, of both signs ({:.0} \
+             % ON), each pixel by itself",
             100.0 * on
         ),
     })
+}
+
+/// The share of ON among what is added between two instants, where it is of both signs and has no neighbours
+/// but by chance; lengths: of that time, and of the rest, ns.
+fn without_light(
+    case: &Case,
+    watched: &[Stamped],
+    (time_ns, lengths): ([i64; 2], [f64; 2]),
+    pixels: f64,
+) -> Option<f64> {
+    let near = near(case, watched);
+    let of = |is_in: bool, length: f64| {
+        let is_of = |event: &Stamped| (time_ns[0]..time_ns[1]).contains(&event.t_ns) == is_in;
+        let events = watched.iter().zip(&near).filter(|(event, _)| is_of(event));
+        let sum = events.fold([0.0; 3], |[all, on, near], (event, is_near)| {
+            let one = |is: bool| f64::from(u8::from(is));
+            [all + 1.0, on + one(event.polarity > 0), near + one(*is_near)]
+        });
+        sum.map(|count| count / length)
+    };
+    let [inside, usual] = [of(true, lengths[0]), of(false, lengths[1])];
+    let [all, on, near] = [0, 1, 2].map(|k| inside[k] - usual[k]);
+    // A rate of one sign in the eight pixels around, and the chance of an event of it.
+    let chance = |rate: f64| 1.0 - libm::exp(-4.0 * rate / pixels * NEAR_NS as f64);
+    let by_chance = all * chance(inside[0]) + (usual[0] - usual[2]) * chance(all);
+    let on = on / all;
+    (ON.contains(&on) && near <= BY_CHANCE * by_chance).then_some(on)
 }
 
 /// Which events have one of the same sign in the eight pixels around within [`NEAR_NS`] before.

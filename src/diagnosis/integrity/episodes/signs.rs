@@ -96,7 +96,8 @@ fn stuck(case: &Case, stream: &[Stamped], sign: i8) -> Option<Episode> {
         pixels: Vec::new(),
         statistic: nats / NATS,
         seen: format!(
-            "{} events carry the sign of {}: {:.1} % of the events are {0}, of the others {:.1} %, at the same rate",
+            "{} events carry the sign of {}: {:.1} % of the events are {0}, of the others {:.1} %, at the \
+             same rate",
             name(-sign),
             name(sign),
             100.0 * share,

@@ -5,20 +5,20 @@ use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::median;
 
-/// Shorter silences are no stalls, ns.
+/// Shorter gaps are no stalls, ns.
 const SHORTEST_NS: i64 = 500_000;
-/// What is released comes within this share of the silence behind it.
+/// What is released comes within this share of the gap behind it.
 const RELEASED: f64 = 0.05;
-/// So many silences follow each other.
+/// So many gaps follow each other.
 const FEWEST: usize = 3;
 /// So many events come in each release, in the median: a chance of exp(-20) that none came before.
 const LEAST_EVENTS: f64 = 20.0;
 
-/// The longest row of silences with releases between them.
+/// The longest row of gaps with releases between them.
 pub(super) fn stalls(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let (first, last) = (stream.first()?.t_ns, stream.last()?.t_ns);
-    // Silences as the numbers of the events before them.
-    let silences: Vec<usize> = (1..stream.len())
+    // Gaps as the numbers of the events before them.
+    let gaps: Vec<usize> = (1..stream.len())
         .filter(|&k| stream[k].t_ns - stream[k - 1].t_ns >= SHORTEST_NS)
         .map(|k| k - 1)
         .collect();
@@ -29,9 +29,9 @@ pub(super) fn stalls(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     };
     let mut best: &[usize] = &[];
     let mut from = 0;
-    for k in 1..=silences.len() {
-        if k == silences.len() || !follows(&silences[k - 1..=k]) {
-            let row = &silences[from..k];
+    for k in 1..=gaps.len() {
+        if k == gaps.len() || !follows(&gaps[k - 1..=k]) {
+            let row = &gaps[from..k];
             let is_longer = |row: &[usize]| row.last().map_or(0, |end| end - row[0]);
             if row.len() >= FEWEST && is_longer(row) > is_longer(best) {
                 best = row;
@@ -56,7 +56,7 @@ pub(super) fn stalls(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         pixels: Vec::new(),
         statistic: events / LEAST_EVENTS,
         seen: format!(
-            "events wait and are released together: {} silences of {:.2} ms in the median, one after the \
+            "events wait and are released together: {} gaps of {:.2} ms in the median, one after the \
              other, with {events:.0} events at once behind each",
             best.len(),
             median(&mut lengths) * 1e-6

@@ -42,7 +42,7 @@ fn a_sound_recording_has_none() {
 }
 
 #[test]
-fn a_stalled_readout_is_found_with_its_silences() {
+fn a_stalled_readout_is_found_with_its_gaps() {
     let stall = 5_000_000;
     let case = with(sound(), |_, events| {
         for event in events.iter_mut().filter(|event| is_inside(event)) {
@@ -51,7 +51,7 @@ fn a_stalled_readout_is_found_with_its_silences() {
         }
     });
     let one = one(&case, Failure::Stall);
-    assert!(one.seen.contains("16 silences of 5.00 ms"), "{}", one.seen);
+    assert!(one.seen.contains("16 gaps of 5.00 ms"), "{}", one.seen);
 }
 
 #[test]
