@@ -85,7 +85,7 @@ fn row(case: &Case, pixel: usize, span: i64) -> Option<Row> {
     let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64) as usize];
     let on = of_row.iter().filter(|event| event.polarity > 0).count() as f64 / of_row.len() as f64;
     let is_even = at(0.95) <= EVEN * at(0.05);
-    if !is_even && !(on >= ONE_SIGN || on <= 1.0 - ONE_SIGN) {
+    if !(is_even || on >= ONE_SIGN || on <= 1.0 - ONE_SIGN) {
         return None;
     }
     let width = case.extent.width as usize;

@@ -284,7 +284,7 @@ fn with_picture<T>(
 /// Why a scene decides nothing.
 #[derive(Debug)]
 enum Failure {
-    /// Half of the events miss their thresholds by so much of them with the best effect.
+    /// Half of the events miss their thresholds by so much of them, and no effect explains it.
     Leaves(f64),
     Other(String),
 }
@@ -325,8 +325,10 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     let mut random = base.random()?;
     let mut noise = [of_noise(&random), 0.0];
     let most = list.iter().chain(&random).map(Ranked::beyond).fold(0.0, f64::max);
+    // Grids are compared by what is left before anything is fitted.
+    let unfitted = base.left()?;
     if !is_hopeful(&mut base, most, plan)? {
-        return Err(Failure::Leaves(base.left()?));
+        return Err(Failure::Leaves(unfitted));
     }
     let mut nothing = base.clone();
     // Exact fits have factors of their own.
@@ -366,7 +368,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     // What is in no catalogue is no fault of the scene.
     let wrong = wrong.min(open.left).min(open_second.left);
     if wrong > most_left(ground, plan) {
-        return Err(Failure::Leaves(left));
+        return Err(Failure::Leaves(unfitted));
     }
     Ok(Evidence {
         nats_per_event: level.left_out.iter().sum::<f64>() / events as f64,
@@ -418,7 +420,7 @@ fn follow_curve<L: FreeScene>(
     {
         best.gain = best.gain.max(curve.nats_per_event);
         best.dependence = curve;
-        open.left = wrong(&with, plan)?;
+        open.left = open.left.min(wrong(&with, plan)?);
     }
     Ok(())
 }
