@@ -284,7 +284,8 @@ fn with_picture<T>(
 /// Why a scene decides nothing.
 #[derive(Debug)]
 enum Failure {
-    /// Half of the events miss their thresholds by so much of them, and no effect explains it.
+    /// Half of the events miss their thresholds by so much of them before anything is fitted, which grids are
+    /// compared by, and no effect explains it.
     Leaves(f64),
     Other(String),
 }
@@ -325,7 +326,6 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     let mut random = base.random()?;
     let mut noise = [of_noise(&random), 0.0];
     let most = list.iter().chain(&random).map(Ranked::beyond).fold(0.0, f64::max);
-    // Grids are compared by what is left before anything is fitted.
     let unfitted = base.left()?;
     if !is_hopeful(&mut base, most, plan)? {
         return Err(Failure::Leaves(unfitted));
@@ -359,7 +359,6 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
         (Some(first), None) => (others(&list, first), open.clone(), others(&random, first)),
         (None, _) => (Vec::new(), Dependences::none(), Vec::new()),
     };
-    // A curve that may explain more than any effect is estimated with the scene, as those are.
     follow_curve(&mut open, (&nothing, &level), first.as_ref().map_or(0.0, Ranked::beyond), plan)?;
     noise[1] = of_noise(&random_second);
     let median = nothing.left()?;
