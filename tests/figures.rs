@@ -335,7 +335,7 @@ fn the_readmes_blind_rates_are_those_of_the_lists() {
         nothing.len(),
         single.len(),
     );
-    let also = format!("{} is named and on {undecided} nothing is decided", named(&single));
+    let also = format!("{} is named and {undecided} are `insufficient`", named(&single));
     let readme = pages::read("README.md");
     assert!(readme.contains(&wanted) && readme.contains(&also), "README.md should have: {wanted} ... {also}");
 }

@@ -69,18 +69,9 @@ impl Finding {
             Some(decl) => {
                 Finding { plain: format!("{}, {plain}", decl.about), ..Finding::of(decl, location, evidence) }
             }
-            None => Finding {
-                id: UNNAMED.into(),
-                also_possible: Vec::new(),
-                equation: plain.clone(),
-                plain,
-                insertion: "comparator".into(),
-                parameters: Default::default(),
-                location,
-                evidence,
-                values: Vec::new(),
-                ks: None,
-            },
+            None => {
+                Finding { plain: plain.clone(), ..Finding::nameless(plain, "comparator", location, evidence) }
+            }
         }
     }
 
@@ -117,12 +108,17 @@ impl Finding {
             found_by: vec![by.to_owned()],
             ..Evidence::default()
         };
+        Finding::nameless(found.equation.clone(), &found.insertion, location, evidence)
+    }
+
+    /// Of what no effect of the catalogue is.
+    fn nameless(equation: String, insertion: &str, location: Location, evidence: Evidence) -> Finding {
         Finding {
             id: UNNAMED.into(),
             also_possible: Vec::new(),
             plain: "something that no effect of the catalogue explains".into(),
-            equation: found.equation.clone(),
-            insertion: found.insertion.clone(),
+            equation,
+            insertion: insertion.to_owned(),
             parameters: Default::default(),
             location,
             evidence,

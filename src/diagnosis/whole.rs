@@ -339,3 +339,59 @@ fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<De
         (alone, _) => alone,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::finding::UNNAMED;
+    use crate::integrity::episodes::{Episode, Failure};
+    use crate::report::{Finding, Verdict};
+    use crate::testing;
+    use crate::verdict::verdict;
+
+    fn episode(failure: Failure, time_ns: [i64; 2], pixels: Vec<u32>) -> Episode {
+        let seen = "seen".to_owned();
+        Episode { failure, time_ns, rows: [2, 5], columns: [1, 3], pixels, statistic: 2.0, seen }
+    }
+
+    #[test]
+    fn a_scene_is_estimated_from_the_longest_stretch_of_frames_without_a_failure() {
+        let case = testing::case();
+        let frames = case.frames.as_ref().unwrap();
+        let count = case.frame_count();
+        let start = |frame: usize| frames.times.exposure(frame, 0).start.0;
+        let of = |episodes: Vec<Episode>| {
+            sound_part(case.clone(), &Integrity { episodes, ..Integrity::default() })
+        };
+        // During the second frame.
+        let stall = episode(Failure::Stall, [start(1), start(1) + 1000], Vec::new());
+        let part = of(vec![stall]).unwrap();
+        assert_eq!((part.frame_count(), part.span.0), (count - 2, start(2)));
+        assert!(part.events.iter().all(|event| event.t_in_ns >= start(2)));
+        // Pixels that are hot are left out, and no time.
+        let hot = episode(Failure::Hot, [start(1), start(1) + 1000], vec![7]);
+        assert_eq!(of(vec![hot]).unwrap().frame_count(), count);
+        let always = episode(Failure::Lost, [case.span.0, case.span.1], Vec::new());
+        assert!(of(vec![always]).unwrap_err().contains("too few frames"));
+    }
+
+    #[test]
+    fn a_failure_is_a_finding_with_its_place_and_time_and_no_effect_where_there_is_none() {
+        let case = testing::case();
+        let stuck = episode(Failure::Sign, [10_000, 20_000], Vec::new());
+        let lost = episode(Failure::Lost, [10_000, 20_000], Vec::new());
+        let of = |episodes: Vec<Episode>| {
+            let integrity = Integrity { episodes, ..Integrity::default() };
+            verdict(&case, &case.nominal().unwrap(), &integrity, None)
+        };
+        let answer = of(vec![stuck.clone()]);
+        assert_eq!((answer.verdict, &answer.findings[0].id[..]), (Verdict::Unnamed, UNNAMED));
+        let Finding { location, equation, .. } = &answer.findings[0];
+        assert_eq!((location.rows, location.columns, location.time_ns), ([2, 5], [1, 3], [10_000, 20_000]));
+        assert_eq!((location.pixels, &location.covariate[..]), (12, "time"));
+        assert_eq!(equation, "from 0.0 ms to 0.0 ms: seen");
+        let answer = of(vec![stuck, lost]);
+        let ids: Vec<&str> = answer.findings.iter().map(|finding| &finding.id[..]).collect();
+        assert_eq!((answer.verdict, ids), (Verdict::Named, vec![UNNAMED, "event_loss"]));
+    }
+}

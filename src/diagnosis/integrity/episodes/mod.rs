@@ -99,9 +99,19 @@ pub(super) fn episodes(
     found
 }
 
-/// First and last row, and first and last column, of the whole array.
-fn everywhere(case: &Case) -> ([u32; 2], [u32; 2]) {
-    ([0, case.extent.height.saturating_sub(1)], [0, case.extent.width.saturating_sub(1)])
+impl Episode {
+    /// On the whole array.
+    fn everywhere(case: &Case, failure: Failure, time_ns: [i64; 2], statistic: f64, seen: String) -> Episode {
+        Episode {
+            failure,
+            time_ns,
+            rows: [0, case.extent.height.saturating_sub(1)],
+            columns: [0, case.extent.width.saturating_sub(1)],
+            pixels: Vec::new(),
+            statistic,
+            seen,
+        }
+    }
 }
 
 /// The stretch of scores with the largest sum: first and last number, and the sum; none without a positive

@@ -1,6 +1,6 @@
 //! Bursts of events without light: everywhere at once, of both signs, each pixel by itself.
 
-use super::{BLOCKS, Episode, Failure, LONGEST, block, everywhere, stretch};
+use super::{BLOCKS, Episode, Failure, LONGEST, block, stretch};
 use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
 
@@ -76,20 +76,12 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         stream.iter().filter(|event| order.contains(&block(case, event.pixel))).copied().collect();
     let on = without_light(case, &watched, of_time, quiet_pixels)?;
     let hz = added * 1e9 / BIN_NS as f64;
-    let (rows, columns) = everywhere(case);
-    Some(Episode {
-        failure: Failure::Noise,
-        time_ns,
-        rows,
-        columns,
-        pixels: Vec::new(),
-        statistic: nats / NATS,
-        seen: format!(
-            "{hz:.1} events a pixel and second more than before and after, everywhere, of both signs ({:.0} \
+    let seen = format!(
+        "{hz:.1} events a pixel and second more than before and after, everywhere, of both signs ({:.0} \
              % ON), each pixel by itself",
-            100.0 * on
-        ),
-    })
+        100.0 * on
+    );
+    Some(Episode::everywhere(case, Failure::Noise, time_ns, nats / NATS, seen))
 }
 
 /// The share of ON among what is added between two instants, where it is of both signs and has no neighbours

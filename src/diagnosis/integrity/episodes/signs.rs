@@ -1,6 +1,6 @@
 //! Signs that are stuck: for a while events that should have one sign have the other, at the same rate.
 
-use super::{BLOCKS, Episode, Failure, LONGEST, block, everywhere, stretch};
+use super::{BLOCKS, Episode, Failure, LONGEST, block, stretch};
 use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
 
@@ -86,24 +86,16 @@ fn stuck(case: &Case, stream: &[Stamped], sign: i8) -> Option<Episode> {
         return None;
     }
     let share = Counts::of(inside.iter(), sign).share();
-    let (rows, columns) = everywhere(case);
     let name = |sign: i8| if sign > 0 { "ON" } else { "OFF" };
-    Some(Episode {
-        failure: Failure::Sign,
-        time_ns,
-        rows,
-        columns,
-        pixels: Vec::new(),
-        statistic: nats / NATS,
-        seen: format!(
-            "{} events carry the sign of {}: {:.1} % of the events are {0}, of the others {:.1} %, at the \
+    let seen = format!(
+        "{} events carry the sign of {}: {:.1} % of the events are {0}, of the others {:.1} %, at the \
              same rate",
-            name(-sign),
-            name(sign),
-            100.0 * share,
-            100.0 * usual
-        ),
-    })
+        name(-sign),
+        name(sign),
+        100.0 * share,
+        100.0 * usual
+    );
+    Some(Episode::everywhere(case, Failure::Sign, time_ns, nats / NATS, seen))
 }
 
 /// Does the share jump at both ends, where the recording goes on behind them?

@@ -1,6 +1,6 @@
 //! Stalls of the readout: nothing comes for milliseconds, then all that fired meanwhile at once.
 
-use super::{Episode, Failure, LONGEST, everywhere};
+use super::{Episode, Failure, LONGEST};
 use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::statistics::median;
@@ -47,19 +47,11 @@ pub(super) fn stalls(case: &Case, stream: &[Stamped]) -> Option<Episode> {
         return None;
     }
     let mut lengths: Vec<f64> = best.iter().map(|&k| length(k) as f64).collect();
-    let (rows, columns) = everywhere(case);
-    Some(Episode {
-        failure: Failure::Stall,
-        time_ns,
-        rows,
-        columns,
-        pixels: Vec::new(),
-        statistic: events / LEAST_EVENTS,
-        seen: format!(
-            "events wait and are released together: {} gaps of {:.2} ms in the median, one after the \
+    let seen = format!(
+        "events wait and are released together: {} gaps of {:.2} ms in the median, one after the \
              other, with {events:.0} events at once behind each",
-            best.len(),
-            median(&mut lengths) * 1e-6
-        ),
-    })
+        best.len(),
+        median(&mut lengths) * 1e-6
+    );
+    Some(Episode::everywhere(case, Failure::Stall, time_ns, events / LEAST_EVENTS, seen))
 }

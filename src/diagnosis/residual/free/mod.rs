@@ -419,7 +419,7 @@ fn follow_curve<L: FreeScene>(
     {
         best.gain = best.gain.max(curve.nats_per_event);
         best.dependence = curve;
-        open.left = open.left.min(wrong(&with, plan)?);
+        open.left = wrong(&with, plan)?;
     }
     Ok(())
 }

@@ -219,7 +219,7 @@ fn noise_of_thresholds_that_is_stated_is_no_fault_of_the_scene() {
     let scale = Candidate::number("threshold_scale", "fraction").unwrap();
     let whole = found.ranked.iter().find(|one| one.candidate == scale).unwrap();
     assert!(whole.effect_size.abs() < 0.5, "{whole:?}");
-    // Nor is that noise a curve over a phase that chance chose.
+    // Nor is that noise a curve that chance chose: it gains less than any effect needs for a name.
     let curve = found.open.first().map_or(0.0, |one| one.beyond());
     assert!(curve < 0.1, "{:?}", found.open.first());
     assert!(!decide(&found, &case.nominal().unwrap(), &Decision::default()).unwrap().detected);
