@@ -38,7 +38,7 @@ calibrate: setup
 	cargo run --release --locked -p photocurrent-calibrate -- --scene parts --recordings 250 -o out/parts
 	cargo run --release --locked -p photocurrent-calibrate -- --scene given --recordings 110 -o out/given
 	cargo run --release --locked -p photocurrent-calibrate -- --scene pixels --recordings 148 -o out/pixels
-	cargo run --release --locked -p photocurrent-calibrate -- --scene joint --recordings 163 -o out/joint
+	cargo run --release --locked -p photocurrent-calibrate -- --scene joint --recordings 84 -o out/joint
 
 # The refinement network from nothing, with its two ablations, and the learned interpolator: nodes/refine/training/README.md. For a GPU, and 3 GB of packages; the README says what two cores can train.
 TRAINING := nodes/refine/training

@@ -45,7 +45,7 @@ pub(crate) fn next_experiments(
                 .into(),
         );
     }
-    if answer.verdict == Verdict::Consistent && case.frame_count() > 0 {
+    if matches!(answer.verdict, Verdict::Consistent | Verdict::Insufficient) && is_enough(case) {
         advice.push(
             "faster motion, sharper edges and a wider range of light make smaller effects visible".into(),
         );
@@ -110,6 +110,7 @@ mod tests {
                 parameter,
                 minimal_detectable,
                 of_known_light,
+                usual: None,
                 unit: "s".into(),
                 estimate: None,
                 standard_error: None,

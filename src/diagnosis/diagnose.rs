@@ -8,6 +8,7 @@ pub use crate::integrity::can_compare;
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Integrity, TESTED, integrity};
 use crate::judge::judged;
+use crate::limits::{nothing_would_show, seen_and_unseen};
 use crate::report::{
     BeforeAfter, Detectable, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
 };
@@ -136,24 +137,12 @@ pub fn confirm(
     let can_compare = can_compare(case, &integrity);
     let sample =
         (can_compare && setting.proof).then(|| Sample::of_proof(case)).filter(|sample| !sample.is_empty());
-    if proposed.decided().is_none() {
+    let limits = proposed.decided().map_or(&[][..], |decided| &decided.detectability);
+    let no_effect_shows = nothing_would_show(limits);
+    if proposed.decided().is_none() || no_effect_shows.is_some() {
         judged(case, &nominal, setting.least_better_db, &setting.solve, &mut integrity)?;
     }
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
-    // A test that could not be made decides nothing.
-    if answer.verdict == Verdict::Consistent {
-        if let Proposed::Nothing(why) = &proposed {
-            answer.verdict = Verdict::Insufficient;
-            let is_unstated = unstated::without_scene(&case.sensor).is_some();
-            integrity.lacking.push(if is_unstated {
-                format!("no direct test contradicts the description, and {why}")
-            } else {
-                why.clone()
-            });
-        } else if !can_compare {
-            answer.verdict = Verdict::Insufficient;
-        }
-    }
     let with = |findings: &[Finding]| {
         let found = description(case, &nominal, &scales, findings);
         found.or_else(|| (case.sensor != *stated).then(|| case.sensor.clone()))
@@ -182,6 +171,10 @@ pub fn confirm(
     if !withdrawn.is_empty() {
         answer.set(findings);
     }
+    if let Some(lacking) = undecided(case, &answer, &proposed, can_compare, no_effect_shows) {
+        answer.verdict = Verdict::Insufficient;
+        integrity.lacking.extend(lacking);
+    }
     let mut changed = with(&answer.findings);
     let mut fitted = fitted;
     // What has no name is put in as its curve, if that was estimated with the scene, unless frames that were
@@ -196,6 +189,28 @@ pub fn confirm(
     let report = report(case, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
+}
+
+/// Why finding nothing decides nothing, where it does not: a test that could not be made, or that would have
+/// shown nothing. What is lacking is empty where `integrity` lists it.
+fn undecided(
+    case: &Case,
+    answer: &Answer,
+    proposed: &Proposed,
+    can_compare: bool,
+    no_effect_shows: Option<String>,
+) -> Option<Vec<String>> {
+    if answer.verdict != Verdict::Consistent {
+        return None;
+    }
+    match proposed {
+        Proposed::Nothing(why) if unstated::without_scene(&case.sensor).is_some() => {
+            Some(vec![format!("no direct test contradicts the description, and {why}")])
+        }
+        Proposed::Nothing(why) => Some(vec![why.clone()]),
+        _ if !can_compare => Some(Vec::new()),
+        _ => no_effect_shows.map(|why| vec![why]),
+    }
 }
 
 /// The description with findings put in; none where they have no number that is sought.
@@ -290,7 +305,7 @@ fn report(
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
-        summary: summary(case, integrity, answer, decided),
+        summary: summary(case, integrity, answer, decided, &detectability),
         not_testable: not_testable(case, proposed, &answer.findings),
         next_experiment: crate::advice::next_experiments(case, answer, integrity, &detectability),
         residual_left: decided
@@ -344,7 +359,13 @@ pub fn broken(why: &str, seed: u64) -> Report {
     }
 }
 
-fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) -> String {
+fn summary(
+    case: &Case,
+    integrity: &Integrity,
+    answer: &Answer,
+    decided: Option<&Decided>,
+    limits: &[Detectable],
+) -> String {
     let name = |finding: &Finding| {
         let others: String = finding.also_possible.iter().map(|id| format!(" or {id}")).collect();
         format!("{}{others}", finding.id)
@@ -352,9 +373,7 @@ fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<
     let said = match answer.verdict {
         Verdict::BrokenData => return integrity.broken.join("; "),
         Verdict::Insufficient => return integrity.lacking.join("; "),
-        Verdict::Consistent => "the recording agrees with the description as far as these tests see; \
-                                detectability says how far that is"
-            .into(),
+        Verdict::Consistent => agrees(limits),
         Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue \
                              explains how"
             .into(),
@@ -374,6 +393,19 @@ fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<
         format!("; near the detection threshold, and not reported: {near}")
     };
     format!("{said} ({}){near}{}", looked_at_of(decided), estimated(&decided.estimated))
+}
+
+/// That nothing is found, and how much would have been.
+fn agrees(limits: &[Detectable]) -> String {
+    let said = "the recording agrees with the description as far as these tests see";
+    let (seen, unseen) = seen_and_unseen(limits);
+    match seen.len() + unseen.len() {
+        0 => format!("{said}; detectability says how far that is"),
+        all => format!(
+            "{said}: {} of {all} effects would be seen at their usual size (detectability)",
+            seen.len()
+        ),
+    }
 }
 
 /// What the description leaves open, as the end of a sentence.

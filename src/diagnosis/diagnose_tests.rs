@@ -90,6 +90,30 @@ fn finding_nothing_where_the_scene_is_no_evidence_is_not_consistency() {
 }
 
 #[test]
+fn finding_nothing_counts_where_an_effect_would_have_shown_at_its_usual_size() {
+    let limit = |id: &str, minimal_detectable: f64| Detectable {
+        id: id.into(),
+        parameter: "offset_s".into(),
+        minimal_detectable,
+        usual: Some(5e-4),
+        unit: "s".into(),
+        ..Detectable::default()
+    };
+    let diagnosed_with = |detectability: Vec<Detectable>| {
+        let silent = Decided { name: "picture".into(), detectability, ..Decided::default() };
+        diagnosed(&testing::case(), Proposed::Decided(Box::new(silent))).report
+    };
+    let sees = diagnosed_with(vec![limit("clock_offset", 2e-4), limit("second_pole", 1e-3)]);
+    assert_eq!(sees.verdict, Verdict::Consistent);
+    assert!(sees.summary.contains("1 of 2 effects would be seen at their usual size"), "{}", sees.summary);
+    let blind = diagnosed_with(vec![limit("clock_offset", 6e-4), limit("second_pole", 1e-3)]);
+    assert_eq!(blind.verdict, Verdict::Insufficient);
+    assert!(blind.summary.contains("clock_offset (offset_s) from 600 us on, usual is 500 us"));
+    // Which would, and from what size on.
+    assert_eq!(blind.detectability.len(), 2);
+}
+
+#[test]
 fn events_alone_are_insufficient_unless_a_direct_test_speaks() {
     let alone = Case { frames: None, ..testing::case() };
     let found = diagnosed(&alone, Proposed::NotAsked);

@@ -22,7 +22,7 @@
 //! - `heldout`: held-out frames, before and after; `sample` (the pixels that are evaluated), `curves`
 //!   (their light).
 //! - `record`: what a sensor with effects would have recorded of a light.
-//! - `advice`: what to record next.
+//! - `advice`: what to record next; `limits`: which effects would have been seen.
 //! - [`mod@diagnose`]: direct tests and confirmation; [`whole`]: all stages in one call ([`diagnose()`]).
 //! - [`stages`]: what passes between them, as documents.
 //! - [`unknowns`]: numbers that a description states as a range; [`unstated`]: those it lacks.
@@ -46,6 +46,7 @@ mod formula;
 mod heldout;
 pub mod integrity;
 pub mod judge;
+mod limits;
 pub mod page;
 mod record;
 pub mod report;

@@ -175,7 +175,7 @@ pub struct Fit {
 }
 
 /// What could have been seen of an effect that is not claimed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Detectable {
     /// Catalogue id.
     pub id: String,
@@ -192,7 +192,10 @@ pub struct Detectable {
     /// The same were the light known, where the scene follows events and absorbs a part of the effect.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub of_known_light: Option<f64>,
-    /// Of all four.
+    /// The departure from nominal that is usual where a sensor has the effect.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub usual: Option<f64>,
+    /// Of all five.
     pub unit: String,
 }
 

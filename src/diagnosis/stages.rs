@@ -378,6 +378,7 @@ mod tests {
                 standard_error: Some(0.1),
                 minimal_detectable: 0.3,
                 of_known_light: Some(0.1),
+                usual: Some(0.2),
                 unit: "Hz".into(),
             }],
             nats_per_event: Some(-2.0),

@@ -6,6 +6,7 @@ use crate::decide::{Decision, decide};
 use crate::diagnose::{Diagnosis, Setting, amend, can_compare, check, confirm};
 use crate::integrity::Integrity;
 use crate::integrity::data::{FEWEST_FRAMES, is_enough};
+use crate::limits::either;
 use crate::report::Estimate;
 use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked};
 use crate::residual::free;
@@ -219,7 +220,7 @@ fn on_described(case: &Case, nominal: &Nominal, integrity: &Integrity, setting: 
 }
 
 /// A picture that leaves less than this share of a threshold decides alone: as it does of textures whose
-/// frames have no noise. Not calibrated, like `most_silent`.
+/// frames have no noise. Not calibrated.
 const LEAVES_LITTLE: f64 = 0.03;
 
 /// Does a scene explain what it leaves well enough to decide without another one?
@@ -335,6 +336,11 @@ fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<De
     match (alone, on(&found.on_pixels)) {
         // What the picture does not show, the light of pixels may.
         (Ok(alone), Some(Ok(on_pixels))) if !alone.detected && on_pixels.detected => Ok(on_pixels),
+        // And where neither shows anything, either would have.
+        (Ok(alone), Some(Ok(on_pixels))) if !alone.detected => {
+            let detectability = either(&alone.detectability, &on_pixels.detectability);
+            Ok(Decided { detectability, ..alone })
+        }
         (Err(why), Some(on_pixels)) => on_pixels.map_err(|other| format!("{why}; {other}")),
         (alone, _) => alone,
     }

@@ -37,12 +37,10 @@ pub struct Decision {
     /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
-    /// And finding nothing decides nothing where more than this share is left.
+    /// Scenes on which the decision was calibrated leave up to this share: where more is left, limits of
+    /// detection grow with it.
     #[schemars(range(min = 0.0))]
-    pub most_silent: f64,
-    /// Nor where an effect must gain more than this to be reported, nats an event: the scene errs too much.
-    #[schemars(range(min = 0.0))]
-    pub most_needed: f64,
+    pub usual_left: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
@@ -58,8 +56,7 @@ impl Default for Decision {
             least_second: 0.6,
             most_control: 0.3,
             most_left: 0.3,
-            most_silent: 0.12,
-            most_needed: 10.0,
+            usual_left: 0.12,
             shared_error: 0.02,
             models: Models::default(),
         }
@@ -86,21 +83,7 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
             found.left[0]
         ));
     }
-    let said = said(found, nominal, decision);
-    if !said.detected && found.left[0] > decision.most_silent {
-        return Err(format!(
-            "events miss their thresholds by {:.2} of them on this scene: an effect of that \
-                            size would not be seen",
-            found.left[0]
-        ));
-    }
-    let needed = needed_gain(found, decision);
-    if !said.detected && needed > decision.most_needed {
-        return Err("what events say on this scene does not separate effects from errors of the scene, but \
-                    for the largest"
-            .to_owned());
-    }
-    Ok(said)
+    Ok(said(found, nominal, decision))
 }
 
 /// The gain from which on something is said, nats an event.
@@ -161,9 +144,12 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 /// differs, and what was estimated.
 ///
 /// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at
-/// which the model's probability is [`Decision::least`].
+/// which the model's probability is [`Decision::least`]. Where the scene leaves more than scenes do on which the
+/// model was calibrated, it errs by that much more, and limits grow in proportion.
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
     let needed = needed_gain(found, decision);
+    let is_known = found.scene == KINDS[1];
+    let errs = if is_known { 1.0 } else { f64::max(found.left[0] / decision.usual_left, 1.0) };
     let has_limit = |one: &&Ranked| {
         let kind = &CANDIDATES[one.candidate];
         one.information > 0.0 && kind.signs != Signs::Switch && !kind.is_limit() && one.unit != 0.0
@@ -176,7 +162,7 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
         } else {
             needed
         };
-        let least = |information: f64| (libm::sqrt(2.0 * needed / information) * one.unit).abs();
+        let least = |information: f64| (errs * libm::sqrt(2.0 * needed / information) * one.unit).abs();
         Detectable {
             id: kind.id.to_owned(),
             parameter,
@@ -184,6 +170,7 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
             standard_error: Some((one.error * one.unit).abs()),
             minimal_detectable: least(one.information),
             of_known_light: (one.of_known_light > 0.0).then(|| least(one.of_known_light)),
+            usual: (one.unit != 0.0).then_some(one.unit.abs()),
             unit: unit.to_owned(),
         }
     };
@@ -298,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn finding_nothing_counts_only_where_an_effect_would_be_seen() {
+    fn nothing_is_claimed_where_the_best_effect_leaves_too_much() {
         let nominal = testing::case().nominal().unwrap();
         let of = |left: f64, gain: f64| Evidence {
             share: 1.0,
@@ -310,26 +297,27 @@ mod tests {
             decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.detected)
         };
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
-        assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
         assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));
     }
 
     #[test]
-    fn where_no_gain_would_count_finding_nothing_decides_nothing() {
+    fn limits_grow_with_what_the_scene_leaves_beyond_what_is_usual() {
         let nominal = testing::case().nominal().unwrap();
-        let of = |scene: &str| Evidence {
+        let of = |scene: &str, left: f64| Evidence {
             scene: scene.into(),
             share: 1.0,
-            left: [0.05; 2],
-            ranked: vec![ranked("clock_offset", 0.01, 0.0)],
+            left: [left; 2],
+            ranked: vec![Ranked { information: 2.0, unit: 1.0, ..ranked("clock_offset", 0.0, 0.0) }],
             ..Evidence::default()
         };
-        assert_eq!(
-            decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.detected),
-            Ok(false)
-        );
-        let deaf = Decision { most_needed: 1e-4, ..Decision::default() };
-        assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not separate effects"));
+        let limit = |scene: &str, left: f64| {
+            limits(&of(scene, left), &nominal, &Decision::default())[0].minimal_detectable
+        };
+        let usual = limit("picture", 0.05);
+        assert!((limit("picture", 0.12) - usual).abs() < 1e-12);
+        assert!((limit("picture", 0.24) - 2.0 * usual).abs() < 1e-12);
+        // Known light is not at fault.
+        assert!((limit("given", 0.24) - limit("given", 0.05)).abs() < 1e-12);
     }
 
     #[test]

@@ -157,13 +157,13 @@ impl Model {
     /// joint`.
     pub fn of_joint() -> Model {
         Model {
-            something: [9.529, 3.276, 0.060],
-            second: [0.498, 0.467, -0.001],
-            discount: [1.0, 0.0],
+            something: [11.270, 3.821, 0.030],
+            second: [-0.150, 0.239, 0.079],
+            discount: [1.5, 0.5],
             discount_of_curves: 0.5,
-            softness: [-3.117, -0.750],
-            random: -2.148,
-            unnamed: [0.648, 0.367, 0.430],
+            softness: [-3.260, -0.781],
+            random: -2.469,
+            unnamed: [0.711, 0.184, 0.773],
             least_gain: 0.05,
         }
     }

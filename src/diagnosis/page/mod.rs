@@ -437,11 +437,18 @@ fn detectable(html: &mut String, report: &Report) {
             cell(one.standard_error),
             readable(one.minimal_detectable, &one.unit),
             cell(one.of_known_light),
+            cell(one.usual),
         ];
         (one.id.clone(), Some(name_of(&one.parameter).to_owned()), cells)
     };
     let rows = report.detectability.iter().map(row).collect();
-    let numbers = ["estimate", "standard error", "minimum detectable effect", "were the light known"];
+    let numbers = [
+        "estimate",
+        "standard error",
+        "minimum detectable effect",
+        "were the light known",
+        "usual where a sensor has it",
+    ];
     table(html, "Detection limits", &["effect", "parameter"], &numbers, rows);
 }
 
