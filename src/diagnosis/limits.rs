@@ -14,7 +14,8 @@ pub(crate) fn either(one: &[Detectable], other: &[Detectable]) -> Vec<Detectable
     one.iter().map(smaller).chain(only_there.cloned()).collect()
 }
 
-/// Effects that would have been found at their usual size, and those that would not, by id, in the order of the limits: an effect is found by any of its parameters.
+/// Effects that would have been found at their usual size, and those that would not, by id, in the order
+/// of the limits: an effect is found by any of its parameters.
 pub(crate) fn seen_and_unseen(limits: &[Detectable]) -> (Vec<&str>, Vec<&str>) {
     let mut ids: Vec<&str> = Vec::new();
     limits.iter().filter(|one| one.usual.is_some()).for_each(|one| {
@@ -33,7 +34,8 @@ fn times(limit: &Detectable) -> f64 {
 /// So many effects are listed.
 const MOST_LISTED: usize = 3;
 
-/// Why a recording that shows nothing decides nothing: no effect would have been found at its usual size. None where one would, or where no limit is known.
+/// Why a recording that shows nothing decides nothing: no effect would have been found at its usual size.
+/// None where one would, or where no limit is known.
 pub(crate) fn nothing_would_show(limits: &[Detectable]) -> Option<String> {
     let (seen, unseen) = seen_and_unseen(limits);
     if !seen.is_empty() || unseen.is_empty() {

@@ -144,8 +144,8 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 /// differs, and what was estimated.
 ///
 /// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at
-/// which the model's probability is [`Decision::least`]. Where the scene leaves more than scenes do on which the
-/// model was calibrated, it errs by that much more, and limits grow in proportion.
+/// which the model's probability is [`Decision::least`]. Where the scene leaves more than scenes do on which
+/// the model was calibrated, it errs by that much more, and limits grow in proportion.
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
     let needed = needed_gain(found, decision);
     let is_known = found.scene == KINDS[1];
