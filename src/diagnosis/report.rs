@@ -200,7 +200,7 @@ pub struct Detectable {
 }
 
 /// A property of the scene that looks like one of the sensor, and is none.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SceneProperty {
     /// `flicker`.
     pub property: String,
@@ -208,6 +208,31 @@ pub struct SceneProperty {
     pub frequency_hz: f64,
     /// Amplitude as a share of the light.
     pub depth: f64,
+    /// First and last instant, ns, of what is there for a while.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_ns: Option<[i64; 2]>,
+    /// First and last row, of what is in a part of the array.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rows: Option<[u32; 2]>,
+    /// And column.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub columns: Option<[u32; 2]>,
+}
+
+/// Frequencies this near are one, Hz.
+const ONE_RHYTHM_HZ: f64 = 5.0;
+
+impl SceneProperty {
+    /// Light that flickers for the whole recording.
+    pub(crate) fn flicker(frequency_hz: f64, depth: f64) -> SceneProperty {
+        let property = "flicker".to_owned();
+        SceneProperty { property, frequency_hz, depth, ..SceneProperty::default() }
+    }
+
+    /// Is it a rhythm of this frequency?
+    pub(crate) fn is_of(&self, frequency_hz: f64) -> bool {
+        (self.frequency_hz - frequency_hz).abs() <= ONE_RHYTHM_HZ
+    }
 }
 
 /// A number that was estimated with the scene.

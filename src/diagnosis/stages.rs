@@ -304,7 +304,7 @@ mod tests {
             [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
         let mut found = check(&testing::case_with(&effects)).unwrap();
         assert_eq!(found.findings.len(), 1);
-        found.scene.push(SceneProperty { property: "flicker".into(), frequency_hz: 100.0, depth: 0.1 + 0.2 });
+        found.scene.push(SceneProperty { time_ns: Some([3, 4]), ..SceneProperty::flicker(100.0, 0.1 + 0.2) });
         found.masked = vec![3, 7];
         assert_eq!(read_integrity(&write_integrity(&found).unwrap()).unwrap(), found);
     }

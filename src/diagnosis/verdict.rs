@@ -9,6 +9,7 @@
 
 use crate::candidates::{CANDIDATES, Candidate};
 use crate::finding::UNNAMED;
+use crate::integrity::episodes::Failure;
 use crate::integrity::{Departure, Integrity, data, regular};
 use crate::report::{Finding, Verdict};
 use crate::residual::located::Located;
@@ -55,7 +56,8 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     let departures = integrity.findings.iter().filter(|departure| matters(case, nominal, departure));
     let mut findings: Vec<Finding> =
         departures.map(|departure| Finding::of_departure(case, nominal, departure)).collect();
-    findings.extend(integrity.episodes.iter().map(|episode| Finding::of_episode(case, episode)));
+    let failures = integrity.episodes.iter().filter(|episode| episode.failure != Failure::Rhythm);
+    findings.extend(failures.map(|episode| Finding::of_episode(case, episode)));
     let left = decided.map(|decided| without(case, nominal, decided, &findings));
     // What shows without a scene comes first.
     let shown = integrity

@@ -260,7 +260,9 @@ fn on_part(
 
 /// How the light flickers, where it does.
 fn flickers(integrity: &Integrity, setting: &OnScene) -> Option<String> {
-    let flicker = integrity.scene.iter().find(|one| one.depth > setting.most_flicker)?;
+    // What flickers for a while is cut out ([`sound_part`]).
+    let mut always = integrity.scene.iter().filter(|one| one.time_ns.is_none());
+    let flicker = always.find(|one| one.depth > setting.most_flicker)?;
     Some(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth))
 }
 

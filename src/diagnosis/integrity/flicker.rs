@@ -5,6 +5,7 @@
 //! scene, and no fault of the sensor.
 
 use super::array::Stream;
+use super::episodes::Rhythm;
 use crate::report::SceneProperty;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;
@@ -77,9 +78,22 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
         }
     }
     best.filter(|(_, depth, coherence)| *depth > SHALLOWEST && *coherence > COHERENCE)
-        .map(|(frequency_hz, depth, _)| SceneProperty { property: "flicker".into(), frequency_hz, depth })
+        .map(|(frequency_hz, depth, _)| SceneProperty::flicker(frequency_hz, depth))
         .into_iter()
         .collect()
+}
+
+/// A rhythm, with its part of the array where it is there for a while: the thresholds of its events are the
+/// change of log light.
+pub(super) fn of_rhythm(nominal: &Nominal, rhythm: &Rhythm) -> SceneProperty {
+    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
+    let depth = threshold * rhythm.amplitude / (std::f64::consts::TAU * rhythm.hz);
+    let flicker = SceneProperty::flicker(rhythm.hz, depth);
+    if !rhythm.for_a_while {
+        return flicker;
+    }
+    let [rows, columns] = [rhythm.rows, rhythm.columns].map(Some);
+    SceneProperty { time_ns: Some(rhythm.time_ns), rows, columns, ..flicker }
 }
 
 /// Less a mean over 25 ms around: scenes change slowly, lamps do not.

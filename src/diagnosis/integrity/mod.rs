@@ -120,13 +120,21 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     let of_while = hot.iter().fold(Vec::new(), |all, one| joined(&all, &one.pixels));
     (found.findings, found.masked) = hot_ones(case, nominal, &of_while);
     found.findings.extend(others(case, nominal, Some(&stream), &found.masked, &|_| true));
-    let is_on_grid = found.findings.iter().any(|finding| finding.id == stamps::GRID);
-    found.episodes = episodes::episodes(case, &stream, (hot, &found.masked), is_on_grid);
+    let step_s = found.findings.iter().filter(|finding| finding.id == stamps::GRID);
+    let step_s = step_s.flat_map(|finding| &finding.parameters).map(|(_, step)| *step).fold(0.0, f64::max);
+    let (episodes, rhythm) = episodes::episodes(case, &stream, (hot, &found.masked), step_s);
+    found.episodes = episodes;
     found.dependences = regular::dependences(case, &found.masked);
     if found.findings.iter().any(|finding| finding.id == "frame_coupling") {
         found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
+    if let Some((nominal, rhythm)) = nominal.zip(rhythm) {
+        found.scene.retain(|one| !one.is_of(rhythm.hz));
+        found.scene.push(flicker::of_rhythm(nominal, &rhythm));
+        // Its events lie on still pixels as well.
+        found.findings.retain(|finding| finding.id != "background_activity");
+    }
     // The same effect by two tests is one finding, the stronger.
     found.findings.sort_by(|a, b| {
         (b.statistic / b.threshold).total_cmp(&(a.statistic / a.threshold)).then(a.id.cmp(b.id))

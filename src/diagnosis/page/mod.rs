@@ -17,7 +17,8 @@ use crate::dependence::Dependence;
 use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
 use crate::report::{
-    BeforeAfter, Detectable, Estimate, Finding, Parameter, Report, Verdict, short as number, six_digits,
+    BeforeAfter, Detectable, Estimate, Finding, Parameter, Report, SceneProperty, Verdict, short as number,
+    six_digits,
 };
 use crate::stages::{Proposal, Proposed};
 use crate::units::{name_of, readable};
@@ -128,11 +129,27 @@ fn head(html: &mut String, report: &Report) {
     let _ = writeln!(html, "<p{class}>{}</p>", escaped(&report.summary));
     for property in &report.scene {
         let text = format!(
-            "A property of the scene, not of the sensor: {} at {:.0} Hz, depth {:.2}.",
-            property.property, property.frequency_hz, property.depth
+            "A property of the scene, not of the sensor: {} at {:.0} Hz, depth {:.2}{}.",
+            property.property,
+            property.frequency_hz,
+            property.depth,
+            for_a_while(property)
         );
         let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
     }
+}
+
+/// Where and when a property is there for a while, as the end of a sentence.
+fn for_a_while(property: &SceneProperty) -> String {
+    let (Some(time_ns), Some(rows), Some(columns)) = (property.time_ns, property.rows, property.columns)
+    else {
+        return String::new();
+    };
+    let [from, to] = time_ns.map(|t_ns| t_ns as f64 * 1e-6);
+    format!(
+        ", from {from:.1} to {to:.1} ms in rows {} to {} and columns {} to {}",
+        rows[0], rows[1], columns[0], columns[1]
+    )
 }
 
 /// The curve of what is reported without a name.

@@ -6,6 +6,7 @@
 //! - `lost`: a rectangle of the array is silent.
 //! - `noise`: events without light on the whole array, at random.
 //! - `hot`: pixels fire by themselves.
+//! - `rhythm`: events rise and fall together, as light that flickers for a while makes them.
 //!
 //! Limits: a failure that lasts for the whole recording is the business of the other tests; one of each kind
 //! but of hot pixels is reported, the strongest; a rectangle is found where the scene moves in all of it.
@@ -13,11 +14,13 @@
 pub(super) mod hot;
 mod lost;
 mod noise;
+mod rhythm;
 mod signs;
 mod stalls;
 
 use super::array::{Stamped, Stream};
 use photocurrent_scene::case::Case;
+pub(super) use rhythm::Rhythm;
 use serde::{Deserialize, Serialize};
 
 /// What goes wrong.
@@ -34,6 +37,8 @@ pub enum Failure {
     Noise,
     /// Pixels that fire by themselves.
     Hot,
+    /// Light that flickers: no failure of the sensor's, and no finding.
+    Rhythm,
 }
 
 impl Failure {
@@ -41,7 +46,7 @@ impl Failure {
     pub fn id(self) -> Option<&'static str> {
         match self {
             Failure::Stall => Some("readout_queue"),
-            Failure::Sign => None,
+            Failure::Sign | Failure::Rhythm => None,
             Failure::Lost => Some("event_loss"),
             Failure::Noise => Some("background_activity"),
             Failure::Hot => Some("hot_pixels"),
@@ -73,14 +78,15 @@ pub struct Episode {
 const LONGEST: f64 = 0.9;
 
 /// All failures of a recording that come and go, in the order of their beginnings: those of pixels that are
-/// `hot` for a while, and others; pixels of `masked` (rising) take no part. `is_on_grid`: stamps stand on a
-/// coarse grid, which looks like stalls.
+/// `hot` for a while, and others; pixels of `masked` (rising) take no part. `step_s`: the grid of the
+/// stamps, seconds; a coarse one looks like stalls. With them a rhythm, for a while or for the whole
+/// recording.
 pub(super) fn episodes(
     case: &Case,
     stream: &Stream,
     (hot, masked): (Vec<Episode>, &[u32]),
-    is_on_grid: bool,
-) -> Vec<Episode> {
+    step_s: f64,
+) -> (Vec<Episode>, Option<Rhythm>) {
     let mut found = hot;
     let is_out = |pixel: u32| {
         masked.binary_search(&pixel).is_ok()
@@ -88,18 +94,30 @@ pub(super) fn episodes(
     };
     let rest: Vec<Stamped> = stream.0.iter().filter(|event| !is_out(event.pixel)).copied().collect();
     let mut others = Vec::new();
-    if !is_on_grid {
+    if step_s < stalls::FINEST_S {
         others.extend(stalls::stalls(case, &rest));
     }
     others.extend(signs::signs(case, &rest));
     others.extend(lost::lost(case, &rest));
+    let rhythm = rhythm::rhythm(case, &rest);
     others.extend(noise::noise(case, &rest));
+    // What rises and falls together is no noise.
+    if let Some(episode) = rhythm.as_ref().map(|rhythm| rhythm.episode(case)) {
+        others.retain(|one| one.failure != Failure::Noise || !one.overlaps(&episode));
+        others.extend(Some(episode).filter(|_| rhythm.as_ref().is_some_and(|rhythm| rhythm.for_a_while)));
+    }
     found.extend(others);
     found.sort_by_key(|one| (one.time_ns, one.failure));
-    found
+    (found, rhythm)
 }
 
 impl Episode {
+    /// Is most of it within the time of another one?
+    fn overlaps(&self, other: &Episode) -> bool {
+        let shared = self.time_ns[1].min(other.time_ns[1]) - self.time_ns[0].max(other.time_ns[0]);
+        2 * shared > self.time_ns[1] - self.time_ns[0]
+    }
+
     /// On the whole array.
     fn everywhere(case: &Case, failure: Failure, time_ns: [i64; 2], statistic: f64, seen: String) -> Episode {
         Episode {

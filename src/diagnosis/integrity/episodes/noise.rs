@@ -3,6 +3,7 @@
 use super::{BLOCKS, Episode, Failure, LONGEST, block, stretch};
 use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
+use std::ops::Range;
 
 /// Bins of time, ns.
 const BIN_NS: i64 = 500_000;
@@ -21,6 +22,10 @@ const ON: std::ops::RangeInclusive<f64> = 0.3..=0.7;
 /// this time, ns, as chance makes, and so much less than of the others.
 const NEAR_NS: i64 = 1_000_000;
 const BY_CHANCE: f64 = 1.5;
+/// Ends are sought within so many bins.
+const AROUND: usize = 30;
+/// And rates just outside are means over so many at least.
+const LEAST_OUTSIDE: usize = 5;
 /// Shorter is a flash of the light, ns.
 const SHORTEST_NS: i64 = 10_000_000;
 
@@ -38,34 +43,32 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     order.sort_by(|a, b| total(*a).total_cmp(&total(*b)));
     order.truncate(QUIET);
     let quiet: Vec<f64> = (0..bins).map(|bin| order.iter().map(|&block| counts[block][bin]).sum()).collect();
-    let mut found = (0, bins - 1, 0.0);
-    let mut rate = quiet.iter().sum::<f64>() / bins as f64 / TIMES;
-    for _ in 0..4 {
-        let (low, high) = (rate.max(0.01), TIMES * rate.max(0.01));
-        let score = |count: &f64| count * libm::log(high / low) - (high - low);
-        found = stretch(quiet.iter().map(score))?;
-        let inside = found.1 - found.0 + 1;
-        let of_rest: f64 = quiet[..found.0].iter().chain(&quiet[found.1 + 1..]).sum();
-        if inside == bins {
-            return None;
-        }
-        rate = of_rest / (bins - inside) as f64;
+    let (first, last, nats, rate) = busiest(&quiet)?;
+    // A scene that grows busier at its end moves that: it is where all blocks jump.
+    let all: Vec<f64> = (0..bins).map(|bin| counts.iter().map(|of| of[bin]).sum()).collect();
+    let (first, last) = (jump(&all, first, last), jump(&all, last + 1, first).saturating_sub(1));
+    if last <= first {
+        return None;
     }
-    let (first, last, nats) = found;
     let (length, rest) = ((last - first + 1) as f64, (bins - (last - first + 1)) as f64);
-    let of = |block: usize| {
-        let inside: f64 = counts[block][first..=last].iter().sum();
-        (inside / length - (counts[block].iter().sum::<f64>() - inside) / rest) / pixels[block]
-    };
+    let ends = around_ends(first, last, bins);
+    let whole = [[first..last + 1, 0..first], [first..last + 1, last + 1..bins]];
     let inside: f64 = quiet[first..=last].iter().sum();
     let is_burst = nats >= NATS
         && length * BIN_NS as f64 >= SHORTEST_NS as f64
         && length <= LONGEST * bins as f64
+        && !ends.is_empty()
         && inside / length >= TIMES * f64::max(rate, 0.01);
-    let added = order.iter().map(|&block| of(block)).sum::<f64>() / order.len() as f64;
-    let is_even = |block: &usize| (1.0 / EVEN..=EVEN).contains(&(of(*block) / added));
-    let even = (0..BLOCKS * BLOCKS).filter(|&block| pixels[block] > 0.0).filter(is_even).count();
     let blocks = pixels.iter().filter(|pixels| **pixels > 0.0).count();
+    // The scene moves from block to block: what is added is even at the ends, or in the mean.
+    let of_all = |ends: &[End]| -> (f64, usize) {
+        let of = |block: usize| added(&counts[block], ends) / pixels[block];
+        let usual = order.iter().map(|&block| of(block)).sum::<f64>() / order.len() as f64;
+        let is_even = |block: &usize| (1.0 / EVEN..=EVEN).contains(&(of(*block) / usual));
+        (usual, (0..BLOCKS * BLOCKS).filter(|&block| pixels[block] > 0.0).filter(is_even).count())
+    };
+    let ((usual, in_mean), (_, at_ends)) = (of_all(&whole), of_all(&ends));
+    let even = in_mean.max(at_ends);
     if !is_burst || even + OTHERS < blocks {
         return None;
     }
@@ -75,13 +78,78 @@ pub(super) fn noise(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let watched: Vec<Stamped> =
         stream.iter().filter(|event| order.contains(&block(case, event.pixel))).copied().collect();
     let on = without_light(case, &watched, of_time, quiet_pixels)?;
-    let hz = added * 1e9 / BIN_NS as f64;
+    let hz = usual * 1e9 / BIN_NS as f64;
     let seen = format!(
         "{hz:.1} events a pixel and second more than before and after, everywhere, of both signs ({:.0} \
              % ON), each pixel by itself",
         100.0 * on
     );
     Some(Episode::everywhere(case, Failure::Noise, time_ns, nats / NATS, seen))
+}
+
+/// The stretch of bins with more events that is the least probable at the rate of the rest: first and last
+/// bin, nats, and that rate, events a bin.
+fn busiest(counts: &[f64]) -> Option<(usize, usize, f64, f64)> {
+    let bins = counts.len();
+    let mut found = (0, bins - 1, 0.0);
+    let mut rate = counts.iter().sum::<f64>() / bins as f64 / TIMES;
+    for _ in 0..4 {
+        let (low, high) = (rate.max(0.01), TIMES * rate.max(0.01));
+        let score = |count: &f64| count * libm::log(high / low) - (high - low);
+        found = stretch(counts.iter().map(score))?;
+        let inside = found.1 - found.0 + 1;
+        if inside == bins {
+            return None;
+        }
+        let of_rest: f64 = counts[..found.0].iter().chain(&counts[found.1 + 1..]).sum();
+        rate = of_rest / (bins - inside) as f64;
+    }
+    Some((found.0, found.1, found.2, rate))
+}
+
+/// Bins just inside and just outside of an end.
+type End = [Range<usize>; 2];
+
+/// The ends of a burst that lie within the recording.
+fn around_ends(first: usize, last: usize, bins: usize) -> Vec<End> {
+    let begin = [first..(first + AROUND).min(last + 1), first.saturating_sub(AROUND)..first];
+    let inside = (last + 1).saturating_sub(AROUND).max(first)..last + 1;
+    let end = [inside, last + 1..(last + 1 + AROUND).min(bins)];
+    [begin, end].into_iter().filter(|[_, outside]| outside.len() >= LEAST_OUTSIDE).collect()
+}
+
+/// Events a bin inside of the ends less those outside, of ranges that are not empty.
+fn added(counts: &[f64], ends: &[End]) -> f64 {
+    let of = |range: &Range<usize>| (counts[range.clone()].iter().sum::<f64>(), range.len() as f64);
+    let sums = ends.iter().fold([(0.0, 0.0); 2], |sums, end| {
+        let one = |k: usize| (sums[k].0 + of(&end[k]).0, sums[k].1 + of(&end[k]).1);
+        [one(0), one(1)]
+    });
+    let [inside, outside] = sums.map(|(sum, length)| sum / f64::max(length, 1.0));
+    inside - outside
+}
+
+/// The instant around an end of a burst at which rates change most, as a bin, not beyond its `other` end.
+fn jump(counts: &[f64], end: usize, other: usize) -> usize {
+    let (mut from, mut to) = (end.saturating_sub(AROUND), (end + AROUND).min(counts.len()));
+    if end <= other {
+        to = to.min(other);
+    } else {
+        from = from.max(other + 1);
+    }
+    // It may have begun before the recording, or go on behind it.
+    if end == 0 || end == counts.len() || to < from + 2 {
+        return end;
+    }
+    let sum = |range: Range<usize>| counts[range.clone()].iter().sum::<f64>();
+    let gain = |at: usize| {
+        let of = |range: Range<usize>| {
+            let (sum, length) = (sum(range.clone()), range.len() as f64);
+            if sum > 0.0 { sum * libm::log(sum / length) } else { 0.0 }
+        };
+        of(from..at) + of(at..to)
+    };
+    (from + 1..to).max_by(|a, b| gain(*a).total_cmp(&gain(*b))).unwrap_or(end)
 }
 
 /// The share of ON among what is added between two instants, where it is of both signs and has no neighbours

@@ -1,5 +1,6 @@
 //! Failures put into recordings by hand, between known instants.
 
+use super::super::integrity;
 use super::super::tests::{bursts_on, with};
 use super::*;
 use photocurrent_core::Extent;
@@ -16,7 +17,7 @@ fn sound() -> Case {
 }
 
 fn found(case: &Case) -> Vec<Episode> {
-    episodes(case, &Stream::of(case), (hot::hot(case), &[]), false)
+    episodes(case, &Stream::of(case), (hot::hot(case), &[]), 0.0).0
 }
 
 /// The one failure that is found, which begins and ends within 2 ms of where it does.
@@ -112,6 +113,43 @@ fn a_burst_of_noise_is_found_and_one_of_a_sign_is_none() {
     };
     one(&noisy(None), Failure::Noise);
     assert!(found(&noisy(Some(1))).iter().all(|one| one.failure != Failure::Noise));
+}
+
+#[test]
+fn a_rhythm_for_a_while_is_found_with_its_frequency_and_its_part_of_the_array() {
+    let is_lit = |pixel: usize| (13..50).contains(&(pixel % 64)) && (7..37).contains(&(pixel / 64));
+    // Signs as those of the slope of light that goes up and down at 110 Hz, events as often as it is steep.
+    let lit = |is_one: bool| {
+        let mut random = Random::new(13, &[]);
+        with(sound(), move |pixel, events| {
+            let lag = if is_one { 0.0 } else { 0.4 * (pixel % 64) as f64 };
+            for _ in 0..if is_lit(pixel) { 60 } else { 0 } {
+                let t = BEGIN + (random.uniform() * (END - BEGIN) as f64) as i64 / 1000 * 1000;
+                let slope = libm::cos(std::f64::consts::TAU * 110.0 * t as f64 * 1e-9 + lag);
+                if random.uniform() < slope.abs() {
+                    events.push(at(t, if slope > 0.0 { 1 } else { -1 }));
+                }
+            }
+            events.sort_by_key(|event| event.t_off_ns);
+        })
+    };
+    let case = lit(true);
+    let found_one = one(&case, Failure::Rhythm);
+    assert_eq!((found_one.rows, found_one.columns), ([7, 36], [13, 49]));
+    let (_, rhythm) = episodes(&case, &Stream::of(&case), (Vec::new(), &[]), 0.0);
+    let Rhythm { hz, amplitude, .. } = rhythm.unwrap();
+    assert!((hz - 110.0).abs() < 0.5, "{hz}");
+    // 60 events in 80 ms, as many as the slope in the mean: 2/pi; |cos| has cos^2 = 1/2 in the mean.
+    let expected = 60.0 / 0.08;
+    assert!((amplitude / expected - 1.0).abs() < 0.1, "{amplitude} of {expected}");
+    // The light's, with its place, and no noise.
+    let of_all = integrity(&case, Some(&case.nominal().unwrap()));
+    let [flicker] = &of_all.scene[..] else { panic!("{:?}", of_all.scene) };
+    assert_eq!((flicker.rows, flicker.columns), (Some([7, 36]), Some([13, 49])));
+    assert_eq!(flicker.time_ns, Some(found_one.time_ns));
+    assert!(of_all.findings.iter().all(|finding| finding.id != "background_activity"));
+    // A rhythm that runs across the array is something that moves.
+    assert!(found(&lit(false)).iter().all(|one| one.failure != Failure::Rhythm));
 }
 
 #[test]

@@ -1,0 +1,341 @@
+//! Events in one rhythm, of a rectangle of the array or of all of it, for a while: light that flickers there
+//! from one instant to another. Its phase is the same everywhere, as that of nothing that moves is.
+
+use super::{BLOCKS, Episode, Failure, LONGEST, block, stretch};
+use crate::integrity::array::Stamped;
+use photocurrent_scene::case::Case;
+use std::f64::consts::TAU;
+
+/// Bins of time, ns.
+const BIN_NS: i64 = 500_000;
+/// Rates of the scene are means over so many bins on either side.
+const AROUND: usize = 25;
+/// Frequencies that are tried, Hz, so far apart: lamps on 50 and 60 Hz mains, and dimmers.
+const FREQUENCIES: std::ops::Range<u32> = 45..400;
+const APART_HZ: usize = 5;
+/// A rhythm is first sought in windows of so many bins.
+const WINDOW: usize = 80;
+/// Log likelihood of the rhythm in the best window from which on it is followed, and in all, nats.
+const HOPEFUL: f64 = 12.0;
+const NATS: f64 = 100.0;
+/// Corrections of frequency, phase, size and ends.
+const CORRECTIONS: usize = 6;
+/// Frequencies within one correction.
+const FINE: i32 = 24;
+/// Other frequencies are further away than so many parts of a period over the length.
+const OTHERS: f64 = 3.0;
+/// So many periods at least.
+const PERIODS: f64 = 3.0;
+/// Beyond its end a rhythm would be so many standard deviations.
+const SHOWS: f64 = 4.0;
+/// Of the blocks' amplitudes so much is common.
+const COHERENCE: f64 = 0.9;
+/// Events a bin and block that are added to rates, so that rare ones count for little.
+const FLOOR: f64 = 0.25;
+/// Sides of cells of which the rectangle consists, pixels; on small arrays.
+const SIDE: usize = 8;
+const SMALL_SIDE: usize = 4;
+const SMALL: usize = 64;
+
+/// Events in one rhythm.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::integrity) struct Rhythm {
+    /// Frequency, Hz.
+    pub(in crate::integrity) hz: f64,
+    /// Events of a pixel and second more of one sign than of the other where they are most.
+    pub(in crate::integrity) amplitude: f64,
+    /// First and last instant, ns.
+    pub(in crate::integrity) time_ns: [i64; 2],
+    /// First and last row.
+    pub(in crate::integrity) rows: [u32; 2],
+    /// First and last column.
+    pub(in crate::integrity) columns: [u32; 2],
+    /// Is it in a part of the recording only, as far as events at other times show?
+    pub(in crate::integrity) for_a_while: bool,
+    /// Log likelihood that it gains over what counts.
+    statistic: f64,
+}
+
+impl Rhythm {
+    /// As an episode.
+    pub(super) fn episode(&self, case: &Case) -> Episode {
+        let Rhythm { hz, amplitude, time_ns, rows, columns, .. } = self;
+        let seen = format!(
+            "events rise and fall together at {hz:.1} Hz in rows {} to {} and columns {} to {}, by \
+             {amplitude:.0} a pixel and second more of one sign than of the other, and not before and after",
+            rows[0], rows[1], columns[0], columns[1]
+        );
+        let whole = Episode::everywhere(case, Failure::Rhythm, *time_ns, self.statistic, seen);
+        Episode { rows: *rows, columns: *columns, ..whole }
+    }
+}
+
+/// A wave of signs with the bins in which it is.
+struct Wave {
+    hz: f64,
+    /// At the first stamp.
+    phase: f64,
+    first: usize,
+    last: usize,
+    /// Log likelihood that it gains, over what other frequencies gain where that is more than chance.
+    nats: f64,
+}
+
+impl Wave {
+    /// Of an instant after the first stamp, ns.
+    fn at(&self, t_ns: i64) -> f64 {
+        libm::cos(TAU * self.hz * t_ns as f64 * 1e-9 + self.phase)
+    }
+}
+
+/// The rhythm that is the least probable without one.
+pub(super) fn rhythm(case: &Case, stream: &[Stamped]) -> Option<Rhythm> {
+    let (start, end) = (stream.first()?.t_ns, stream.last()?.t_ns);
+    let bins = ((end - start) / BIN_NS + 1) as usize;
+    if bins < 2 * WINDOW {
+        return None;
+    }
+    let (signed, weights) = whitened(&Counts::of(case, stream, start, bins));
+    let found = followed(&signed, &weights)?;
+    let length = found.last + 1 - found.first;
+    if found.nats < NATS || (length as f64) * BIN_NS as f64 * 1e-9 * found.hz < PERIODS {
+        return None;
+    }
+    let part = |event: &Stamped| f64::from(event.polarity) * found.at(event.t_ns - start);
+    let mut time_ns = [found.first, found.last + 1].map(|bin| (start + bin as i64 * BIN_NS).min(end));
+    let of = |from: i64, to: i64| {
+        let [first, last] = [from, to].map(|t| stream.partition_point(|event| event.t_ns < t));
+        (stream[first..last].iter().map(part).sum::<f64>(), (last - first) as f64)
+    };
+    let inside = of(time_ns[0], time_ns[1]);
+    // An end is one where so many events come beyond it that the rhythm would show among them.
+    let ends = |(sum, count): (f64, f64)| {
+        let expected = inside.0 / inside.1 * count;
+        expected >= SHOWS * libm::sqrt(0.5 * count) && sum < 0.5 * expected
+    };
+    let is_end = [ends(of(start, time_ns[0])), ends(of(time_ns[1], end))];
+    time_ns = [if is_end[0] { time_ns[0] } else { start }, if is_end[1] { time_ns[1] } else { end }];
+    let first = stream.partition_point(|event| event.t_ns < time_ns[0]);
+    let last = stream.partition_point(|event| event.t_ns < time_ns[1]);
+    let inside = &stream[first..last];
+    let (rows, columns, mean) = rectangle(case, inside, &part)?;
+    let share = (time_ns[1] - time_ns[0]) as f64 / (end - start) as f64;
+    is_common(case, inside, (rows, columns), &found, start).then(|| Rhythm {
+        hz: found.hz,
+        amplitude: 2e9 * mean / (time_ns[1] - time_ns[0]) as f64,
+        time_ns,
+        rows,
+        columns,
+        for_a_while: share <= LONGEST,
+        statistic: found.nats / NATS,
+    })
+}
+
+/// Events of blocks and bins: all, and ON less OFF.
+struct Counts {
+    all: Vec<Vec<f64>>,
+    signed: Vec<Vec<f64>>,
+}
+
+impl Counts {
+    fn of(case: &Case, stream: &[Stamped], start: i64, bins: usize) -> Counts {
+        let none = vec![vec![0.0; bins]; BLOCKS * BLOCKS];
+        let mut counts = Counts { all: none.clone(), signed: none };
+        for event in stream {
+            let (block, bin) = (block(case, event.pixel), ((event.t_ns - start) / BIN_NS) as usize);
+            counts.all[block][bin] += 1.0;
+            counts.signed[block][bin] += f64::from(event.polarity);
+        }
+        counts
+    }
+}
+
+/// Signs of all blocks as one series with a deviation of 1 a bin, each block by what it weighs; and what one
+/// event more of ON in each block adds to it.
+fn whitened(counts: &Counts) -> (Vec<f64>, Vec<f64>) {
+    let bins = counts.all[0].len();
+    let mut sums = vec![[0.0_f64; 3]; bins];
+    for (all, signed) in counts.all.iter().zip(&counts.signed) {
+        let (rates, slow) = (around(all), around(signed));
+        for (bin, [sum, variance, weight]) in sums.iter_mut().enumerate() {
+            let one = 1.0 / (rates[bin] + FLOOR);
+            *sum += one * (signed[bin] - slow[bin]);
+            *variance += one * one * rates[bin];
+            *weight += one;
+        }
+    }
+    let by = |sum: f64, variance: f64| if variance > 0.0 { sum / libm::sqrt(variance) } else { 0.0 };
+    sums.iter().map(|[sum, variance, weight]| (by(*sum, *variance), by(*weight, *variance))).unzip()
+}
+
+/// Means over [`AROUND`] bins on either side.
+fn around(series: &[f64]) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    series.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
+    let mean = |k: usize| {
+        let (from, to) = (k.saturating_sub(AROUND), (k + AROUND + 1).min(series.len()));
+        (sums[to] - sums[from]) / (to - from) as f64
+    };
+    (0..series.len()).map(mean).collect()
+}
+
+/// Log likelihood that a rhythm of a frequency in some bins gains, its phase at the first bin of all, and its
+/// amplitude, events a block and bin.
+fn of_frequency(signed: &[f64], weights: &[f64], range: (usize, usize), hz: f64) -> (f64, f64, f64) {
+    let (mut re, mut im, mut squares) = (0.0, 0.0, 0.0);
+    for k in range.0..range.1 {
+        let phase = TAU * hz * (k as f64 + 0.5) * BIN_NS as f64 * 1e-9;
+        re += signed[k] * weights[k] * libm::cos(phase);
+        im -= signed[k] * weights[k] * libm::sin(phase);
+        squares += weights[k] * weights[k];
+    }
+    let squares = f64::max(squares, 1e-12);
+    ((re * re + im * im) / squares, libm::atan2(im, re), 2.0 * libm::hypot(re, im) / squares)
+}
+
+/// The strongest rhythm of a window, followed as far as it goes.
+fn followed(signed: &[f64], weights: &[f64]) -> Option<Wave> {
+    let starts = (0..signed.len() - WINDOW).step_by(WINDOW / 2);
+    let windows = starts.flat_map(|from| {
+        let frequencies = FREQUENCIES.step_by(APART_HZ).map(f64::from);
+        frequencies.map(move |hz| (of_frequency(signed, weights, (from, from + WINDOW), hz).0, from, hz))
+    });
+    let (gain, from, mut hz) = windows.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    if gain < HOPEFUL {
+        return None;
+    }
+    let is_tried = |hz: &f64| (f64::from(FREQUENCIES.start)..f64::from(FREQUENCIES.end)).contains(hz);
+    let mut range = (from, from + WINDOW);
+    let mut found = None;
+    for _ in 0..CORRECTIONS {
+        // The frequency is known to a part of a period over the length.
+        let apart = 1.0 / (FINE as f64 * (range.1 - range.0) as f64 * BIN_NS as f64 * 1e-9);
+        let tried = (-FINE..=FINE).map(|n| hz + f64::from(n) * apart).filter(is_tried);
+        let of = |hz: f64| (of_frequency(signed, weights, range, hz), hz);
+        let ((_, phase, amplitude), best) = tried.map(of).max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
+        hz = best;
+        let score = |k: usize| {
+            let time_s = (k as f64 + 0.5) * BIN_NS as f64 * 1e-9;
+            let mean = amplitude * weights[k] * libm::cos(TAU * hz * time_s + phase);
+            mean * signed[k] - 0.5 * mean * mean
+        };
+        let (first, last, nats) = stretch((0..signed.len()).map(score))?;
+        range = (first, last + 1);
+        found = Some(Wave { hz, phase, first, last, nats });
+    }
+    // Scenes are no white noise: what other frequencies gain in the same bins is no rhythm of one.
+    let mut found = found?;
+    let width_hz = OTHERS / ((range.1 - range.0) as f64 * BIN_NS as f64 * 1e-9);
+    let others = FREQUENCIES.step_by(APART_HZ).map(f64::from).filter(|other| (other - hz).abs() > width_hz);
+    let gains: Vec<f64> = others.map(|hz| of_frequency(signed, weights, range, hz).0).collect();
+    found.nats /= f64::max(gains.iter().sum::<f64>() / gains.len().max(1) as f64, 1.0);
+    Some(found)
+}
+
+/// The rectangle whose events go with a rhythm, its rows and columns, and what its pixels have of it in the
+/// mean. `part`: an event's share of the rhythm.
+fn rectangle(
+    case: &Case,
+    events: &[Stamped],
+    part: &dyn Fn(&Stamped) -> f64,
+) -> Option<([u32; 2], [u32; 2], f64)> {
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    let side = if width.min(height) < SMALL { SMALL_SIDE } else { SIDE };
+    let (across, down) = (width.div_ceil(side), height.div_ceil(side));
+    let mut pixels = vec![0.0; width * height];
+    events.iter().for_each(|event| pixels[event.pixel as usize] += part(event));
+    let mut cells = vec![(0.0, 0.0); across * down];
+    for (pixel, value) in pixels.iter().enumerate() {
+        let cell = &mut cells[pixel / width / side * across + pixel % width / side];
+        (cell.0, cell.1) = (cell.0 + value, cell.1 + 1.0);
+    }
+    let mut means: Vec<f64> = cells.iter().map(|(sum, count)| sum / count).collect();
+    means.sort_by(f64::total_cmp);
+    let usual = means[means.len() - 1 - means.len() / 8];
+    let least = 0.5 * usual;
+    let scores: Vec<f64> = cells.iter().map(|(sum, count)| sum - least * count).collect();
+    let (rows, columns) = best_rectangle(&scores, across)?;
+    // Rows within the columns, and columns within the rows, to a pixel.
+    let [mut top, mut bottom] = [rows[0] * side, ((rows[1] + 1) * side).min(height)];
+    let [mut left, mut right] = [columns[0] * side, ((columns[1] + 1) * side).min(width)];
+    let row = |y: usize, (left, right): (usize, usize)| {
+        pixels[y * width + left..y * width + right].iter().sum::<f64>() - least * (right - left) as f64
+    };
+    let column = |x: usize, (top, bottom): (usize, usize)| {
+        (top..bottom).map(|y| pixels[y * width + x] - least).sum::<f64>()
+    };
+    (top, bottom) = ends((top, bottom), side, height, &|y| row(y, (left, right)));
+    (left, right) = ends((left, right), side, width, &|x| column(x, (top, bottom)));
+    let inside: f64 = (top..bottom).map(|y| row(y, (left, right)) + least * (right - left) as f64).sum();
+    let count = ((bottom - top) * (right - left)) as f64;
+    let ends = |from: usize, to: usize| [from as u32, to as u32 - 1];
+    Some((ends(top, bottom), ends(left, right), inside / count))
+}
+
+/// First and last row and column of the cells with the largest sum, rows of `across` cells; none without a
+/// positive one.
+fn best_rectangle(scores: &[f64], across: usize) -> Option<([usize; 2], [usize; 2])> {
+    let down = scores.len() / across;
+    let mut best: Option<([usize; 2], [usize; 2], f64)> = None;
+    for top in 0..down {
+        let mut sums = vec![0.0; across];
+        for bottom in top..down {
+            sums.iter_mut().zip(&scores[bottom * across..]).for_each(|(sum, score)| *sum += score);
+            let Some((left, right, sum)) = stretch(sums.iter().copied()) else { continue };
+            if best.as_ref().is_none_or(|best| sum > best.2) {
+                best = Some(([top, bottom], [left, right], sum));
+            }
+        }
+    }
+    best.map(|(rows, columns, _)| (rows, columns))
+}
+
+/// Ends of a range within `side` of where they are, between which the sum of scores is largest.
+fn ends(
+    (from, to): (usize, usize),
+    side: usize,
+    size: usize,
+    score: &dyn Fn(usize) -> f64,
+) -> (usize, usize) {
+    let middle = (from + to) / 2;
+    let best = |range: &mut dyn Iterator<Item = usize>| {
+        let (mut sum, mut best) = (0.0, (0.0, middle));
+        for at in range {
+            sum += score(at);
+            if sum > best.0 {
+                best = (sum, at);
+            }
+        }
+        best.1
+    };
+    let first = best(&mut (from.saturating_sub(side)..middle).rev());
+    let last = best(&mut (middle..(to + side).min(size)));
+    (first, last + 1)
+}
+
+/// Is the phase one in all blocks of a rectangle?
+fn is_common(
+    case: &Case,
+    inside: &[Stamped],
+    (rows, columns): ([u32; 2], [u32; 2]),
+    found: &Wave,
+    start: i64,
+) -> bool {
+    let width = case.extent.width;
+    let across =
+        |at: u32, ends: [u32; 2]| (at - ends[0]) as usize * BLOCKS / (ends[1] - ends[0] + 1) as usize;
+    let mut parts = [[0.0_f64; 2]; BLOCKS * BLOCKS];
+    for event in inside {
+        let (x, y) = (event.pixel % width, event.pixel / width);
+        if (rows[0]..=rows[1]).contains(&y) && (columns[0]..=columns[1]).contains(&x) {
+            let phase = TAU * found.hz * (event.t_ns - start) as f64 * 1e-9 + found.phase;
+            let sign = f64::from(event.polarity);
+            let part = &mut parts[across(y, rows) * BLOCKS + across(x, columns)];
+            part[0] += sign * libm::cos(phase);
+            part[1] += sign * libm::sin(phase);
+        }
+    }
+    let mean = |k: usize| parts.iter().map(|part| part[k]).sum::<f64>() / parts.len() as f64;
+    let power = parts.iter().map(|[a, b]| a * a + b * b).sum::<f64>() / parts.len() as f64;
+    libm::hypot(mean(0), mean(1)) >= COHERENCE * libm::sqrt(power)
+}
