@@ -70,7 +70,8 @@ impl Finding {
                 Finding { plain: format!("{}, {plain}", decl.about), ..Finding::of(decl, location, evidence) }
             }
             None => {
-                Finding { plain: plain.clone(), ..Finding::nameless(plain, "comparator", location, evidence) }
+                let insertion = episode.failure.insertion();
+                Finding { plain: plain.clone(), ..Finding::nameless(plain, insertion, location, evidence) }
             }
         }
     }

@@ -84,16 +84,17 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
 }
 
 /// A rhythm, with its part of the array where it is there for a while: the thresholds of its events are the
-/// change of log light.
-pub(super) fn of_rhythm(nominal: &Nominal, rhythm: &Rhythm) -> SceneProperty {
+/// change of log light. One of the whole recording that is shallow may be a ripple of thresholds as well, and
+/// is none.
+pub(super) fn of_rhythm(nominal: &Nominal, rhythm: &Rhythm) -> Option<SceneProperty> {
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     let depth = threshold * rhythm.amplitude / (std::f64::consts::TAU * rhythm.hz);
     let flicker = SceneProperty::flicker(rhythm.hz, depth);
     if !rhythm.for_a_while {
-        return flicker;
+        return Some(flicker).filter(|flicker| flicker.depth > SHALLOWEST);
     }
     let [rows, columns] = [rhythm.rows, rhythm.columns].map(Some);
-    SceneProperty { time_ns: Some(rhythm.time_ns), rows, columns, ..flicker }
+    Some(SceneProperty { time_ns: Some(rhythm.time_ns), rows, columns, ..flicker })
 }
 
 /// Less a mean over 25 ms around: scenes change slowly, lamps do not.

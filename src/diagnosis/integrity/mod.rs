@@ -129,9 +129,10 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
-    if let Some((nominal, rhythm)) = nominal.zip(rhythm) {
-        found.scene.retain(|one| !one.is_of(rhythm.hz));
-        found.scene.push(flicker::of_rhythm(nominal, &rhythm));
+    let rhythm = nominal.zip(rhythm).and_then(|(nominal, rhythm)| flicker::of_rhythm(nominal, &rhythm));
+    if let Some(rhythm) = rhythm {
+        found.scene.retain(|one| !one.is_of(rhythm.frequency_hz));
+        found.scene.push(rhythm);
         // Its events lie on still pixels as well.
         found.findings.retain(|finding| finding.id != "background_activity");
     }

@@ -2,6 +2,7 @@
 //! something else. Each test finds a stretch of time with its ends, and the rows and columns.
 //!
 //! - `stalls`: events wait and are released together.
+//! - `copies`: packets of events come twice.
 //! - `signs`: events of one sign carry the other one.
 //! - `lost`: a rectangle of the array is silent.
 //! - `noise`: events without light on the whole array, at random.
@@ -11,6 +12,7 @@
 //! Limits: a failure that lasts for the whole recording is the business of the other tests; one of each kind
 //! but of hot pixels is reported, the strongest; a rectangle is found where the scene moves in all of it.
 
+mod copies;
 pub(super) mod hot;
 mod lost;
 mod noise;
@@ -29,6 +31,8 @@ use serde::{Deserialize, Serialize};
 pub enum Failure {
     /// Events are released together.
     Stall,
+    /// Events come twice.
+    Copies,
     /// Events of one sign carry the other.
     Sign,
     /// A part of the array is silent.
@@ -46,11 +50,16 @@ impl Failure {
     pub fn id(self) -> Option<&'static str> {
         match self {
             Failure::Stall => Some("readout_queue"),
-            Failure::Sign | Failure::Rhythm => None,
+            Failure::Sign | Failure::Copies | Failure::Rhythm => None,
             Failure::Lost => Some("event_loss"),
             Failure::Noise => Some("background_activity"),
             Failure::Hot => Some("hot_pixels"),
         }
+    }
+
+    /// Where in the chain one that is no effect of the catalogue enters.
+    pub fn insertion(self) -> &'static str {
+        if self == Failure::Copies { "readout" } else { "comparator" }
     }
 }
 
@@ -97,14 +106,20 @@ pub(super) fn episodes(
     if step_s < stalls::FINEST_S {
         others.extend(stalls::stalls(case, &rest));
     }
+    // What waits together gets one stamp.
+    if step_s < copies::FINEST_S && others.is_empty() {
+        others.extend(copies::copies(case, &rest));
+    }
     others.extend(signs::signs(case, &rest));
     others.extend(lost::lost(case, &rest));
     let rhythm = rhythm::rhythm(case, &rest);
     others.extend(noise::noise(case, &rest));
     // What rises and falls together is no noise.
-    if let Some(episode) = rhythm.as_ref().map(|rhythm| rhythm.episode(case)) {
+    if let Some(episode) =
+        rhythm.as_ref().filter(|rhythm| rhythm.for_a_while).map(|rhythm| rhythm.episode(case))
+    {
         others.retain(|one| one.failure != Failure::Noise || !one.overlaps(&episode));
-        others.extend(Some(episode).filter(|_| rhythm.as_ref().is_some_and(|rhythm| rhythm.for_a_while)));
+        others.push(episode);
     }
     found.extend(others);
     found.sort_by_key(|one| (one.time_ns, one.failure));

@@ -56,6 +56,25 @@ fn a_stalled_readout_is_found_with_its_gaps() {
 }
 
 #[test]
+fn packets_that_come_twice_are_found() {
+    let twice = |from: i64, to: i64| {
+        with(sound(), move |_, events| {
+            let is_copied = |event: &&PixelEvent| {
+                (from..to).contains(&event.t_off_ns) && event.t_off_ns / 1_000_000 % 4 == 0
+            };
+            let copies: Vec<PixelEvent> = events.iter().filter(is_copied).copied().collect();
+            events.extend(copies);
+            events.sort_by_key(|event| event.t_off_ns);
+        })
+    };
+    let one = one(&twice(BEGIN, END + 1_000_000), Failure::Copies);
+    assert!(one.seen.contains("have the pixel, stamp and sign of the one before"), "{}", one.seen);
+    assert!(one.rows[0] <= 1 && one.rows[1] >= 46 && one.columns[0] <= 1 && one.columns[1] >= 62);
+    // What happens all the time is the reader's hazard.
+    assert_eq!(found(&twice(0, i64::MAX)), []);
+}
+
+#[test]
 fn stuck_signs_are_found_and_light_that_rises_everywhere_is_none() {
     let stuck = |share: f64| {
         let mut random = Random::new(3, &[]);
