@@ -5,7 +5,7 @@
 //! scene, and no fault of the sensor.
 
 use super::array::Stream;
-use super::episodes::Rhythm;
+use super::episodes::rhythm::Rhythm;
 use crate::report::SceneProperty;
 use photocurrent_scene::case::Case;
 use photocurrent_scene::nominal::Nominal;

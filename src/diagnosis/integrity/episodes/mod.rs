@@ -16,13 +16,12 @@ mod copies;
 pub(super) mod hot;
 mod lost;
 mod noise;
-mod rhythm;
+pub(super) mod rhythm;
 mod signs;
 mod stalls;
 
 use super::array::{Stamped, Stream};
 use photocurrent_scene::case::Case;
-pub(super) use rhythm::Rhythm;
 use serde::{Deserialize, Serialize};
 
 /// What goes wrong.
@@ -95,7 +94,7 @@ pub(super) fn episodes(
     stream: &Stream,
     (hot, masked): (Vec<Episode>, &[u32]),
     step_s: f64,
-) -> (Vec<Episode>, Option<Rhythm>) {
+) -> (Vec<Episode>, Option<rhythm::Rhythm>) {
     let mut found = hot;
     let is_out = |pixel: u32| {
         masked.binary_search(&pixel).is_ok()

@@ -39,19 +39,19 @@ const SMALL: usize = 64;
 
 /// Events in one rhythm.
 #[derive(Clone, Debug, PartialEq)]
-pub(in crate::integrity) struct Rhythm {
+pub(crate) struct Rhythm {
     /// Frequency, Hz.
-    pub(in crate::integrity) hz: f64,
+    pub(crate) hz: f64,
     /// Events of a pixel and second more of one sign than of the other where they are most.
-    pub(in crate::integrity) amplitude: f64,
+    pub(crate) amplitude: f64,
     /// First and last instant, ns.
-    pub(in crate::integrity) time_ns: [i64; 2],
+    pub(crate) time_ns: [i64; 2],
     /// First and last row.
-    pub(in crate::integrity) rows: [u32; 2],
+    pub(crate) rows: [u32; 2],
     /// First and last column.
-    pub(in crate::integrity) columns: [u32; 2],
+    pub(crate) columns: [u32; 2],
     /// Is it in a part of the recording only, as far as events at other times show?
-    pub(in crate::integrity) for_a_while: bool,
+    pub(crate) for_a_while: bool,
     /// Log likelihood that it gains over what counts.
     statistic: f64,
 }

@@ -156,7 +156,7 @@ fn a_rhythm_for_a_while_is_found_with_its_frequency_and_its_part_of_the_array() 
     let found_one = one(&case, Failure::Rhythm);
     assert_eq!((found_one.rows, found_one.columns), ([7, 36], [13, 49]));
     let (_, rhythm) = episodes(&case, &Stream::of(&case), (Vec::new(), &[]), 0.0);
-    let Rhythm { hz, amplitude, .. } = rhythm.unwrap();
+    let rhythm::Rhythm { hz, amplitude, .. } = rhythm.unwrap();
     assert!((hz - 110.0).abs() < 0.5, "{hz}");
     // 60 events in 80 ms, as many as the slope in the mean: 2/pi; |cos| has cos^2 = 1/2 in the mean.
     let expected = 60.0 / 0.08;
