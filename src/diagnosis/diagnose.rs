@@ -451,7 +451,9 @@ fn looked_at_of(decided: &Decided) -> String {
     let place = decided.part.map_or_else(String::new, |Block { x, y, width, height }| {
         format!(" in columns {x} to {} and rows {y} to {}", x + width - 1, y + height - 1)
     });
-    format!("{scene}, {:.0} % of the events{when}{place}", 100.0 * decided.share)
+    let other = Some(&decided.other_scene).filter(|other| !other.is_empty());
+    let other = other.map_or_else(String::new, |other| format!("; {other}"));
+    format!("{scene}, {:.0} % of the events{when}{place}{other}", 100.0 * decided.share)
 }
 
 /// What nothing was found out about.

@@ -100,12 +100,14 @@ fn finding_nothing_counts_where_an_effect_would_have_shown_at_its_usual_size() {
         ..Detectable::default()
     };
     let diagnosed_with = |detectability: Vec<Detectable>| {
-        let silent = Decided { name: "picture".into(), detectability, ..Decided::default() };
+        let other_scene = "the picture shows nothing".into();
+        let silent = Decided { name: "pixels".into(), other_scene, detectability, ..Decided::default() };
         diagnosed(&testing::case(), Proposed::Decided(Box::new(silent))).report
     };
     let sees = diagnosed_with(vec![limit("clock_offset", 2e-4), limit("second_pole", 1e-3)]);
     assert_eq!(sees.verdict, Verdict::Consistent);
     assert!(sees.summary.contains("1 of 2 effects would be seen at their usual size"), "{}", sees.summary);
+    assert!(sees.summary.contains("0 % of the events; the picture shows nothing)"), "{}", sees.summary);
     let blind = diagnosed_with(vec![limit("clock_offset", 6e-4), limit("second_pole", 1e-3)]);
     assert_eq!(blind.verdict, Verdict::Insufficient);
     assert!(blind.summary.contains("clock_offset (offset_s) from 600 us on, usual is 500 us"));

@@ -101,6 +101,9 @@ pub struct Decided {
     /// The part of the array that was evaluated; none where it is all of it.
     #[serde(default)]
     pub part: Option<Block>,
+    /// What another scene leaves or shows, where this one was preferred to it; empty where none was compared.
+    #[serde(default)]
+    pub other_scene: String,
     /// Does the recording differ from the description at all?
     pub detected: bool,
     /// For one more effect, best first.
@@ -367,6 +370,7 @@ mod tests {
             span_ns: Some((0, 40_000_000)),
             part: Some(Block { x: 3, y: 4, width: 20, height: 10 }),
             name: "picture".into(),
+            other_scene: "the other leaves more".into(),
             detected: true,
             proposals: vec![proposal.clone()],
             second: vec![proposal],

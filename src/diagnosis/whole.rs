@@ -329,21 +329,30 @@ fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<De
     if found.on_joint.as_deref().is_some_and(explains)
         && let Some(Ok(joint)) = on(&found.on_joint)
     {
-        return if joint.detected {
-            Ok(joint)
-        } else {
-            Ok(alone.ok().filter(is_sought_there).unwrap_or(joint))
-        };
+        let left = found.on_joint.as_ref().map_or(0.0, |joint| joint.left[0]);
+        let other_scene =
+            format!("it leaves {left:.3} of a threshold, the picture of frames alone {:.3}", found.left[0]);
+        let alone = alone.ok().filter(is_sought_there).filter(|_| !joint.detected).map(|alone| Decided {
+            other_scene: "that of frames and events shows nothing, and sees fewer of the events".into(),
+            ..alone
+        });
+        return Ok(alone.unwrap_or(Decided { other_scene, ..joint }));
     }
     match (alone, on(&found.on_pixels)) {
         // What the picture does not show, the light of pixels may.
-        (Ok(alone), Some(Ok(on_pixels))) if !alone.detected && on_pixels.detected => Ok(on_pixels),
+        (Ok(alone), Some(Ok(on_pixels))) if !alone.detected && on_pixels.detected => {
+            Ok(Decided { other_scene: "the picture shows nothing".into(), ..on_pixels })
+        }
         // And where neither shows anything, either would have.
         (Ok(alone), Some(Ok(on_pixels))) if !alone.detected => {
             let detectability = either(&alone.detectability, &on_pixels.detectability);
-            Ok(Decided { detectability, ..alone })
+            let other_scene = "nor does the light of each pixel show anything".into();
+            Ok(Decided { detectability, other_scene, ..alone })
         }
-        (Err(why), Some(on_pixels)) => on_pixels.map_err(|other| format!("{why}; {other}")),
+        (Err(why), Some(Ok(on_pixels))) => {
+            Ok(Decided { other_scene: format!("on the picture {why}"), ..on_pixels })
+        }
+        (Err(why), Some(Err(other))) => Err(format!("{why}; {other}")),
         (alone, _) => alone,
     }
 }

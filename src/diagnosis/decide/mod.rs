@@ -122,6 +122,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         share: found.share,
         span_ns: found.span_ns,
         part: found.part,
+        other_scene: String::new(),
         detected: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },
