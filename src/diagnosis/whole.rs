@@ -329,11 +329,14 @@ fn of_all(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<De
     if found.on_joint.as_deref().is_some_and(explains)
         && let Some(Ok(joint)) = on(&found.on_joint)
     {
-        let left = found.on_joint.as_ref().map_or(0.0, |joint| joint.left[0]);
+        let (left, share) = found.on_joint.as_ref().map_or((0.0, 0.0), |joint| (joint.left[0], joint.share));
         let other_scene =
             format!("it leaves {left:.3} of a threshold, the picture of frames alone {:.3}", found.left[0]);
         let alone = alone.ok().filter(is_sought_there).filter(|_| !joint.detected).map(|alone| Decided {
-            other_scene: "that of frames and events shows nothing, and sees fewer of the events".into(),
+            other_scene: format!(
+                "the picture of frames and events shows nothing on {:.0} % of them",
+                100.0 * share
+            ),
             ..alone
         });
         return Ok(alone.unwrap_or(Decided { other_scene, ..joint }));
@@ -410,5 +413,56 @@ mod tests {
         let answer = of(vec![stuck, lost]);
         let ids: Vec<&str> = answer.findings.iter().map(|finding| &finding.id[..]).collect();
         assert_eq!((answer.verdict, ids), (Verdict::Named, vec![UNNAMED, "event_loss"]));
+    }
+
+    /// A scene on which a clock offset gains so much, nats an event, and has this information.
+    fn on_scene(scene: &str, left: f64, gain: f64, information: f64) -> Evidence {
+        let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
+        let clock = Ranked {
+            candidate,
+            gain,
+            information,
+            unit: 5e-4,
+            effect_size: 1.0,
+            value: 5e-4,
+            is_exact: true,
+            is_material: true,
+            ..Ranked::default()
+        };
+        let left = [left; 2];
+        Evidence { scene: scene.into(), share: 0.5, left, ranked: vec![clock], ..Evidence::default() }
+    }
+
+    #[test]
+    fn of_two_scenes_one_decides_and_what_the_other_leaves_or_shows_is_stated() {
+        let nominal = testing::case().nominal().unwrap();
+        let of = |found: &Evidence| of_all(found, &nominal, &Decision::default()).unwrap();
+        let with_joint = |joint: Evidence, picture: Evidence| {
+            let decided = of(&Evidence { on_joint: Some(Box::new(joint)), ..picture });
+            (decided.name, decided.other_scene)
+        };
+        // The picture that leaves less.
+        let (name, other) =
+            with_joint(on_scene("joint", 0.01, 0.0, 1.0), on_scene("picture", 0.05, 1.0, 1.0));
+        assert_eq!(
+            (&name[..], &other[..]),
+            ("joint", "it leaves 0.010 of a threshold, the picture of frames alone 0.050")
+        );
+        let alone = with_joint(on_scene("joint", 0.08, 0.0, 1.0), on_scene("picture", 0.05, 1.0, 1.0));
+        assert_eq!(alone, ("picture".to_owned(), String::new()));
+        let with_pixels = |pixels: Evidence, picture: Evidence| {
+            of(&Evidence { on_pixels: Some(Box::new(pixels)), ..picture })
+        };
+        let shown = with_pixels(on_scene("pixels", 0.05, 1.0, 1.0), on_scene("picture", 0.05, 0.0, 1.0));
+        assert_eq!((&shown.name[..], &shown.other_scene[..]), ("pixels", "the picture shows nothing"));
+        // Where neither shows anything, the smaller limit counts.
+        let limit = |decided: &Decided| decided.detectability[0].minimal_detectable;
+        let neither = with_pixels(on_scene("pixels", 0.05, 0.0, 1e6), on_scene("picture", 0.05, 0.0, 1.0));
+        let pixels = of(&on_scene("pixels", 0.05, 0.0, 1e6));
+        let picture = of(&on_scene("picture", 0.05, 0.0, 1.0));
+        assert_eq!((&neither.name[..], limit(&neither)), ("picture", limit(&pixels)));
+        assert!(limit(&pixels) < limit(&picture));
+        let failed = with_pixels(on_scene("pixels", 0.05, 0.0, 1.0), on_scene("picture", 0.4, 0.0, 1.0));
+        assert!(failed.other_scene.contains("no effect explains it"), "{}", failed.other_scene);
     }
 }

@@ -37,8 +37,8 @@ pub struct Decision {
     /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
-    /// Scenes on which the decision was calibrated leave up to this share: where more is left, limits of
-    /// detection grow with it.
+    /// Where a scene leaves more than this share of the thresholds, limits of detection grow with it. Set on
+    /// a few recordings, not calibrated.
     #[schemars(range(min = 0.0))]
     pub usual_left: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
@@ -145,8 +145,8 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 /// differs, and what was estimated.
 ///
 /// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at
-/// which the model's probability is [`Decision::least`]. Where the scene leaves more than scenes do on which
-/// the model was calibrated, it errs by that much more, and limits grow in proportion.
+/// which the model's probability is [`Decision::least`]. Where the scene leaves more than
+/// [`Decision::usual_left`], it errs by that much more, and limits grow in proportion.
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
     let needed = needed_gain(found, decision);
     let is_known = found.scene == KINDS[1];
@@ -171,7 +171,7 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
             standard_error: Some((one.error * one.unit).abs()),
             minimal_detectable: least(one.information),
             of_known_light: (one.of_known_light > 0.0).then(|| least(one.of_known_light)),
-            usual: (one.unit != 0.0).then_some(one.unit.abs()),
+            usual: Some(one.unit.abs()),
             unit: unit.to_owned(),
         }
     };

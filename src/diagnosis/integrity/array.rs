@@ -11,6 +11,25 @@ pub(super) fn half(case: &Case, pixel: usize) -> usize {
     ((x / BLOCK + y / BLOCK) % 2) as usize
 }
 
+/// Frequencies of light that flickers, Hz: lamps on 50 and 60 Hz mains, and dimmers.
+pub(super) const LAMPS_HZ: std::ops::Range<u32> = 45..400;
+
+/// Steps of time in which their rhythm is sought, ns: five a period of the fastest.
+pub(super) const LAMPS_STEP_NS: i64 = 500_000;
+
+/// Means of a series over 12.5 ms in steps of [`LAMPS_STEP_NS`] on either side: scenes change slowly, lamps
+/// do not.
+pub(super) fn slow(series: &[f64]) -> Vec<f64> {
+    let half = (12_500_000 / LAMPS_STEP_NS) as usize;
+    let mut sums = vec![0.0];
+    series.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
+    let mean = |k: usize| {
+        let (from, to) = (k.saturating_sub(half), (k + half + 1).min(series.len()));
+        (sums[to] - sums[from]) / (to - from) as f64
+    };
+    (0..series.len()).map(mean).collect()
+}
+
 /// An event of the whole array in order of the recorded time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamped {

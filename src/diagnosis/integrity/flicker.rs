@@ -4,7 +4,7 @@
 //! the array averages out, what is common to all pixels stays. Both paths see it: it is a property of the
 //! scene, and no fault of the sensor.
 
-use super::array::Stream;
+use super::array::{LAMPS_HZ, LAMPS_STEP_NS, Stream, slow};
 use super::episodes::rhythm::Rhythm;
 use crate::report::SceneProperty;
 use photocurrent_scene::case::Case;
@@ -16,15 +16,10 @@ const ZONES: usize = 4;
 const COHERENCE: f64 = 0.9;
 /// Shallower is not reported, as a share of the light.
 const SHALLOWEST: f64 = 0.02;
-/// Steps of time.
-const STEP_NS: i64 = 500_000;
-/// Frequencies that are tried, Hz, a hertz apart: lamps on 50 and 60 Hz mains, and dimmers.
-const FREQUENCIES: std::ops::Range<u32> = 45..400;
-
 /// The rhythm of the light, when there is one.
 pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProperty> {
     let Some((first, last)) = stream.span() else { return Vec::new() };
-    let steps = ((last - first) / STEP_NS) as usize;
+    let steps = ((last - first) / LAMPS_STEP_NS) as usize;
     // Three periods of the slowest, and enough steps.
     if steps < 130 {
         return Vec::new();
@@ -40,7 +35,7 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
         pixels[zone(pixel)] += if case.events.of(pixel).is_empty() { 0.0 } else { 1.0 };
     }
     for event in &stream.0 {
-        let step = (((event.t_ns - first) / STEP_NS) as usize).min(steps);
+        let step = (((event.t_ns - first) / LAMPS_STEP_NS) as usize).min(steps);
         let threshold =
             if event.polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
         change[zone(event.pixel as usize)][step] += threshold;
@@ -59,14 +54,14 @@ pub(super) fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<Sc
                     level
                 })
                 .collect();
-            detrended(&summed)
+            summed.iter().zip(slow(&summed)).map(|(value, slow)| value - slow).collect()
         })
         .collect();
     if curves.len() < ZONES {
         return Vec::new();
     }
     let mut best: Option<(f64, f64, f64)> = None;
-    for hz in FREQUENCIES {
+    for hz in LAMPS_HZ {
         let amplitudes: Vec<(f64, f64)> =
             curves.iter().map(|curve| amplitude(curve, f64::from(hz))).collect();
         let n = amplitudes.len() as f64;
@@ -97,26 +92,13 @@ pub(super) fn of_rhythm(nominal: &Nominal, rhythm: &Rhythm) -> Option<ScenePrope
     Some(SceneProperty { time_ns: Some(rhythm.time_ns), rows, columns, ..flicker })
 }
 
-/// Less a mean over 25 ms around: scenes change slowly, lamps do not.
-fn detrended(curve: &[f64]) -> Vec<f64> {
-    let half = (12_500_000 / STEP_NS) as usize;
-    let mut sums = vec![0.0];
-    curve.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
-    (0..curve.len())
-        .map(|k| {
-            let (from, to) = (k.saturating_sub(half), (k + half + 1).min(curve.len()));
-            curve[k] - (sums[to] - sums[from]) / (to - from) as f64
-        })
-        .collect()
-}
-
 /// Amplitude of a frequency: cosine and sine part, under a Hann window.
 fn amplitude(curve: &[f64], hz: f64) -> (f64, f64) {
     let (mut re, mut im, mut weight) = (0.0, 0.0, 0.0);
     let n = curve.len() as f64;
     for (k, value) in curve.iter().enumerate() {
         let window = 0.5 - 0.5 * libm::cos(std::f64::consts::TAU * (k as f64 + 0.5) / n);
-        let phase = std::f64::consts::TAU * hz * k as f64 * STEP_NS as f64 * 1e-9;
+        let phase = std::f64::consts::TAU * hz * k as f64 * LAMPS_STEP_NS as f64 * 1e-9;
         re += window * value * libm::cos(phase);
         im += window * value * libm::sin(phase);
         weight += window;

@@ -4,8 +4,6 @@ use super::{Episode, Failure, LONGEST, stretch};
 use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
 
-/// Stamps on a coarser grid than this, seconds, may repeat of themselves.
-pub(super) const FINEST_S: f64 = 5e-5;
 /// Share of the events that are copies within the failure, and at other times.
 const WITHIN: f64 = 0.2;
 const OTHERWISE: f64 = 0.002;

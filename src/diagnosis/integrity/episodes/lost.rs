@@ -1,14 +1,10 @@
 //! A rectangle of the array that is silent for a while, between two instants at which all of it falls silent
 //! and fires again.
 
-use super::{Episode, Failure, LONGEST};
+use super::{Episode, Failure, LONGEST, cell_side};
 use crate::integrity::array::Stamped;
 use photocurrent_scene::case::Case;
 
-/// Side of the cells that are searched, pixels, and on smaller arrays.
-const SIDE: usize = 8;
-const SMALL_SIDE: usize = 4;
-const SMALL: usize = 64;
 /// So many events would have come in a cell's gap.
 const EXPECTED: f64 = 12.0;
 /// Gaps of cells are one where they share this much of the longer one.
@@ -52,7 +48,7 @@ impl Gap {
 /// The rectangle whose gap is the least probable.
 pub(super) fn lost(case: &Case, stream: &[Stamped]) -> Option<Episode> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
-    let side = if width.min(height) < SMALL { SMALL_SIDE } else { SIDE };
+    let side = cell_side(case);
     let across = width.div_ceil(side);
     let mut times: Vec<Vec<i64>> = vec![Vec::new(); across * height.div_ceil(side)];
     let cell = |pixel: u32| (pixel as usize / width / side) * across + pixel as usize % width / side;

@@ -85,9 +85,13 @@ pub struct Episode {
 /// A failure that lasts for more than this share of the recording is none that comes and goes.
 const LONGEST: f64 = 0.9;
 
+/// Stamps on a grid of this step, seconds, and coarser look like stalls (a tenth of the shortest) and like
+/// copies.
+const COARSE_S: f64 = 5e-5;
+
 /// All failures of a recording that come and go, in the order of their beginnings: those of pixels that are
 /// `hot` for a while, and others; pixels of `masked` (rising) take no part. `step_s`: the grid of the
-/// stamps, seconds; a coarse one looks like stalls. With them a rhythm, for a while or for the whole
+/// stamps, seconds. With them a rhythm, for a while or for the whole
 /// recording.
 pub(super) fn episodes(
     case: &Case,
@@ -102,12 +106,9 @@ pub(super) fn episodes(
     };
     let rest: Vec<Stamped> = stream.0.iter().filter(|event| !is_out(event.pixel)).copied().collect();
     let mut others = Vec::new();
-    if step_s < stalls::FINEST_S {
-        others.extend(stalls::stalls(case, &rest));
-    }
-    // What waits together gets one stamp.
-    if step_s < copies::FINEST_S && others.is_empty() {
-        others.extend(copies::copies(case, &rest));
+    if step_s < COARSE_S {
+        // What waits together gets one stamp: of a stall it is no copy.
+        others.extend(stalls::stalls(case, &rest).or_else(|| copies::copies(case, &rest)));
     }
     others.extend(signs::signs(case, &rest));
     others.extend(lost::lost(case, &rest));
@@ -165,6 +166,11 @@ fn stretch(scores: impl IntoIterator<Item = f64>) -> Option<(usize, usize, f64)>
 
 /// Blocks across and down that the array is compared in.
 const BLOCKS: usize = 4;
+
+/// Side of the cells that rectangles consist of, pixels: smaller on small arrays.
+fn cell_side(case: &Case) -> usize {
+    if case.extent.width.min(case.extent.height) < 64 { 4 } else { 8 }
+}
 
 /// The block of a pixel.
 fn block(case: &Case, pixel: u32) -> usize {

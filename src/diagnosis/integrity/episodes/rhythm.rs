@@ -1,17 +1,14 @@
 //! Events in one rhythm, of a rectangle of the array or of all of it, for a while: light that flickers there
 //! from one instant to another. Its phase is the same everywhere, as that of nothing that moves is.
+//!
+//! Limits were set on three simulated recordings; docs/diagnosis.md has what they find in others.
 
-use super::{BLOCKS, Episode, Failure, LONGEST, block, stretch};
-use crate::integrity::array::Stamped;
+use super::{BLOCKS, Episode, Failure, LONGEST, block, cell_side, stretch};
+use crate::integrity::array::{LAMPS_HZ, LAMPS_STEP_NS, Stamped, slow};
 use photocurrent_scene::case::Case;
 use std::f64::consts::TAU;
 
-/// Bins of time, ns.
-const BIN_NS: i64 = 500_000;
-/// Rates of the scene are means over so many bins on either side.
-const AROUND: usize = 25;
-/// Frequencies that are tried, Hz, so far apart: lamps on 50 and 60 Hz mains, and dimmers.
-const FREQUENCIES: std::ops::Range<u32> = 45..400;
+/// Frequencies that are tried first are so far apart, Hz.
 const APART_HZ: usize = 5;
 /// A rhythm is first sought in windows of so many bins.
 const WINDOW: usize = 80;
@@ -32,10 +29,6 @@ const SHOWS: f64 = 4.0;
 const COHERENCE: f64 = 0.9;
 /// Events a bin and block that are added to rates, so that rare ones count for little.
 const FLOOR: f64 = 0.25;
-/// Sides of cells of which the rectangle consists, pixels; on small arrays.
-const SIDE: usize = 8;
-const SMALL_SIDE: usize = 4;
-const SMALL: usize = 64;
 
 /// Events in one rhythm.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,18 +84,18 @@ impl Wave {
 /// The rhythm that is the least probable without one.
 pub(super) fn rhythm(case: &Case, stream: &[Stamped]) -> Option<Rhythm> {
     let (start, end) = (stream.first()?.t_ns, stream.last()?.t_ns);
-    let bins = ((end - start) / BIN_NS + 1) as usize;
+    let bins = ((end - start) / LAMPS_STEP_NS + 1) as usize;
     if bins < 2 * WINDOW {
         return None;
     }
     let (signed, weights) = whitened(&Counts::of(case, stream, start, bins));
     let found = followed(&signed, &weights)?;
     let length = found.last + 1 - found.first;
-    if found.nats < NATS || (length as f64) * BIN_NS as f64 * 1e-9 * found.hz < PERIODS {
+    if found.nats < NATS || (length as f64) * LAMPS_STEP_NS as f64 * 1e-9 * found.hz < PERIODS {
         return None;
     }
     let part = |event: &Stamped| f64::from(event.polarity) * found.at(event.t_ns - start);
-    let mut time_ns = [found.first, found.last + 1].map(|bin| (start + bin as i64 * BIN_NS).min(end));
+    let mut time_ns = [found.first, found.last + 1].map(|bin| (start + bin as i64 * LAMPS_STEP_NS).min(end));
     let of = |from: i64, to: i64| {
         let [first, last] = [from, to].map(|t| stream.partition_point(|event| event.t_ns < t));
         (stream[first..last].iter().map(part).sum::<f64>(), (last - first) as f64)
@@ -142,7 +135,7 @@ impl Counts {
         let none = vec![vec![0.0; bins]; BLOCKS * BLOCKS];
         let mut counts = Counts { all: none.clone(), signed: none };
         for event in stream {
-            let (block, bin) = (block(case, event.pixel), ((event.t_ns - start) / BIN_NS) as usize);
+            let (block, bin) = (block(case, event.pixel), ((event.t_ns - start) / LAMPS_STEP_NS) as usize);
             counts.all[block][bin] += 1.0;
             counts.signed[block][bin] += f64::from(event.polarity);
         }
@@ -156,7 +149,7 @@ fn whitened(counts: &Counts) -> (Vec<f64>, Vec<f64>) {
     let bins = counts.all[0].len();
     let mut sums = vec![[0.0_f64; 3]; bins];
     for (all, signed) in counts.all.iter().zip(&counts.signed) {
-        let (rates, slow) = (around(all), around(signed));
+        let (rates, slow) = (slow(all), slow(signed));
         for (bin, [sum, variance, weight]) in sums.iter_mut().enumerate() {
             let one = 1.0 / (rates[bin] + FLOOR);
             *sum += one * (signed[bin] - slow[bin]);
@@ -168,23 +161,12 @@ fn whitened(counts: &Counts) -> (Vec<f64>, Vec<f64>) {
     sums.iter().map(|[sum, variance, weight]| (by(*sum, *variance), by(*weight, *variance))).unzip()
 }
 
-/// Means over [`AROUND`] bins on either side.
-fn around(series: &[f64]) -> Vec<f64> {
-    let mut sums = vec![0.0];
-    series.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
-    let mean = |k: usize| {
-        let (from, to) = (k.saturating_sub(AROUND), (k + AROUND + 1).min(series.len()));
-        (sums[to] - sums[from]) / (to - from) as f64
-    };
-    (0..series.len()).map(mean).collect()
-}
-
 /// Log likelihood that a rhythm of a frequency in some bins gains, its phase at the first bin of all, and its
 /// amplitude, events a block and bin.
 fn of_frequency(signed: &[f64], weights: &[f64], range: (usize, usize), hz: f64) -> (f64, f64, f64) {
     let (mut re, mut im, mut squares) = (0.0, 0.0, 0.0);
     for k in range.0..range.1 {
-        let phase = TAU * hz * (k as f64 + 0.5) * BIN_NS as f64 * 1e-9;
+        let phase = TAU * hz * (k as f64 + 0.5) * LAMPS_STEP_NS as f64 * 1e-9;
         re += signed[k] * weights[k] * libm::cos(phase);
         im -= signed[k] * weights[k] * libm::sin(phase);
         squares += weights[k] * weights[k];
@@ -197,25 +179,25 @@ fn of_frequency(signed: &[f64], weights: &[f64], range: (usize, usize), hz: f64)
 fn followed(signed: &[f64], weights: &[f64]) -> Option<Wave> {
     let starts = (0..signed.len() - WINDOW).step_by(WINDOW / 2);
     let windows = starts.flat_map(|from| {
-        let frequencies = FREQUENCIES.step_by(APART_HZ).map(f64::from);
+        let frequencies = LAMPS_HZ.step_by(APART_HZ).map(f64::from);
         frequencies.map(move |hz| (of_frequency(signed, weights, (from, from + WINDOW), hz).0, from, hz))
     });
     let (gain, from, mut hz) = windows.max_by(|a, b| a.0.total_cmp(&b.0))?;
     if gain < HOPEFUL {
         return None;
     }
-    let is_tried = |hz: &f64| (f64::from(FREQUENCIES.start)..f64::from(FREQUENCIES.end)).contains(hz);
+    let is_tried = |hz: &f64| (f64::from(LAMPS_HZ.start)..f64::from(LAMPS_HZ.end)).contains(hz);
     let mut range = (from, from + WINDOW);
     let mut found = None;
     for _ in 0..CORRECTIONS {
         // The frequency is known to a part of a period over the length.
-        let apart = 1.0 / (FINE as f64 * (range.1 - range.0) as f64 * BIN_NS as f64 * 1e-9);
+        let apart = 1.0 / (FINE as f64 * (range.1 - range.0) as f64 * LAMPS_STEP_NS as f64 * 1e-9);
         let tried = (-FINE..=FINE).map(|n| hz + f64::from(n) * apart).filter(is_tried);
         let of = |hz: f64| (of_frequency(signed, weights, range, hz), hz);
         let ((_, phase, amplitude), best) = tried.map(of).max_by(|a, b| a.0.0.total_cmp(&b.0.0))?;
         hz = best;
         let score = |k: usize| {
-            let time_s = (k as f64 + 0.5) * BIN_NS as f64 * 1e-9;
+            let time_s = (k as f64 + 0.5) * LAMPS_STEP_NS as f64 * 1e-9;
             let mean = amplitude * weights[k] * libm::cos(TAU * hz * time_s + phase);
             mean * signed[k] - 0.5 * mean * mean
         };
@@ -225,8 +207,8 @@ fn followed(signed: &[f64], weights: &[f64]) -> Option<Wave> {
     }
     // Scenes are no white noise: what other frequencies gain in the same bins is no rhythm of one.
     let mut found = found?;
-    let width_hz = OTHERS / ((range.1 - range.0) as f64 * BIN_NS as f64 * 1e-9);
-    let others = FREQUENCIES.step_by(APART_HZ).map(f64::from).filter(|other| (other - hz).abs() > width_hz);
+    let width_hz = OTHERS / ((range.1 - range.0) as f64 * LAMPS_STEP_NS as f64 * 1e-9);
+    let others = LAMPS_HZ.step_by(APART_HZ).map(f64::from).filter(|other| (other - hz).abs() > width_hz);
     let gains: Vec<f64> = others.map(|hz| of_frequency(signed, weights, range, hz).0).collect();
     found.nats /= f64::max(gains.iter().sum::<f64>() / gains.len().max(1) as f64, 1.0);
     Some(found)
@@ -240,7 +222,7 @@ fn rectangle(
     part: &dyn Fn(&Stamped) -> f64,
 ) -> Option<([u32; 2], [u32; 2], f64)> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
-    let side = if width.min(height) < SMALL { SMALL_SIDE } else { SIDE };
+    let side = cell_side(case);
     let (across, down) = (width.div_ceil(side), height.div_ceil(side));
     let mut pixels = vec![0.0; width * height];
     events.iter().for_each(|event| pixels[event.pixel as usize] += part(event));

@@ -7,8 +7,6 @@ use photocurrent_scene::statistics::median;
 
 /// Shorter gaps are no stalls, ns.
 const SHORTEST_NS: i64 = 500_000;
-/// Stamps on a grid that is finer than this may show them, seconds: a tenth of the shortest.
-pub(super) const FINEST_S: f64 = 5e-5;
 /// What is released comes within this share of the gap behind it.
 const RELEASED: f64 = 0.05;
 /// So many gaps follow each other.

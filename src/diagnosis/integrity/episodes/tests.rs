@@ -68,7 +68,8 @@ fn packets_that_come_twice_are_found() {
         })
     };
     let one = one(&twice(BEGIN, END + 1_000_000), Failure::Copies);
-    assert!(one.seen.contains("have the pixel, stamp and sign of the one before"), "{}", one.seen);
+    // A quarter comes twice, a fifth of all; the scene is a little busier in those milliseconds.
+    assert!(one.seen.contains("have the pixel, stamp and sign of the one before (21 %)"), "{}", one.seen);
     assert!(one.rows[0] <= 1 && one.rows[1] >= 46 && one.columns[0] <= 1 && one.columns[1] >= 62);
     // What happens all the time is the reader's hazard.
     assert_eq!(found(&twice(0, i64::MAX)), []);
@@ -160,7 +161,8 @@ fn a_rhythm_for_a_while_is_found_with_its_frequency_and_its_part_of_the_array() 
     assert!((hz - 110.0).abs() < 0.5, "{hz}");
     // 60 events in 80 ms, as many as the slope in the mean: 2/pi; |cos| has cos^2 = 1/2 in the mean.
     let expected = 60.0 / 0.08;
-    assert!((amplitude / expected - 1.0).abs() < 0.1, "{amplitude} of {expected}");
+    // Of 42,000 events: a standard error of half a percent, and the scene's own.
+    assert!((amplitude / expected - 1.0).abs() < 0.02, "{amplitude} of {expected}");
     // The light's, with its place, and no noise.
     let of_all = integrity(&case, Some(&case.nominal().unwrap()));
     let [flicker] = &of_all.scene[..] else { panic!("{:?}", of_all.scene) };
