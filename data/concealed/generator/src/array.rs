@@ -171,8 +171,11 @@ impl<'a> Array<'a> {
             let across = 2.0 * (p % width) as f64 / (width - 1) as f64 - 1.0;
             let (x, y) = (p % width, p / width);
             let own_factor = (1.0 + physics.gradient * across) * law_of_place(physics, x, y, width, height);
-            let own = [physics.sensor.on, physics.sensor.off]
+            let mut own = [physics.sensor.on, physics.sensor.off]
                 .map(|threshold| (threshold * own_factor + physics.mismatch * random.normal()).max(0.02));
+            if let Some(Law::RadiusOff { rise }) = physics.law {
+                own[1] *= of_radius(rise, x, y, width, height);
+            }
             let refractory =
                 physics.sensor.refractory * libm::exp(physics.refractory_spread * random.normal());
             let hot = random.chance(physics.hot_share);
@@ -263,8 +266,13 @@ impl<'a> Array<'a> {
         front(&mut self.front);
         let n = self.pixels.len();
         let (leak, parasitic) = (self.physics.leak * self.physics.sensor.on * h, self.physics.parasitic * h);
+        let of_rows = match self.physics.law {
+            Some(Law::RowLeak { rate }) => rate * self.physics.sensor.on * h / (self.height - 1) as f64,
+            _ => 0.0,
+        };
         for p in 0..n {
             let start = self.reference[p][1];
+            let leak = leak + of_rows * (p / self.width) as f64;
             self.reference[p] = [start, start - leak - parasitic * self.front.light[p]];
         }
         let moving = self.physics.drift != 0.0 || self.physics.law.as_ref().is_some_and(Law::moves);
@@ -331,6 +339,8 @@ impl<'a> Array<'a> {
             Some(Law::Lag { rise }) => {
                 rise * (self.front.settled[p] - self.front.first[p]).abs().min(0.3) / 0.1
             }
+            Some(Law::TimeStep { rise, at }) if t >= *at => *rise,
+            Some(Law::Warming { rise, decay }) => rise * libm::exp(-t / decay),
             _ => 0.0,
         };
         drift * (1.0 + law).max(0.2)
@@ -431,8 +441,13 @@ impl<'a> Array<'a> {
             self.reference[p] = self.reference[p].map(|v| v + by);
         }
         self.factor[p] = [self.factor_at(p, t); 2];
+        let light = self.front.light[p];
         let pixel = &mut self.pixels[p];
-        let sigma = physics.sensor.threshold_noise;
+        let mut sigma = physics.sensor.threshold_noise;
+        if let Some(Law::DimNoise { share, middle }) = physics.law {
+            let own = share * libm::sqrt(middle / light).min(3.0) * 0.5 * (pixel.own[0] + pixel.own[1]);
+            sigma = libm::hypot(sigma, own);
+        }
         [pixel.on, pixel.off] = pixel.own.map(|own| (own + sigma * pixel.random.normal()).max(0.2 * own));
         if pixel.noise_rate > 0.0 {
             // The noise has no memory: waiting begins anew whenever the pixel can fire.
@@ -456,6 +471,11 @@ impl<'a> Array<'a> {
                 decided += (strength / libm::sqrt(slope.max(1e-9))).min(*most)
             }
             Some(Law::PolarityDelay { delay }) if sign < 0.0 => shown_late = *delay,
+            Some(Law::ParityDelay { delay }) if !y.is_multiple_of(2) => shown_late = *delay,
+            Some(Law::DelayWave { depth, frequency, phase }) => {
+                let swing = libm::sin(2.0 * std::f64::consts::PI * frequency * t + phase);
+                shown_late = 0.5 * depth * (1.0 + swing);
+            }
             Some(Law::NeighbourDelay { delay, window }) => {
                 let near =
                     (-1i64..=1).flat_map(|dy| (-1i64..=1).map(move |dx| (x as i64 + dx, y as i64 + dy)));
@@ -478,7 +498,11 @@ impl<'a> Array<'a> {
         let pixel = &mut self.pixels[p];
         let latency = physics.sensor.latency_min
             + pixel.random.exponential(physics.sensor.latency_more).min(8.0 * physics.sensor.latency_more);
-        let lost = pixel.random.chance(physics.loss);
+        let loss = match physics.law {
+            Some(Law::RowLoss { most }) => most * y as f64 / (self.height - 1) as f64,
+            _ => physics.loss,
+        };
+        let lost = pixel.random.chance(loss);
         pixel.burst = if t - pixel.last < gap { pixel.burst + 1 } else { 1 };
         pixel.last = t;
         pixel.armed = false;
@@ -525,11 +549,18 @@ fn law_of_place(physics: &Physics, x: usize, y: usize, width: usize, height: usi
     match &physics.law {
         Some(Law::RowParity { skew }) => 1.0 + if y.is_multiple_of(2) { *skew } else { -skew },
         Some(Law::ColumnBlock { width, factors }) => factors[x / width],
-        Some(Law::Radius { rise }) => {
-            let (cx, cy) = (0.5 * (width - 1) as f64, 0.5 * (height - 1) as f64);
-            let (dx, dy) = (x as f64 - cx, y as f64 - cy);
-            1.0 + rise * (2.0 * (dx * dx + dy * dy) / (cx * cx + cy * cy) - 1.0)
+        Some(Law::Radius { rise }) => of_radius(*rise, x, y, width, height),
+        Some(Law::RowBand { rise, first, last }) if (*first..=*last).contains(&y) => 1.0 + rise,
+        Some(Law::ColumnWave { depth, period, phase }) => {
+            1.0 + depth * libm::sin(2.0 * std::f64::consts::PI * x as f64 / period + phase)
         }
         _ => 1.0,
     }
+}
+
+/// A factor that grows with the square of the distance from the centre.
+fn of_radius(rise: f64, x: usize, y: usize, width: usize, height: usize) -> f64 {
+    let (cx, cy) = (0.5 * (width - 1) as f64, 0.5 * (height - 1) as f64);
+    let (dx, dy) = (x as f64 - cx, y as f64 - cy);
+    1.0 + rise * (2.0 * (dx * dx + dy * dy) / (cx * cx + cy * cy) - 1.0)
 }

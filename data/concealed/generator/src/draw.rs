@@ -8,11 +8,12 @@ use crate::frames::Numbers;
 use crate::law::Law;
 use crate::light::NODE;
 use crate::limit::Kept;
-use crate::plan::{Entry, Kind, Plan};
+use crate::plan::{Entry, Kind, Plan, outside};
 use crate::random::Random;
 use crate::scene::{Family, Grid, Scene};
 use crate::sensor::{Physics, Queue, Reset, Sensor};
 use crate::star::Target;
+use crate::views::View;
 use serde_json::{Value, json};
 
 /// Steps between two nodes of light, 32 us apart: 4 us each.
@@ -60,7 +61,8 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     let mut nominal = sensor(index, entry, &mut random);
     match plan {
         Plan::Target => noise_of_frames(&mut nominal, index.is_multiple_of(2), &mut random),
-        Plan::Field => field::noise(&mut nominal, index, entry, &mut random),
+        Plan::Field => field::noise(&mut nominal, field::is_noisy(index), entry, &mut random),
+        Plan::Outside => field::noise(&mut nominal, outside::is_noisy(index), entry, &mut random),
         Plan::Short | Plan::Long => {}
     }
     let (timing, exposure, rate_hz) = timing(plan, &mut random);
@@ -68,7 +70,11 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     let picture = match plan {
         Plan::Short | Plan::Long => moving(plan, index, entry, &nominal, &timing, size, &mut random),
         Plan::Target => target(&nominal, &timing, size, &mut random),
-        Plan::Field => field::picture(index, entry, &nominal, &timing, size, &mut random)?,
+        Plan::Field => {
+            let name = View::NAMES[index % View::NAMES.len()];
+            field::picture(name, index, entry, &nominal, &timing, size, &mut random)?
+        }
+        Plan::Outside => field::picture(entry.family, index, entry, &nominal, &timing, size, &mut random)?,
     };
     let Picture { scene, light, events, answer: seen, target } = picture;
 
@@ -106,6 +112,12 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
     physics.law = entry.law.map(|name| law(name, &setting, &mut random)).transpose()?;
     let form = form.unwrap_or_else(|| Form::draw(entry, &mut random));
     let Form { numbers, resolution, has_t_in } = form;
+    let mut off_catalogue = physics.law.as_ref().map(Law::answer);
+    if plan == Plan::Outside
+        && let (Some(answer), Some(law)) = (&mut off_catalogue, &physics.law)
+    {
+        answer["form"] = law.form().into();
+    }
     let answer = json!({
         "kind": entry.kind.name(),
         "condition": entry.condition,
@@ -117,7 +129,7 @@ pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
             "t_resolution_ns": resolution, "t_in": has_t_in,
         },
         "effects": effects,
-        "off_catalogue": physics.law.as_ref().map(Law::answer),
+        "off_catalogue": off_catalogue,
         "sensor_nominal": nominal.answer(),
         "sensor_actual": physics.sensor.answer(),
     });
@@ -179,13 +191,13 @@ impl Form {
 /// Does what it conceals show in a scene of a wide range of light?
 pub fn aims_at_light(entry: &Entry) -> bool {
     let ids = ["dark_current", "parasitic_leak", "refractory_light", "black_level"];
-    entry.effects.iter().any(|id| ids.contains(id)) || entry.law == Some("light")
+    entry.effects.iter().any(|id| ids.contains(id)) || matches!(entry.law, Some("light" | "dim_noise"))
 }
 
 /// Columns and rows.
 fn size(plan: Plan, random: &mut Random) -> [usize; 2] {
     match plan {
-        Plan::Short | Plan::Field => [72, 54],
+        Plan::Short | Plan::Field | Plan::Outside => [72, 54],
         Plan::Long => [96, 72],
         Plan::Target => [[64, 48], [72, 54], [80, 60], [96, 72]][random.below(4)],
     }
@@ -324,13 +336,13 @@ fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
     let exposure = (random.between(3e-3, 5e-3) * 1e6).round() / 1e6;
     let start = 2e-3;
     let duration = match plan {
-        Plan::Short | Plan::Field => random.between(0.12, 0.15),
+        Plan::Short | Plan::Field | Plan::Outside => random.between(0.12, 0.15),
         Plan::Long => 1.0,
         Plan::Target => random.between(0.15, 0.3),
     };
     let first = whole_ns(start + random.between(0.2e-3, 1.5e-3));
     // The last row of the last frame is exposed by the end: 54 rows take 2.2 ms at most, 72 rows 2.9 ms.
-    let rows = if matches!(plan, Plan::Short | Plan::Field) { 2.3e-3 } else { 3.1e-3 };
+    let rows = if matches!(plan, Plan::Long | Plan::Target) { 3.1e-3 } else { 2.3e-3 };
     let count = ((duration - (first - start) - exposure - rows) / period).floor() as usize + 1;
     let exposures = (0..count).map(|l| first + l as f64 * period).map(|t| [t, t + exposure]).collect();
     let reset_at_start = random.chance(0.8);
@@ -433,6 +445,35 @@ fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String
             dwell: random.between(15e-3, 30e-3),
         },
         "lag" => Law::Lag { rise: random.log_between(0.3, 0.6) },
+        "time_step" => Law::TimeStep {
+            rise: random.sign() * random.log_between(0.08, 0.16),
+            at: random.between(50e-3, 90e-3),
+        },
+        "warming" => {
+            Law::Warming { rise: random.log_between(0.25, 0.5), decay: random.log_between(20e-3, 50e-3) }
+        }
+        "row_band" => {
+            let (from, rows) = (random.between(0.15, 0.55), random.between(0.15, 0.3));
+            let first = (from * setting.height as f64) as usize;
+            let last = first + (rows * setting.height as f64) as usize;
+            Law::RowBand { rise: random.sign() * random.log_between(0.1, 0.2), first, last }
+        }
+        "column_wave" => Law::ColumnWave {
+            depth: random.log_between(0.08, 0.16),
+            period: random.between(14.0, 40.0),
+            phase: random.between(0.0, 6.0),
+        },
+        "radius_off" => Law::RadiusOff { rise: random.sign() * random.log_between(0.1, 0.2) },
+        "row_leak" => Law::RowLeak { rate: random.log_between(6.0, 12.0) },
+        "row_loss" => Law::RowLoss { most: random.log_between(0.3, 0.6) },
+        "dim_noise" => Law::DimNoise { share: random.log_between(0.05, 0.1), middle: setting.light },
+        "parity_delay" => Law::ParityDelay { delay: whole_ns(random.log_between(100e-6, 300e-6)) },
+        "delay_wave" => Law::DelayWave {
+            depth: whole_ns(random.log_between(200e-6, 500e-6)),
+            frequency: random.between(60.0, 160.0).round(),
+            phase: random.between(0.0, 6.0),
+        },
+        "column_gain" => Law::ColumnGain { slope: random.sign() * random.log_between(0.1, 0.2) },
         _ => return Err(format!("law `{name}`: no such law; see `law.rs`")),
     })
 }
@@ -441,6 +482,7 @@ fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String
 mod tests {
     use super::*;
     use crate::plan::PLAN;
+    use crate::plan::outside::OUTSIDE;
 
     #[test]
     fn every_entry_of_the_plan_can_be_drawn() {
@@ -461,7 +503,7 @@ mod tests {
         }
         let setting =
             Setting { light: 50.0, period: 0.01, readout_phase: 0.0, width: 72, height: 54, rate: 3e5 };
-        for entry in PLAN {
+        for entry in PLAN.iter().chain(OUTSIDE) {
             let mut random = Random::named("strengths");
             let mut physics = Physics::of(Sensor { alpha: 1e-3, ..sensor(0, entry, &mut random) });
             for id in entry.effects {

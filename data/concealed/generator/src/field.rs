@@ -16,25 +16,30 @@ use serde_json::{Value, json};
 /// Effects are drawn at these multiples of their limit, a third each.
 const TIMES: [f64; 3] = [2.0, 5.0, 10.0];
 
-/// Comparator noise of 0 to 3 % of the threshold; frames with noise in half of the recordings, which every
-/// second description states.
-pub fn noise(sensor: &mut Sensor, index: usize, entry: &Entry, random: &mut Random) {
+/// Are the frames of a recording noisy, and does its description state it? Of a family's twelve recordings
+/// six are noisy and three state it.
+pub fn is_noisy(index: usize) -> [bool; 2] {
+    let round_of_families = index / View::NAMES.len();
+    [(round_of_families + index).is_multiple_of(2), (round_of_families / 2).is_multiple_of(2)]
+}
+
+/// Comparator noise of 0 to 3 % of the threshold; frames with noise, which the description states, where
+/// `noisy` is so.
+pub fn noise(sensor: &mut Sensor, [noisy, stated]: [bool; 2], entry: &Entry, random: &mut Random) {
     let round = |v: f64, digits: f64| (v * digits).round() / digits;
     sensor.threshold_noise = round(random.between(0.0, 0.03) * threshold(sensor), 1e5);
     let (electrons, read) = (random.between(5.0, 20.0), random.between(1.0, 2.0));
     if entry.condition == "strong_frame_noise" {
         return;
     }
-    // Of a family's twelve recordings six are noisy and three state it.
-    let round_of_families = index / View::NAMES.len();
-    let noisy = (round_of_families + index).is_multiple_of(2);
     sensor.read_noise = if noisy { round(read, 100.0) } else { 0.0 };
     sensor.full_well = if noisy { (electrons * (sensor.saturation - sensor.black)).round() } else { 0.0 };
-    sensor.states_frame_noise = noisy && (round_of_families / 2).is_multiple_of(2);
+    sensor.states_frame_noise = noisy && stated;
 }
 
-/// One of the ten families, at a pace between 0.4 and 4 that comes near the events that are wanted.
+/// One of the ten families by `name`, at a pace between 0.4 and 4 that comes near the events that are wanted.
 pub fn picture(
+    name: &str,
     index: usize,
     entry: &Entry,
     sensor: &Sensor,
@@ -42,7 +47,6 @@ pub fn picture(
     size: [usize; 2],
     random: &mut Random,
 ) -> Result<Picture, String> {
-    let name = View::NAMES[index % View::NAMES.len()];
     let sigma = random.log_between(0.35, 1.0);
     let view = View::draw(name, random, size.map(|n| n as f64), sigma)
         .ok_or_else(|| format!("view `{name}`: no such family"))?;
@@ -206,7 +210,7 @@ mod tests {
         for (index, entry) in entries.iter().enumerate() {
             let mut random = Random::named("noise");
             let mut sensor = crate::draw::sensor(index, entry, &mut random);
-            noise(&mut sensor, index, entry, &mut random);
+            noise(&mut sensor, is_noisy(index), entry, &mut random);
             assert!((0.0..=0.031).contains(&(sensor.threshold_noise / threshold(&sensor))));
             let counts = counts.entry(View::NAMES[index % 10]).or_default();
             counts[0] += 1;

@@ -1,5 +1,6 @@
 //! From collected charge to digital numbers: what the frames' own path adds.
 
+use crate::law::Law;
 use crate::random::Random;
 use crate::sensor::Physics;
 
@@ -18,7 +19,11 @@ fn shades(physics: &Physics, width: usize, height: usize) -> Vec<f64> {
         let (dx, dy) = ((p % width) as f64 - cx, (p / width) as f64 - cy);
         let r2 = (dx * dx + dy * dy) / (cx * cx + cy * cy);
         let root = 1.0 + r2 * (libm::pow(1.0 - physics.falloff, -0.5) - 1.0);
-        1.0 / (root * root)
+        let of_column = match physics.law {
+            Some(Law::ColumnGain { slope }) => 1.0 + slope * dx / cx,
+            _ => 1.0,
+        };
+        of_column / (root * root)
     };
     (0..width * height).map(shade).collect()
 }
@@ -82,7 +87,7 @@ pub fn digitise(
 mod tests {
     use super::*;
     use crate::draw::sensor;
-    use crate::field::noise;
+    use crate::field::{is_noisy, noise};
     use crate::plan::Plan;
 
     #[test]
@@ -91,7 +96,7 @@ mod tests {
         for (index, entry) in entries.iter().enumerate().step_by(9) {
             let mut random = Random::named(&format!("variance {index}"));
             let mut sensor = sensor(index, entry, &mut random);
-            noise(&mut sensor, index, entry, &mut random);
+            noise(&mut sensor, is_noisy(index), entry, &mut random);
             sensor.gain = 1000.0;
             // 60 x 50 values at 4 % and at 60 % of full scale.
             for share in [0.04, 0.6] {

@@ -41,6 +41,28 @@ pub enum Law {
     Telegraph { share: f64, jump: f64, dwell: f64 },
     /// Threshold x (1 + rise min(|ln i - V|, 0.3) / 0.1).
     Lag { rise: f64 },
+    /// Threshold x (1 + rise) from `at` on.
+    TimeStep { rise: f64, at: f64 },
+    /// Threshold x (1 + rise exp(-t / decay)).
+    Warming { rise: f64, decay: f64 },
+    /// Threshold x (1 + rise) in the rows from `first` up to `last`.
+    RowBand { rise: f64, first: usize, last: usize },
+    /// Threshold x (1 + depth sin(2 pi x / period + phase)), `period` in columns.
+    ColumnWave { depth: f64, period: f64, phase: f64 },
+    /// OFF threshold x (1 + rise (2 r^2 - 1)), r from 0 (centre) to 1 (corner).
+    RadiusOff { rise: f64 },
+    /// A leak that grows in proportion to the row, `rate` ON events a second in the last one.
+    RowLeak { rate: f64 },
+    /// Events are lost with a chance that grows in proportion to the row, to `most` in the last one.
+    RowLoss { most: f64 },
+    /// Threshold noise of `share` of a threshold x sqrt(middle / i), at most three times `share`, in addition.
+    DimNoise { share: f64, middle: f64 },
+    /// Stamps of odd rows are late by `delay`.
+    ParityDelay { delay: f64 },
+    /// Stamps are late by depth (1 + sin(2 pi f t + phase)) / 2.
+    DelayWave { depth: f64, frequency: f64, phase: f64 },
+    /// Frame signal x (1 + slope (2 x / (width - 1) - 1)).
+    ColumnGain { slope: f64 },
 }
 
 impl Law {
@@ -155,10 +177,104 @@ impl Law {
                 "comparator",
                 json!({ "rise_per_tenth": rise }),
             ),
+            Self::TimeStep { rise, at } => (
+                "both thresholds are higher or lower from an instant on",
+                &["time"],
+                "comparator",
+                json!({ "rise": rise, "at_s": at }),
+            ),
+            Self::Warming { rise, decay } => (
+                "both thresholds relax exponentially with the time since the recording began",
+                &["time"],
+                "comparator",
+                json!({ "rise": rise, "decay_s": decay }),
+            ),
+            Self::RowBand { rise, first, last } => (
+                "both thresholds are higher or lower in a band of rows",
+                &["row"],
+                "comparator",
+                json!({ "rise": rise, "first": first, "last": last }),
+            ),
+            Self::ColumnWave { depth, period, phase } => (
+                "both thresholds swing as a sine of the column",
+                &["column", "column_block"],
+                "comparator",
+                json!({ "depth": depth, "period_columns": period, "phase": phase }),
+            ),
+            Self::RadiusOff { rise } => (
+                "the OFF threshold grows with the square of the distance from the centre",
+                &["radius"],
+                "comparator",
+                json!({ "rise": rise }),
+            ),
+            Self::RowLeak { rate } => (
+                "a leak of the reference grows in proportion to the row",
+                &["row"],
+                "reset",
+                json!({ "rate_of_last_row_hz": rate }),
+            ),
+            Self::RowLoss { most } => (
+                "events are lost with a chance that grows in proportion to the row",
+                &["row"],
+                "readout",
+                json!({ "share_of_last_row": most }),
+            ),
+            Self::DimNoise { share, middle } => (
+                "noise of the thresholds grows as one over the root of the light",
+                &["photocurrent", "dn"],
+                "comparator",
+                json!({ "share": share, "middle": middle }),
+            ),
+            Self::ParityDelay { delay } => (
+                "stamps of odd rows are late by a constant",
+                &["row_parity", "row"],
+                "time",
+                json!({ "delay_s": delay }),
+            ),
+            Self::DelayWave { depth, frequency, phase } => (
+                "stamps are late by a sine of time",
+                &["ac_phase", "time"],
+                "time",
+                json!({ "depth_s": depth, "frequency_hz": frequency, "phase": phase }),
+            ),
+            Self::ColumnGain { slope } => (
+                "the gain of the frames is linear in the column",
+                &["column"],
+                "frame",
+                json!({ "slope": slope }),
+            ),
         };
         json!({
             "id": "unnamed", "law": words, "covariates": covariates, "insertion": insertion,
             "parameters": parameters,
+        })
+    }
+
+    /// What the dependence is as a function of its covariate, by the names of the diagnosis' formulas; none
+    /// where it is none of them, or only nearly one.
+    pub fn form(&self) -> Option<&'static str> {
+        Some(match self {
+            Self::Hysteresis { .. } | Self::FrameKick { .. } | Self::Warming { .. } => "relaxation",
+            Self::RowParity { .. }
+            | Self::PolarityDelay { .. }
+            | Self::NeighbourDelay { .. }
+            | Self::TimeStep { .. }
+            | Self::ParityDelay { .. } => "step",
+            Self::Ripple { .. } | Self::DelayWave { .. } => "sine",
+            Self::RowReset { .. }
+            | Self::GlobalRate { .. }
+            | Self::RowRate { .. }
+            | Self::RowLeak { .. }
+            | Self::RowLoss { .. }
+            | Self::ColumnGain { .. }
+            | Self::Light { .. } => "linear",
+            Self::Radius { .. } | Self::RadiusOff { .. } => "power",
+            Self::Fatigue { .. } | Self::SpatialGradient { .. } | Self::Lag { .. } => "saturation",
+            Self::SlowComparator { .. } | Self::DimNoise { .. } => "power",
+            Self::ColumnBlock { .. }
+            | Self::Telegraph { .. }
+            | Self::RowBand { .. }
+            | Self::ColumnWave { .. } => return None,
         })
     }
 
@@ -173,6 +289,15 @@ impl Law {
                 | Self::PolarityDelay { .. }
                 | Self::Radius { .. }
                 | Self::SlowComparator { .. }
+                | Self::RowBand { .. }
+                | Self::ColumnWave { .. }
+                | Self::RadiusOff { .. }
+                | Self::RowLeak { .. }
+                | Self::RowLoss { .. }
+                | Self::DimNoise { .. }
+                | Self::ParityDelay { .. }
+                | Self::DelayWave { .. }
+                | Self::ColumnGain { .. }
         )
     }
 }

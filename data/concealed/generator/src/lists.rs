@@ -94,7 +94,7 @@ fn document(version: &Version, part: Option<&str>, answers: &[Value]) -> Value {
         document["part"] = part.into();
     }
     let size = match version.plan {
-        Plan::Short | Plan::Field => Some([72, 54]),
+        Plan::Short | Plan::Field | Plan::Outside => Some([72, 54]),
         Plan::Long => Some([96, 72]),
         Plan::Target => None,
     };

@@ -42,7 +42,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Part of every seed where none is named: another one gives other recordings.
 const SEED: &str = "sealed physics, second edition";
 
-const USAGE: &str = "usage: concealed-generator --out FOLDER [--plan short|long|target|field] [--seed TEXT] \
+const USAGE: &str =
+    "usage: concealed-generator --out FOLDER [--plan short|long|target|field|outside] [--seed TEXT] \
                      [--blind] [--half open|blind] [--threads N] [--only FIRST..LAST]
   writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of \
   the same plan;

@@ -302,6 +302,94 @@ fn laws_outside_the_catalogue_do_what_they_say() {
 }
 
 #[test]
+fn laws_over_place_and_time_do_what_they_say() {
+    let of = |law: Law, slope: f64| events_of(&ramp(slope), &Physics { law: Some(law), ..plain() }, STEPS);
+    let gap = |events: &[Event], pixel: usize, n: usize| {
+        let times = instants(events, pixel);
+        times[n + 1] - times[n]
+    };
+    // From an event to the next: what it takes to `threshold`, and latency and refractory period.
+    let takes = |threshold: f64| threshold / 30.0 + 105e-6;
+    let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-8, "{found} {expected}");
+    // Rows 3 to 5 need 20 % more.
+    let band = of(Law::RowBand { rise: 0.2, first: 3, last: 5 }, 30.0);
+    for (row, threshold) in [(2, 0.2), (3, 0.24), (5, 0.24), (6, 0.2)] {
+        near(gap(&band, row * W, 1), takes(threshold));
+    }
+    // Column 3 is a quarter of a period of 12 columns: the crest; column 9 the trough.
+    let wave = of(Law::ColumnWave { depth: 0.1, period: 12.0, phase: 0.0 }, 30.0);
+    for (column, threshold) in [(0, 0.2), (3, 0.22), (9, 0.18)] {
+        near(gap(&wave, column, 1), takes(threshold));
+    }
+    // The corner and the centre, OFF events alone.
+    let [on, off] = [30.0, -30.0].map(|slope| of(Law::RadiusOff { rise: 0.1 }, slope));
+    near(gap(&on, 0, 1), takes(0.2));
+    near(gap(&off, 0, 1), takes(0.21 * 1.1));
+    let centre = |y: f64, x: f64| 2.0 * (x * x + y * y) / (5.5 * 5.5 + 4.0 * 4.0) - 1.0;
+    near(gap(&off, 4 * W + 5, 1), takes(0.21 * (1.0 + 0.1 * centre(0.0, -0.5))));
+    // The last row of nine leaks 10 thresholds a second, row 4 half of that, and ON events come sooner.
+    let leak = of(Law::RowLeak { rate: 10.0 }, 30.0);
+    for (row, rate) in [(0, 0.0), (4, 5.0), (8, 10.0)] {
+        near(gap(&leak, row * W, 1), 0.2 / (30.0 + 0.2 * rate) + 105e-6);
+    }
+    // From 30 ms on; the event in whose wait the step falls crosses there or later.
+    let step = of(Law::TimeStep { rise: 0.15, at: 30e-3 }, 30.0);
+    let times = instants(&step, 40);
+    for pair in times.windows(2) {
+        if pair[1] < 29e-3 {
+            near(pair[1] - pair[0], takes(0.2));
+        } else if pair[0] > 30e-3 {
+            near(pair[1] - pair[0], takes(0.23));
+        }
+    }
+    // 0.2 (1 + 0.3 exp(-t / 20 ms)) at the crossing.
+    let warm = instants(&of(Law::Warming { rise: 0.3, decay: 20e-3 }, 30.0), 40);
+    for pair in warm.windows(2) {
+        let threshold = 0.2 * (1.0 + 0.3 * libm::exp(-pair[1] / 20e-3));
+        assert!((pair[1] - pair[0] - takes(threshold)).abs() < 1e-7, "{pair:?}");
+    }
+    // Stamps alone: the pixel's own events are where they were.
+    let plain = instants(&events_of(&ramp(30.0), &plain(), STEPS), 0);
+    let parity = of(Law::ParityDelay { delay: 2e-4 }, 30.0);
+    for (row, late) in [(0, 0.0), (1, 2e-4), (2, 0.0)] {
+        near(instants(&parity, row * W)[3], plain[3] + late);
+    }
+    let swing = of(Law::DelayWave { depth: 4e-4, frequency: 100.0, phase: 0.5 }, 30.0);
+    for (n, t) in plain.iter().enumerate().take(7) {
+        let late = 2e-4 * (1.0 + libm::sin(200.0 * std::f64::consts::PI * t + 0.5));
+        near(instants(&swing, 0)[n], t + late);
+    }
+    // Half of the events of the last row, none of the first one's: 12 pixels of some eight events.
+    let lost = of(Law::RowLoss { most: 0.5 }, 30.0);
+    let count = |row: usize| lost.iter().filter(|event| event.pixel / W == row).count();
+    assert!(count(0) >= 80 && (0.3..0.7).contains(&(count(8) as f64 / count(0) as f64)), "{}", count(8));
+}
+
+#[test]
+fn noise_in_dim_light_and_a_gain_by_column_do_what_they_say() {
+    // Light of e^0 and less: thresholds spread by 5 % at the middle, by 10 % at a quarter of it.
+    let law = |middle: f64| Physics { law: Some(Law::DimNoise { share: 0.05, middle }), ..plain() };
+    let spread = |middle: f64| {
+        let events = events_of(&ramp(10.0), &law(middle), STEPS);
+        let firsts: Vec<f64> = (0..W * H).filter_map(|p| instants(&events, p).first().copied()).collect();
+        let mean = firsts.iter().sum::<f64>() / firsts.len() as f64;
+        libm::sqrt(firsts.iter().map(|t| (t - mean) * (t - mean)).sum::<f64>() / firsts.len() as f64)
+    };
+    // The threshold drawn at 2 ms, of 0.2 and 0.21, at a slope of 10 a second.
+    let expected = 0.05 * 0.205 / 10.0;
+    assert!((spread(1.0) / expected - 1.0).abs() < 0.25, "{}", spread(1.0) / expected);
+    assert!((spread(4.0) / expected - 2.0).abs() < 0.5, "{}", spread(4.0) / expected);
+    let gain = Physics { law: Some(Law::ColumnGain { slope: 0.2 }), ..plain() };
+    let number = |physics: &Physics| {
+        digitise(&[vec![0.3; W * H]], physics, W, Numbers::Sixteenths, &mut Random::named("frame"))[0].clone()
+    };
+    let (with, without) = (number(&gain), number(&plain()));
+    for (column, factor) in [(0, 0.8), (11, 1.2)] {
+        assert!(((with[column] - 10.0) / (without[column] - 10.0) - factor).abs() < 1e-3);
+    }
+}
+
+#[test]
 fn the_stored_version_comes_out_as_it_is_stored() {
     // The second recording of the stored version, b7aea23d: the digest is of the values in that file.
     let mut draft = draw(Plan::Short, 1, "sealed physics, second edition").expect("a recording of the plan");

@@ -1,11 +1,14 @@
 //! Which recordings there are: their kind, what each conceals, and what its scene must be like.
 //!
-//! Four plans: many short recordings of 72 x 54 pixels, a few of a second, recordings of a known target, and
-//! short ones of ten other families with effects near their detection limit.
+//! Five plans: many short recordings of 72 x 54 pixels, a few of a second, recordings of a known target, short
+//! ones of ten other families with effects near their detection limit, and short ones of four of these with
+//! dependences in no catalogue alone.
 
 mod field;
+pub mod outside;
 
 use field::FIELD;
+use outside::OUTSIDE;
 
 /// A list of recordings that are made together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,10 +21,12 @@ pub enum Plan {
     Target,
     /// Like the short ones, of the families of `views`, with noise, and effects near their detection limit.
     Field,
+    /// Like those, each with a dependence that no catalogue lists.
+    Outside,
 }
 
 impl Plan {
-    pub const ALL: [Self; 4] = [Self::Short, Self::Long, Self::Target, Self::Field];
+    pub const ALL: [Self; 5] = [Self::Short, Self::Long, Self::Target, Self::Field, Self::Outside];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -29,6 +34,7 @@ impl Plan {
             Self::Long => "long",
             Self::Target => "target",
             Self::Field => "field",
+            Self::Outside => "outside",
         }
     }
 
@@ -38,6 +44,7 @@ impl Plan {
             Self::Long => LONG,
             Self::Target => TARGET,
             Self::Field => FIELD,
+            Self::Outside => OUTSIDE,
         }
     }
 
@@ -45,7 +52,7 @@ impl Plan {
     pub fn seed(self, seed: &str, index: usize) -> String {
         match self {
             Self::Short => format!("{seed}/{index}"),
-            Self::Long | Self::Target | Self::Field => format!("{seed}/{}/{index}", self.name()),
+            _ => format!("{seed}/{}/{index}", self.name()),
         }
     }
 }
@@ -316,7 +323,7 @@ mod tests {
                 [Kind::Null, Kind::HardNull, Kind::Trap, Kind::Single, Kind::Pair, Kind::OffCatalogue];
             kinds.map(|kind| plan.entries().iter().filter(|entry| entry.kind == kind).count())
         };
-        assert_eq!(Plan::ALL.map(|plan| plan.entries().len()), [120, 12, 24, 120]);
+        assert_eq!(Plan::ALL.map(|plan| plan.entries().len()), [120, 12, 24, 120, 56]);
         assert_eq!(counts(Plan::Long), [3, 1, 0, 5, 2, 1]);
         assert_eq!(counts(Plan::Target), [4, 0, 0, 16, 2, 2]);
         assert_eq!(counts(Plan::Field), [26, 0, 6, 60, 12, 16]);
@@ -324,7 +331,7 @@ mod tests {
         assert!(LONG.iter().chain(TARGET).flat_map(|entry| entry.effects).all(|id| IDS.contains(id)));
         let names: std::collections::BTreeSet<String> =
             Plan::ALL.iter().flat_map(|plan| (0..plan.entries().len()).map(|k| plan.seed("s", k))).collect();
-        assert_eq!(names.len(), 276, "no two recordings share random numbers");
+        assert_eq!(names.len(), 332, "no two recordings share random numbers");
     }
 
     #[test]
