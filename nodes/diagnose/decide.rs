@@ -45,7 +45,7 @@ impl Node for DiagnoseDecide {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, \
                 or none of the catalogue.",
-        revision: 19,
+        revision: 20,
         grain: Grain::Whole,
         draws: false,
         exports: false,

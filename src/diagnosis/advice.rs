@@ -1,13 +1,118 @@
 //! What to record next, so that what looks alike comes apart.
 
+use crate::finding::UNNAMED;
 use crate::integrity::Integrity;
 use crate::integrity::data::is_enough;
-use crate::report::{Detectable, Verdict};
+use crate::report::{Detectable, Evidence, Finding, Verdict};
+use crate::residual::separation::{Pair, Separation};
+use crate::rivals::is_random;
+use crate::stages::{Decided, Proposal};
 use crate::units::readable;
 use crate::unstated::{self, without_scene};
 use crate::verdict::Answer;
+use photocurrent_core::{NodeError, Sensor};
 use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
+
+/// Two explanations and the recording that separates them.
+#[derive(Clone, Debug)]
+pub(crate) struct Apart {
+    /// Ids, the better one first.
+    pub ids: [String; 2],
+    /// What separates them.
+    pub by: Separation,
+}
+
+impl Apart {
+    /// As a sentence; none where the recording at hand separates them.
+    fn sentence(&self, case: &Case, answer: &Answer) -> Option<String> {
+        let [one, other] = &self.ids;
+        let Separation { best, again, known, left } = self.by;
+        let recorded_s = (case.span.1 - case.span.0) as f64 * 1e-9;
+        if answer.verdict == Verdict::Named && again.seconds <= recorded_s {
+            return None;
+        }
+        let takes = |seconds: f64| match seconds.is_finite() {
+            true => readable(seconds, "s"),
+            false => "more than an hour".to_owned(),
+        };
+        let what = match (best.seconds.is_finite(), best == again) {
+            (false, _) => "no other speed, light or threshold does within an hour".to_owned(),
+            (true, true) => format!("the same again, for {}", takes(again.seconds)),
+            (true, false) => {
+                format!(
+                    "{}, for {}; the same again takes {}",
+                    best.name,
+                    takes(best.seconds),
+                    takes(again.seconds)
+                )
+            }
+        };
+        Some(format!(
+            "to separate {one} from {other} by three standard errors: {what}; {} in place of this scene takes \
+             {} (both simulated on the light of this recording; of what known light shows, the estimated \
+             scene leaves {} %)",
+            known.name,
+            takes(known.seconds),
+            readable(100.0 * left, "")
+        ))
+    }
+}
+
+/// The two best explanations of a recording with their ids; none where there is one, or one of them is random
+/// or has no description. `describe`: the description with findings, `curve`: with what has no name.
+///
+/// # Errors
+/// As `separation`.
+pub(crate) fn two_best(
+    case: &Case,
+    nominal: &Nominal,
+    (decided, answer): (Option<&Decided>, &Answer),
+    describe: impl Fn(&[Finding]) -> Option<Sensor>,
+    curve: Option<Sensor>,
+    separation: impl Fn(&Pair<'_>) -> Result<Option<Separation>, NodeError>,
+) -> Result<Option<Apart>, NodeError> {
+    let Some(decided) = decided else { return Ok(None) };
+    let first = answer.findings.iter().find(|one| !one.is_direct() && !is_random(&one.id));
+    let (id, sensor, gain, gain_error) = match (first, &answer.unexplained, curve) {
+        (Some(first), ..) => {
+            let Some(sensor) = describe(std::slice::from_ref(first)) else { return Ok(None) };
+            let (gain, error) = gain_of(&first.evidence);
+            (first.id.clone(), sensor, gain, error)
+        }
+        (None, Some(unexplained), Some(curve)) => {
+            let significance = unexplained.dependence.as_ref().map_or(1.0, |of| of.significance);
+            (UNNAMED.to_owned(), curve, unexplained.nats, unexplained.nats / significance)
+        }
+        _ => return Ok(None),
+    };
+    let also = first.and_then(|first| first.also_possible.first());
+    let is_other =
+        |one: &&Proposal| one.id() != id && !is_random(one.id()) && also.is_none_or(|also| one.id() == also);
+    let others = decided.proposals.iter().filter(is_other);
+    let other =
+        others.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)));
+    let Some(other) = other else { return Ok(None) };
+    let finding = Finding::of_proposal(case, nominal, &decided.name, other);
+    let Some(of_other) = describe(std::slice::from_ref(&finding)) else { return Ok(None) };
+    // What an unnamed curve gains is over the effects already.
+    let (taken, other_error) = if id == UNNAMED { (0.0, 0.0) } else { gain_of(&finding.evidence) };
+    let pair = Pair {
+        sensors: [&sensor, &of_other],
+        gain: gain - taken,
+        gain_error: libm::hypot(gain_error, other_error),
+    };
+    Ok(separation(&pair)?.map(|by| Apart { ids: [id, finding.id.clone()], by }))
+}
+
+/// Held-out gain, nats an event, with its standard error.
+fn gain_of(evidence: &Evidence) -> (f64, f64) {
+    let gain = evidence.heldout_nats_per_event.unwrap_or(0.0);
+    let events = evidence.heldout_nats.map_or(0.0, |nats| nats / gain);
+    let width = evidence.heldout_nats_ci95.map_or(0.0, |[low, high]| (high - low) / (2.0 * 1.96));
+    (gain, if events > 0.0 { width / events } else { 0.0 })
+}
 
 /// Advice for a diagnosis; nothing when there is nothing to separate.
 pub(crate) fn next_experiments(
@@ -15,18 +120,25 @@ pub(crate) fn next_experiments(
     answer: &Answer,
     integrity: &Integrity,
     limits: &[Detectable],
+    simulated: Option<&Apart>,
 ) -> Vec<String> {
-    let mut advice = Vec::new();
+    let mut advice: Vec<String> =
+        simulated.and_then(|apart| apart.sentence(case, answer)).into_iter().collect();
+    let is_simulated = |pair: [&String; 2]| {
+        simulated.is_some_and(|apart| apart.ids.each_ref() == pair || [&apart.ids[1], &apart.ids[0]] == pair)
+    };
     for finding in &answer.findings {
         let set: Vec<&String> = std::iter::once(&finding.id).chain(&finding.also_possible).collect();
         for (k, one) in set.iter().enumerate() {
             for other in &set[k + 1..] {
-                advice.push(apart(one, other).or_else(|| apart(other, one)).unwrap_or_else(|| {
+                let stated = apart(one, other).or_else(|| apart(other, one));
+                let otherwise = || {
                     format!(
-                        "to separate {one} from {other}: the same scene at another speed and in other \
-                             light, as the two do not scale alike"
+                        "to separate {one} from {other}: the same scene at another speed and in other light, \
+                         as the two do not scale alike"
                     )
-                }));
+                };
+                advice.extend(stated.or_else(|| (!is_simulated([one, other])).then(otherwise)));
             }
         }
     }

@@ -1,6 +1,7 @@
 //! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report;
 //! and its last two stages one by one ([`check`], [`confirm`]).
 
+use crate::advice::{Apart, next_experiments, two_best};
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::fitted::{amended, fitted};
 use crate::heldout::{Prediction, predict};
@@ -13,6 +14,7 @@ use crate::report::{
     BeforeAfter, Detectable, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
 };
 use crate::residual::located::Located;
+use crate::residual::separation::separation;
 use crate::rivals::{by_frames, is_random};
 use crate::sample::Sample;
 use crate::stages::{Decided, Proposal, Proposed, Unexplained};
@@ -186,7 +188,22 @@ pub fn confirm(
         }
     }
     let predictions = Predictions { nominal: before, fitted };
-    let report = report(case, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
+    let light = predictions.fitted.as_ref().or(predictions.nominal.as_ref()).map(|one| &one.light);
+    let apart = two_best(
+        case,
+        &nominal,
+        (proposed.decided(), &answer),
+        |findings| description(case, &nominal, &scales, findings),
+        with_curve(answer.unexplained.as_ref()),
+        |pair| {
+            sample
+                .as_ref()
+                .zip(light)
+                .map_or(Ok(None), |(sample, light)| separation(case, (sample, light), pair, setting.seed))
+        },
+    )?;
+    let found = Joined { integrity: &integrity, proposed: &proposed, answer: &answer, apart: apart.as_ref() };
+    let report = report(case, setting, &found, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);
     Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
 }
@@ -269,15 +286,23 @@ fn fewer(findings: &[Finding]) -> Vec<Vec<Finding>> {
     one_less.chain([without(&estimated)]).collect()
 }
 
+/// What a report states.
+struct Joined<'a> {
+    integrity: &'a Integrity,
+    proposed: &'a Proposed,
+    answer: &'a Answer,
+    /// What separates the two best explanations.
+    apart: Option<&'a Apart>,
+}
+
 fn report(
     case: &Case,
     setting: &Setting,
-    integrity: &Integrity,
-    proposed: &Proposed,
-    answer: &Answer,
+    found: &Joined<'_>,
     changed: Option<&Sensor>,
     predictions: &Predictions,
 ) -> Report {
+    let Joined { integrity, proposed, answer, apart } = *found;
     let unnamed = answer.unexplained.iter().map(|found| Finding::unnamed(case, found, proposed.decided()));
     let effects: Vec<Finding> = answer.findings.iter().cloned().chain(unnamed).collect();
     let psnr = predictions
@@ -307,7 +332,7 @@ fn report(
         verdict: answer.verdict,
         summary: summary(case, integrity, answer, decided, &detectability),
         not_testable: not_testable(case, proposed, &answer.findings),
-        next_experiment: crate::advice::next_experiments(case, answer, integrity, &detectability),
+        next_experiment: next_experiments(case, answer, integrity, &detectability, apart),
         residual_left: decided
             .and_then(|decided| decided.residual_left)
             .filter(|_| answer.findings.iter().any(|finding| !finding.is_direct())),

@@ -14,6 +14,7 @@
 //!   formula it follows.
 //! - `control`: what is found where nothing is.
 //! - `located`: where the gain of an effect is.
+//! - `separation`: which recording would separate two explanations.
 //! - [`free`]: scenes of frames and events together: one moving picture, and the light of pixels free in
 //!   time, where nothing moves as one.
 //! - [`ranking`]: all of it on one scene; [`evidence`]: what comes of it.
@@ -32,6 +33,7 @@ pub(crate) mod open;
 mod places;
 mod prepared;
 pub mod ranking;
+pub(crate) mod separation;
 mod setting;
 mod steps;
 mod table;

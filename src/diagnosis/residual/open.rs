@@ -66,6 +66,11 @@ pub(crate) fn beyond(found: &mut [Open], control: &[Open]) {
 /// light.
 const LEFT_OUT: [Covariate; 2] = [Covariate::Polarity, Covariate::Lag];
 
+/// May something depend on it that no effect has?
+pub(super) fn is_sought(covariate: Covariate) -> bool {
+    !LEFT_OUT.contains(&covariate)
+}
+
 /// Every covariate with everything that may be moved, best first.
 ///
 /// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units;
@@ -80,7 +85,7 @@ pub(crate) fn dependences(
 ) -> Vec<Open> {
     let mut found: Vec<Open> = laid
         .iter()
-        .filter(|laid| !LEFT_OUT.contains(&laid.covariate))
+        .filter(|laid| is_sought(laid.covariate))
         .flat_map(|laid| {
             [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved))
         })
@@ -101,16 +106,16 @@ pub(super) fn moving(
     let change = |k: usize| match moved {
         Moved::Threshold | Moved::EventRate => here(k) * f64::from(events.polarity[k]) * threshold,
         Moved::Stamps => here(k) * events.slope_per_s[k] - before(k) * events.slope_before_per_s[k],
-        Moved::Rate => here(k) * threshold * events.since_ns[k] as f64 * 1e-9,
+        Moved::Rate => -here(k) * threshold * events.since_ns[k] as f64 * 1e-9,
     };
     let of = (0..events.polarity.len()).map(|k| -change(k) as f32).collect();
     Column { of, log_slope: Vec::new() }
 }
 
 /// Columns of what is moved in each bin of a covariate, and in all of them.
-struct Free {
-    bins: Bins,
-    columns: Vec<Column>,
+pub(super) struct Free {
+    pub(super) bins: Bins,
+    pub(super) columns: Vec<Column>,
     whole: Column,
 }
 
@@ -126,7 +131,8 @@ impl Free {
         }
     }
 
-    fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64) -> Option<Free> {
+    /// With about as many events in each bin; none where there is one bin.
+    pub(super) fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64) -> Option<Free> {
         let most = match laid.covariate {
             Covariate::AcPhase | Covariate::FramePhase => BINS_OF_PHASE,
             Covariate::Row | Covariate::Column | Covariate::Radius | Covariate::Time => BINS_OF_PLACE,
@@ -134,6 +140,12 @@ impl Free {
         };
         let bins = Bins::new(&laid.at, most, LEAST_IN_BIN, laid.covariate.is_class());
         (bins.at.len() >= 2).then(|| Free::between(events, laid, moved, threshold, bins))
+    }
+
+    /// Mean over all events of what their bins have.
+    pub(super) fn mean(&self, value: &[f64]) -> f64 {
+        let of: Vec<f64> = self.bins.of.iter().flatten().map(|bin| value[*bin as usize]).collect();
+        of.iter().sum::<f64>() / f64::max(of.len() as f64, 1.0)
     }
 
     /// Events without a value keep what they have.
@@ -218,27 +230,24 @@ fn dependence(
     let free = Free::new(events, laid, moved, threshold)?;
     let one: Fitted = heldout(&plain, &[&free.whole]);
     let of_bins = |free: &Free| heldout(&plain, &free.columns.iter().collect::<Vec<_>>());
-    let mut found = (of_bins(&free), free.bins, Vec::new());
+    let mut found = (of_bins(&free), free, Vec::new());
     let is_stepped = matches!(laid.covariate, Covariate::Row | Covariate::Column);
-    if let Some(steps) = is_stepped.then(|| steps(&laid.at, residual, &free.whole, LEAST_IN_BIN)) {
+    if let Some(steps) = is_stepped.then(|| steps(&laid.at, residual, &found.1.whole, LEAST_IN_BIN)) {
         let bins = Bins::between(&laid.at, steps.first.clone(), false);
         let free = Free::between(events, laid, moved, threshold, bins);
         let of_steps = of_bins(&free);
         if !steps.first.is_empty() && of_steps.gain - steps.cost > found.0.gain {
-            found = (of_steps, free.bins, steps.first);
+            found = (of_steps, free, steps.first);
         }
     }
-    let (all, bins, steps): (Fitted, Bins, Vec<f64>) = found;
-    let count = bins.at.len();
+    let (all, free, steps): (Fitted, Free, Vec<f64>) = found;
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
-    let weight = |bin: usize| bins.of.iter().filter(|at| **at == Some(bin as u32)).count() as f64;
-    let mean = (0..count).map(|bin| weight(bin) * value[bin]).sum::<f64>()
-        / f64::max((0..count).map(weight).sum(), 1.0);
+    let mean = free.mean(value);
     let taken = 1.0 - libm::exp(-2.0 * gain.max(0.0));
     let dependence = Dependence {
         period_s: laid.period_ns.map(|period_ns| period_ns as f64 * 1e-9),
-        at: bins.at,
+        at: free.bins.at,
         steps,
         value: value.iter().map(|value| value - mean).collect(),
         error: all.error.clone(),

@@ -17,6 +17,7 @@
 //!    pixel, each pixel's own are estimated with the scene (`own`).
 //! 6. With the best one applied, score and information of all others with its own size free.
 
+mod binned;
 mod choose;
 mod curve;
 mod exact;
@@ -77,8 +78,6 @@ struct Plan {
     most_left: f64,
     /// Is noise of single events counted off? On a coarse grid part of that is the scene's.
     is_noise_counted_off: bool,
-    /// Is what no effect of the catalogue has sought? It needs events that the scene does not follow.
-    is_open: bool,
 }
 
 /// On the light of pixels.
@@ -94,7 +93,6 @@ const ON_PIXELS: Plan = Plan {
     is_sharpened: true,
     most_left: f64::INFINITY,
     is_noise_counted_off: false,
-    is_open: false,
 };
 /// Steps of that light between corrections of a size, and a knot every so many instants.
 const STEPS_ON_PIXELS: usize = 3;
@@ -112,7 +110,6 @@ const ON_PICTURE: Plan = Plan {
     is_sharpened: false,
     most_left: EXPLAINED,
     is_noise_counted_off: false,
-    is_open: true,
 };
 const STEPS_ON_PICTURE: usize = 2;
 /// On a finer grid, on which picture and size take longer to follow a shift in time.
@@ -335,7 +332,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     base.light.release();
     nothing.settled(plan.corrections)?;
     let level = Level::of(&mut nothing)?;
-    let mut open = if plan.is_open { level.dependences(ground) } else { Dependences::none() };
+    let mut open = level.open(&mut nothing)?;
     nothing.release();
     let of_size = |candidate: usize| Some((candidate, scored.size(candidate)?));
     let mut to_fit: Vec<(usize, f64)> =
@@ -403,7 +400,7 @@ fn is_hopeful<L: FreeScene>(base: &mut Fit<'_, L>, most: f64, plan: &Plan) -> Re
     if wrong <= most_left || most >= HOPEFUL * libm::log(wrong / most_left) {
         return Ok(true);
     }
-    Ok(plan.is_open && Level::of(base)?.dependences(ground).gain() > OF_CURVE)
+    Ok(Level::of(base)?.dependences(ground).gain() > OF_CURVE)
 }
 
 /// Estimates the best curve with the scene where it may gain more than the best effect does (`most`).
@@ -509,7 +506,7 @@ fn second<L: FreeScene>(
     let mut alone = scene.clone();
     alone.settled(plan.corrections_of_second)?;
     let level = Level::of(&mut alone)?;
-    let open = if plan.is_open { level.dependences(ground) } else { Dependences::none() };
+    let open = level.open(&mut alone)?;
     let mut exact = Vec::new();
     for one in list.iter().filter(|one| one.gain > plan.least_gain).take(plan.second) {
         exact.extend(scene.exact(one.candidate, one.effect_size, plan.corrections_of_second).ok());

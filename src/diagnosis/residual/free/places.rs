@@ -22,11 +22,11 @@ pub(super) struct Level {
     /// Log density of each pixel's events, nats.
     pub left_out: Vec<f64>,
     predicted: Vec<Predicted>,
-    events: Residuals,
+    pub(super) events: Residuals,
     /// Of each event, positive, natural-log units.
     threshold: Vec<f64>,
-    block: Vec<u32>,
-    laid: Vec<Laid>,
+    pub(super) block: Vec<u32>,
+    pub(super) laid: Vec<Laid>,
 }
 
 /// Curves that no effect of the catalogue has.
@@ -92,14 +92,31 @@ impl Level {
         Ok(Level { left_out, predicted, events, threshold, block, laid })
     }
 
-    /// What events that are held out have and no effect of the catalogue does, best first, and what they
-    /// miss their thresholds by with the best curve, a median share of them.
+    /// What events have and no effect of the catalogue does, best first: those that are held out, or where the
+    /// light follows all of them those that it is estimated from ([`super::binned`]).
+    ///
+    /// # Errors
+    /// When the fit's sensor cannot be applied.
+    pub(super) fn open<L: FreeScene>(&self, fit: &mut Fit<'_, L>) -> Result<Dependences, String> {
+        if L::IS_ONE { Ok(self.dependences(fit.ground)) } else { self.binned(fit) }
+    }
+
+    /// What events that are held out have.
     pub(super) fn dependences<L: FreeScene>(&self, ground: &Ground<'_, L>) -> Dependences {
+        let threshold = ground.scales.threshold;
+        let (events, excess) = (&self.events, &self.events.excess);
+        let mut list =
+            dependences(events, excess, &self.block, &self.laid, threshold, LEAST_NOISE * threshold);
+        list.iter_mut().for_each(|one| one.control_gain = BY_CHANCE * one.gain_error);
+        self.finished(ground, list)
+    }
+
+    /// Curves that gain anything, best first, the best one with its formulas and its place, and what events
+    /// miss their thresholds by with it, a median share of them.
+    pub(super) fn finished<L: FreeScene>(&self, ground: &Ground<'_, L>, mut list: Vec<Open>) -> Dependences {
         let Residuals { pixel, t_ns, polarity, log_light, excess, .. } = &self.events;
         let threshold = ground.scales.threshold;
         let least = LEAST_NOISE * threshold;
-        let mut list = dependences(&self.events, excess, &self.block, &self.laid, threshold, least);
-        list.iter_mut().for_each(|one| one.control_gain = BY_CHANCE * one.gain_error);
         list.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
         list.retain(|one| one.beyond() > 0.0);
         list.truncate(DEPENDENCES);

@@ -67,6 +67,35 @@ fn nothing_is_claimed_of_a_sound_recording() {
 }
 
 #[test]
+fn thresholds_of_odd_rows_are_a_curve_on_the_light_of_pixels() {
+    use crate::covariates::Covariate;
+    use crate::dependence::Moved;
+    use photocurrent_scene::case::PixelEvents;
+    let (even, truth) = (recording(None), 0.25);
+    let nominal = even.nominal().unwrap();
+    let scales = Scales::of(&even, &nominal);
+    let scale = Candidate::find("threshold_scale", "fraction").unwrap();
+    let odd = recording(Some(("threshold_scale", "fraction", scale.effect_size(truth, &scales, &nominal))));
+    let of = |pixel: usize| {
+        let is_odd = even.place(pixel).1 % 2 == 1;
+        (if is_odd { &odd } else { &even }).events.of(pixel).to_vec()
+    };
+    let case = Case { events: PixelEvents::new((0..even.extent.pixels()).map(of)), ..even.clone() };
+    let found = on_pixels(&case, &nominal).unwrap();
+    let curve = &found.open[0].dependence;
+    assert_eq!((curve.covariate, curve.moved), (Covariate::RowParity, Moved::Threshold), "{curve:?}");
+    // The light takes a part of what is the same in all rows, and nothing of their difference.
+    let difference = curve.value[1] - curve.value[0];
+    assert!((difference / truth - 1.0).abs() < 0.15, "{curve:?}");
+    let best = found.ranked.iter().filter(|one| one.is_exact).map(Ranked::beyond).fold(0.0, f64::max);
+    assert!(best < 0.5 * found.open[0].beyond(), "{best} {}", found.open[0].beyond());
+    // Where no row differs there is no curve that counts.
+    let sound = on_pixels(&even, &nominal).unwrap();
+    let most = sound.open.first().map_or(0.0, |one| one.beyond());
+    assert!(most < Model::of_pixels().least_gain, "{:?}", sound.open[0]);
+}
+
+#[test]
 fn a_ball_that_passes_within_a_millisecond_gains_nothing_by_other_thresholds() {
     // Light that may swing further where no event is, and densities in volts, gained 0.7 nats an event here
     // by thresholds of half their size.
