@@ -65,7 +65,10 @@ def lists(recordings):
             if answer["kind"] in kinds:
                 size = f"{size_of(answer):.1f}" if size_of(answer) else ""
                 error = f"{metrics['parameter_error']:.1f}" if metrics.get("parameter_error") is not None else ""
-                rows.append((truth_of(answer, metrics["card"]), name, size, said_of(metrics["card"]), error))
+                said = said_of(metrics["card"])
+                if metrics.get("unnamed"):
+                    said += ", right covariate" if metrics.get("covariate_right") else ", another covariate"
+                rows.append((truth_of(answer, metrics["card"]), name, size, said, error))
         if rows:
             print(f"**{title}**\n\n| recording | truth | effect size | said | error, % |\n| --- | --- | ---: | --- | ---: |")
             print("\n".join(f"| {name} | {truth} | {size} | {said} | {error} |" for truth, name, size, said, error in sorted(rows)) + "\n")
@@ -90,7 +93,12 @@ def sums(recordings):
     print(f"one effect: claimed {verdict(single, CLAIMS)}, first {total(single, 'first_right'):g}, in the set {total(single, 'in_set'):g} of {len(single)}; surplus names {total(single, 'surplus'):g}")
     print(f"one effect of three times the limit and more: first {total(strong, 'first_right'):g} of {len(strong)}")
     print(f"two effects: mean F1 {total(pair, 'f1') / max(len(pair), 1):.2f} ({len(pair)})")
-    print(f"in no catalogue: unnamed {total(off, 'unnamed'):g}, named {verdict(off, ('named', 'ambiguous'))} of {len(off)}")
+    unnamed = lambda some: f"unnamed {total(some, 'unnamed'):g}, with a right covariate {total(some, 'covariate_right'):g}, named {verdict(some, ('named', 'ambiguous'))} of {len(some)}"
+    print(f"in no catalogue: {unnamed(off)}")
+    for title, is_one in (("one picture moves", True), ("nothing moves as one", False)):
+        here = [one for one in off if "form" in one[1]["off_catalogue"] and (one[1]["scene"]["family"] in COHERENT) == is_one]
+        if here:
+            print(f"  {title}: {unnamed(here)}")
     print(f"verdict named, every name true: {sum(map(true, named))} of {len(named)}")
     print(f"nothing decided: {verdict(recordings, ('insufficient',))} of {len(recordings)}, {verdict(single, ('insufficient',))} of them with one effect")
     print(f"error of the parameter, median: {statistics.median(errors):.1f} % of {len(errors)}" if errors else "no parameter was found")

@@ -30,7 +30,7 @@ impl Apart {
         let [one, other] = &self.ids;
         let Separation { best, again, known, left } = self.by;
         let recorded_s = (case.span.1 - case.span.0) as f64 * 1e-9;
-        if answer.verdict == Verdict::Named && again.seconds <= recorded_s {
+        if answer.verdict != Verdict::Ambiguous && again.seconds <= recorded_s {
             return None;
         }
         let takes = |seconds: f64| match seconds.is_finite() {
@@ -87,7 +87,7 @@ pub(crate) fn two_best(
         }
         _ => return Ok(None),
     };
-    let also = first.and_then(|first| first.also_possible.first());
+    let also = first.and_then(|first| first.also_possible.iter().find(|id| *id != UNNAMED));
     let is_other =
         |one: &&Proposal| one.id() != id && !is_random(one.id()) && also.is_none_or(|also| one.id() == also);
     let others = decided.proposals.iter().filter(is_other);
@@ -128,7 +128,9 @@ pub(crate) fn next_experiments(
         simulated.is_some_and(|apart| apart.ids.each_ref() == pair || [&apart.ids[1], &apart.ids[0]] == pair)
     };
     for finding in &answer.findings {
-        let set: Vec<&String> = std::iter::once(&finding.id).chain(&finding.also_possible).collect();
+        let set = std::iter::once(&finding.id).chain(&finding.also_possible);
+        // What has no name has no word of the catalogue.
+        let set: Vec<&String> = set.filter(|id| *id != UNNAMED).collect();
         for (k, one) in set.iter().enumerate() {
             for other in &set[k + 1..] {
                 let stated = apart(one, other).or_else(|| apart(other, one));

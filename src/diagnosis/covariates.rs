@@ -125,6 +125,23 @@ impl Covariate {
         }
     }
 
+    /// Does it follow from what the light at the pixel and around it does, and the events that it makes?
+    pub fn is_of_light(self) -> bool {
+        !matches!(
+            self,
+            Covariate::Row
+                | Covariate::RowParity
+                | Covariate::Column
+                | Covariate::ColumnBlock
+                | Covariate::Radius
+                | Covariate::Time
+                | Covariate::FramePhase
+                | Covariate::AcPhase
+                | Covariate::RowRate
+                | Covariate::GlobalRate
+        )
+    }
+
     /// Is it a class rather than a number on a scale?
     pub fn is_class(self) -> bool {
         matches!(

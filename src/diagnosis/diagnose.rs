@@ -384,6 +384,18 @@ pub fn broken(why: &str, seed: u64) -> Report {
     }
 }
 
+/// What is stated of a recording with something that no effect of the catalogue explains.
+fn without_a_name(found: Option<&Unexplained>) -> String {
+    let mut said =
+        "the recording differs from the description, and no effect of the catalogue explains how".to_owned();
+    let Some(found) = found else { return said };
+    said += &format!("; it depends on {}", found.covariate);
+    if !found.also_possible.is_empty() {
+        said += &format!(" ({} would do about as well)", found.also_possible.join(", "));
+    }
+    said
+}
+
 fn summary(
     case: &Case,
     integrity: &Integrity,
@@ -399,9 +411,7 @@ fn summary(
         Verdict::BrokenData => return integrity.broken.join("; "),
         Verdict::Insufficient => return integrity.lacking.join("; "),
         Verdict::Consistent => agrees(limits),
-        Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue \
-                             explains how"
-            .into(),
+        Verdict::Unnamed => without_a_name(answer.unexplained.as_ref()),
         Verdict::Numerical => "what differs is an error of our own".into(),
         Verdict::Named | Verdict::Ambiguous => {
             answer.findings.iter().map(name).collect::<Vec<_>>().join(", and ")

@@ -109,7 +109,8 @@ impl Finding {
             found_by: vec![by.to_owned()],
             ..Evidence::default()
         };
-        Finding::nameless(found.equation.clone(), &found.insertion, location, evidence)
+        let nameless = Finding::nameless(found.equation.clone(), &found.insertion, location, evidence);
+        Finding { also_possible: found.also_possible.clone(), ..nameless }
     }
 
     /// Of what no effect of the catalogue is.

@@ -65,6 +65,9 @@ pub struct Unexplained {
     pub nats: f64,
     /// As it was measured.
     pub dependence: Option<Dependence>,
+    /// Ids of effects that are nearly as probable.
+    #[serde(default)]
+    pub also_possible: Vec<String>,
 }
 
 impl Unexplained {
@@ -77,6 +80,7 @@ impl Unexplained {
             score,
             nats: dependence.nats_per_event,
             dependence: Some(dependence.clone()),
+            also_possible: Vec::new(),
         }
     }
 
@@ -106,8 +110,11 @@ pub struct Decided {
     pub other_scene: String,
     /// Does the recording differ from the description at all?
     pub detected: bool,
-    /// For one more effect, best first.
+    /// For one more effect, best first; none of them passed where `unexplained` is claimed.
     pub proposals: Vec<Proposal>,
+    /// Is a curve that no effect has nearly as probable as the best of them?
+    #[serde(default)]
+    pub is_unnamed_near: bool,
     /// For a second one in addition to the first of `proposals`, best first.
     pub second: Vec<Proposal>,
     /// What explains more than any candidate does, and is none.
@@ -371,6 +378,7 @@ mod tests {
             part: Some(Block { x: 3, y: 4, width: 20, height: 10 }),
             name: "picture".into(),
             other_scene: "the other leaves more".into(),
+            is_unnamed_near: true,
             detected: true,
             proposals: vec![proposal.clone()],
             second: vec![proposal],

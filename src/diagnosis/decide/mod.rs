@@ -12,6 +12,7 @@ use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::stages::{Decided, Proposal, Unexplained};
+use crate::verdict::IN_SET_SHARE;
 use model::{Facts, KINDS, Models, Posterior, hypotheses};
 use photocurrent_scene::nominal::Nominal;
 use schemars::JsonSchema;
@@ -116,7 +117,15 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     } else {
         [&found.open_second, &found.open]
     };
-    let curve = one.first().or(other.first()).filter(|_| is_unnamed);
+    let curve = one.first().or(other.first());
+    let least_near = IN_SET_SHARE * most;
+    let near: Vec<String> = first
+        .iter()
+        .filter(|one| one.probability > IN_SET_SHARE * posterior.unnamed)
+        .map(|one| one.id().to_owned())
+        .collect();
+    // What is not claimed stays to be compared with what is.
+    let unclaimed = |of: Vec<Proposal>| of.into_iter().map(|one| Proposal { passed: false, ..one }).collect();
     Decided {
         name: found.scene.clone(),
         share: found.share,
@@ -124,10 +133,13 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         part: found.part,
         other_scene: String::new(),
         detected: is_something,
-        proposals: if is_unnamed { Vec::new() } else { first },
+        proposals: if is_unnamed { unclaimed(first) } else { first },
         second: if is_unnamed { Vec::new() } else { second },
-        unexplained: curve
-            .map(|curve| Unexplained::by(&curve.dependence, posterior.something / decision.least)),
+        is_unnamed_near: is_something && !is_unnamed && curve.is_some() && posterior.unnamed > least_near,
+        unexplained: curve.filter(|_| is_unnamed).map(|curve| Unexplained {
+            also_possible: near,
+            ..Unexplained::by(&curve.dependence, posterior.something / decision.least)
+        }),
         detectability: limits(found, nominal, decision),
         nats_per_event: Some(found.nats_per_event),
         ks: Some(found.ks),
@@ -135,7 +147,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         located: Locations {
             first: located(&found.ranked),
             second: located(&found.second),
-            unnamed: curve.and_then(|curve| curve.located.clone()),
+            unnamed: curve.filter(|_| is_unnamed).and_then(|curve| curve.located.clone()),
         },
         estimated: Vec::new(),
     }

@@ -132,9 +132,9 @@ impl Model {
             second: [2.601, 0.951, 0.607],
             discount: [1.5, 0.5],
             discount_of_curves: 2.0,
-            softness: [-1.661, -0.449],
-            random: 2.334,
-            unnamed: [0.437, 1.078, -0.293],
+            softness: [-1.661, -0.447],
+            random: 2.332,
+            unnamed: [0.359, 0.887, 0.0],
             least_gain: LEAST_GAIN,
         }
     }
@@ -142,13 +142,13 @@ impl Model {
     /// The built-in numbers for the light of pixels: `photocurrent-calibrate --scene pixels`.
     pub fn of_pixels() -> Model {
         Model {
-            something: [7.100, 2.085, 0.0],
+            something: [7.647, 2.275, 0.0],
             second: [0.708, -0.684, 2.119],
             discount: [3.0, 0.0],
-            discount_of_curves: NO_CURVES,
-            softness: [-2.203, -0.402],
+            discount_of_curves: 0.0,
+            softness: [-2.039, -0.346],
             random: 0.0,
-            unnamed: [0.719, 0.375, 0.0],
+            unnamed: [-0.097, 0.204, 0.0],
             least_gain: 0.04,
         }
     }
