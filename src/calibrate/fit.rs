@@ -125,17 +125,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         let mut is_better = false;
         for n in 0..6 {
             for by in [-reach, reach] {
-                let mut other = model;
-                match n {
-                    0 => other.softness[0] += 0.5 * by,
-                    1 => other.softness[1] += 0.25 * by,
-                    2 => other.random += by,
-                    _ => other.unnamed[n - 3] += by,
-                }
-                // What a curve gains never counts against it: of ten recordings it once did.
-                if other.unnamed[1..].iter().any(|weight| *weight < 0.0) {
-                    continue;
-                }
+                let Some(other) = moved(model, n, by) else { continue };
                 let likelihood = fit(&other);
                 if likelihood > best {
                     (model, best, is_better) = (other, likelihood, true);
@@ -147,6 +137,18 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         }
     }
     model
+}
+
+/// A model with one of the numbers moved that are searched in turn. None where a curve would count against
+/// what has no name by what it gains: of ten recordings it once did.
+fn moved(mut model: Model, n: usize, by: f64) -> Option<Model> {
+    match n {
+        0 => model.softness[0] += 0.5 * by,
+        1 => model.softness[1] += 0.25 * by,
+        2 => model.random += by,
+        _ => model.unnamed[n - 3] += by,
+    }
+    model.unnamed[1..].iter().all(|weight| *weight >= 0.0).then_some(model)
 }
 
 /// Weak: three of log odds; of the softness around what is usual.

@@ -55,7 +55,7 @@ pub enum Law {
     RowLeak { rate: f64 },
     /// Events are lost with a chance that grows in proportion to the row, to `most` in the last one.
     RowLoss { most: f64 },
-    /// Threshold noise of `share` of a threshold x sqrt(middle / i), at most three times `share`, in addition.
+    /// In addition threshold noise of `share` of a threshold x sqrt(middle / i), at most three times `share`.
     DimNoise { share: f64, middle: f64 },
     /// Stamps of odd rows are late by `delay`.
     ParityDelay { delay: f64 },

@@ -92,8 +92,8 @@ impl Level {
         Ok(Level { left_out, predicted, events, threshold, block, laid })
     }
 
-    /// What events have and no effect of the catalogue does, best first: those that are held out, or where the
-    /// light follows all of them those that it is estimated from ([`super::binned`]).
+    /// What events have and no effect of the catalogue does, best first: those that are held out, or where
+    /// the light follows all of them those that it is estimated from ([`super::binned`]).
     ///
     /// # Errors
     /// When the fit's sensor cannot be applied.

@@ -1,8 +1,8 @@
 //! Which recordings there are: their kind, what each conceals, and what its scene must be like.
 //!
-//! Five plans: many short recordings of 72 x 54 pixels, a few of a second, recordings of a known target, short
-//! ones of ten other families with effects near their detection limit, and short ones of four of these with
-//! dependences in no catalogue alone.
+//! Five plans: many short recordings of 72 x 54 pixels, a few of a second, recordings of a known target,
+//! short ones of ten other families with effects near their detection limit, and short ones of four of these
+//! with dependences in no catalogue alone.
 
 mod field;
 pub mod outside;

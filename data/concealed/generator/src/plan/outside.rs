@@ -1,5 +1,5 @@
-//! The entries of the plan `outside`: each of 28 dependences twice, on a scene in which one picture moves and on
-//! one in which nothing moves as one, once with noisy frames and once without noise.
+//! The entries of the plan `outside`: each of 28 dependences twice, on a scene in which one picture moves and
+//! on one in which nothing moves as one, once with noisy frames and once without noise.
 
 use super::{Entry, unnamed};
 
