@@ -51,8 +51,8 @@ impl Apart {
         };
         Some(format!(
             "to separate {one} from {other} by three standard errors: {what}; {} in place of this scene \
-             takes {} (both simulated on the light of this recording; of what known light shows, the estimated \
-             scene leaves {} %)",
+             takes {} (both simulated on the light of this recording; of what known light shows, the \
+             estimated scene leaves {} %)",
             known.name,
             takes(known.seconds),
             readable(100.0 * left, "")

@@ -3,6 +3,7 @@
 
 use crate::advice::{Apart, next_experiments, two_best};
 use crate::candidates::{CANDIDATES, Candidate, Scales};
+use crate::curves::Curves;
 use crate::fitted::{amended, fitted};
 use crate::heldout::{Prediction, predict};
 pub use crate::integrity::can_compare;
@@ -14,7 +15,7 @@ use crate::report::{
     BeforeAfter, Detectable, Estimate, Finding, Fit, NotTestable, Number, Provenance, Report, SCHEMA, Verdict,
 };
 use crate::residual::located::Located;
-use crate::residual::separation::separation;
+use crate::residual::separation::{Pair, separation};
 use crate::rivals::{by_frames, is_random};
 use crate::sample::Sample;
 use crate::stages::{Decided, Proposal, Proposed, Unexplained};
@@ -74,6 +75,13 @@ pub struct Predictions {
     pub nominal: Option<Prediction>,
     /// With the fitted one.
     pub fitted: Option<Prediction>,
+}
+
+impl Predictions {
+    /// The light that held-out frames were predicted from, by the fitted description where there is one.
+    fn light(&self) -> Option<&Curves> {
+        self.fitted.as_ref().or(self.nominal.as_ref()).map(|one| &one.light)
+    }
 }
 
 /// What came of a diagnosis.
@@ -188,20 +196,12 @@ pub fn confirm(
         }
     }
     let predictions = Predictions { nominal: before, fitted };
-    let light = predictions.fitted.as_ref().or(predictions.nominal.as_ref()).map(|one| &one.light);
-    let apart = two_best(
-        case,
-        &nominal,
-        (proposed.decided(), &answer),
-        |findings| description(case, &nominal, &scales, findings),
-        with_curve(answer.unexplained.as_ref()),
-        |pair| {
-            sample
-                .as_ref()
-                .zip(light)
-                .map_or(Ok(None), |(sample, light)| separation(case, (sample, light), pair, setting.seed))
-        },
-    )?;
+    let curve = with_curve(answer.unexplained.as_ref());
+    let light = predictions.light().zip(sample.as_ref()).map(|(light, sample)| (sample, light));
+    let describe = |findings: &[Finding]| description(case, &nominal, &scales, findings);
+    let separate =
+        |pair: &Pair<'_>| light.map_or(Ok(None), |light| separation(case, light, pair, setting.seed));
+    let apart = two_best(case, &nominal, (proposed.decided(), &answer), describe, curve, separate)?;
     let found = Joined { integrity: &integrity, proposed: &proposed, answer: &answer, apart: apart.as_ref() };
     let report = report(case, setting, &found, changed.as_ref(), &predictions);
     let located = answered(proposed.decided(), &answer);

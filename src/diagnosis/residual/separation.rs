@@ -346,7 +346,7 @@ mod tests {
 
     #[test]
     fn a_leak_shows_best_where_nothing_else_fires() {
-        // 20 ON events a second and a pixel: over the 2 s of 120 pixels some 4,800, where thresholds that differ
+        // 20 ON events a second and a pixel: over the 2 s of 120 pixels some 4,800, where unequal thresholds
         // fire none.
         let leak = with("leak_events", &json!({ "rate": "20 Hz" }));
         let asymmetry = with("threshold_asymmetry", &json!({ "fraction": -0.05 }));
