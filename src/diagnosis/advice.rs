@@ -244,6 +244,40 @@ mod tests {
     }
 
     #[test]
+    fn what_separates_two_explanations_is_a_recording_and_how_long_it_takes() {
+        use crate::residual::separation::Separating;
+        let case = crate::testing::case();
+        let of = |best: (&'static str, f64), again: f64| {
+            let one = |(name, seconds)| Separating { name, seconds };
+            let by = Separation {
+                best: one(best),
+                again: one(("the same again", again)),
+                known: one(("a known target", 0.024)),
+                left: 0.05,
+            };
+            Apart { ids: ["time_constant".into(), "clock_offset".into()], by }
+        };
+        let answer = |verdict: Verdict| Answer { verdict, findings: Vec::new(), unexplained: None };
+        let said = |apart: &Apart, verdict| apart.sentence(&case, &answer(verdict));
+        let dim = of(("the same scene in a tenth of the light", 0.2), 1.5);
+        let sentence = said(&dim, Verdict::Named).unwrap();
+        assert!(
+            sentence.starts_with(
+                "to separate time_constant from clock_offset by three standard errors: the same scene in a \
+                 tenth of the light, for 200 ms; the same again takes 1.5 s; a known target in place of this \
+                 scene takes 24 ms"
+            ) && sentence.ends_with("leaves 5 %)"),
+            "{sentence}"
+        );
+        // The recording of 60 ms separates them: a name needs no advice, a set does.
+        let same = of(("the same again", 0.05), 0.05);
+        assert_eq!(said(&same, Verdict::Named), None);
+        assert!(said(&same, Verdict::Ambiguous).unwrap().contains(": the same again, for 50 ms; a known"));
+        let none = of(("the same again", f64::INFINITY), f64::INFINITY);
+        assert!(said(&none, Verdict::Ambiguous).unwrap().contains("does within an hour; a known target"));
+    }
+
+    #[test]
     fn a_pair_is_separated_by_the_word_of_the_one_that_has_it() {
         assert_eq!(
             apart("clock_drift", "clock_offset").unwrap(),
