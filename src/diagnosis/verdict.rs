@@ -97,7 +97,6 @@ fn of_scene(case: &Case, nominal: &Nominal, decided: &Decided) -> Vec<Finding> {
     let mut first = found(one, &decided.proposals);
     if decided.is_unnamed_near {
         first.also_possible.push(UNNAMED.to_owned());
-        first.also_possible.truncate(LARGEST_SET);
     }
     // It was fitted with the first one applied: what looks alike is distinguished there.
     let apart = |one: &&Proposal| first.also_possible.iter().all(|other| other != one.id());

@@ -34,7 +34,7 @@ const MOST_PIXELS: usize = 640;
 /// Fewer evaluated events are no estimate of a gain.
 const LEAST_EVENTS: usize = 60;
 /// Least noise of events, shares of a threshold: that of an estimated scene.
-const LEAST_NOISE: f64 = 0.01;
+const NOISE_FLOOR: f64 = 0.01;
 /// Standard errors that count.
 const CERTAIN: f64 = 3.0;
 /// The shortest recording that is advised, frames.
@@ -296,7 +296,7 @@ impl Scene<'_> {
         let slope: Vec<f64> = events.slope_per_s.iter().chain(&frames.signal_dn).copied().collect();
         let pixel = &trials[0].nominal.pixel;
         let threshold = 0.5 * (pixel.threshold_on + pixel.threshold_off);
-        let least = LEAST_NOISE * threshold;
+        let least = NOISE_FLOOR * threshold;
         let rows = Rows { slope: &slope, block: &block, events: count, least, soft: None, free: &[] };
         let column: Vec<f32> =
             wrong.iter().zip(&stated).map(|(with, without)| (with - without) as f32).collect();
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_constant_and_a_late_clock_differ_in_dim_light() {
+    fn a_time_constant_and_a_late_clock_differ_more_in_dim_light() {
         // 5 ms over the light is 90 us at light 55, and 0.9 ms in a tenth of it; a clock is as late as ever.
         let slow = Sensor {
             front_end: photocurrent_core::sensor::FrontEnd {
