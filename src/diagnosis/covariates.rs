@@ -22,6 +22,8 @@ pub enum Covariate {
     RowParity,
     /// Column, from 0.
     Column,
+    /// Even or odd column.
+    ColumnParity,
     /// Eighth of the array's width.
     ColumnBlock,
     /// Distance from the centre, 1 = corner.
@@ -74,10 +76,11 @@ impl Covariate {
     ];
 
     /// All of them.
-    pub const ALL: [Covariate; 21] = [
+    pub const ALL: [Covariate; 22] = [
         Covariate::Row,
         Covariate::RowParity,
         Covariate::Column,
+        Covariate::ColumnParity,
         Covariate::ColumnBlock,
         Covariate::Radius,
         Covariate::Time,
@@ -104,6 +107,7 @@ impl Covariate {
             Covariate::Row => "row",
             Covariate::RowParity => "row_parity",
             Covariate::Column => "column",
+            Covariate::ColumnParity => "column_parity",
             Covariate::ColumnBlock => "column_block",
             Covariate::Radius => "radius",
             Covariate::Time => "time",
@@ -132,6 +136,7 @@ impl Covariate {
             Covariate::Row
                 | Covariate::RowParity
                 | Covariate::Column
+                | Covariate::ColumnParity
                 | Covariate::ColumnBlock
                 | Covariate::Radius
                 | Covariate::Time
@@ -146,7 +151,11 @@ impl Covariate {
     pub fn is_class(self) -> bool {
         matches!(
             self,
-            Covariate::RowParity | Covariate::ColumnBlock | Covariate::Polarity | Covariate::PreviousPolarity
+            Covariate::RowParity
+                | Covariate::ColumnParity
+                | Covariate::ColumnBlock
+                | Covariate::Polarity
+                | Covariate::PreviousPolarity
         )
     }
 }
@@ -223,6 +232,7 @@ impl<'a> Surroundings<'a> {
             Covariate::Row => f64::from(y),
             Covariate::RowParity => f64::from(y % 2),
             Covariate::Column => f64::from(x),
+            Covariate::ColumnParity => f64::from(x % 2),
             Covariate::ColumnBlock => f64::from(site.column_block()),
             Covariate::Radius => site.radius(),
             Covariate::Time => (t_ns - self.case.span.0) as f64 * 1e-9,

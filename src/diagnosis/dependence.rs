@@ -55,6 +55,31 @@ impl Moved {
     }
 }
 
+/// A curve over a second covariate that multiplies the first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Factor {
+    /// What it is over.
+    pub covariate: Covariate,
+    /// Mean of the covariate in each bin.
+    pub at: Vec<f64>,
+    /// Factors there, linear between; the largest in size is 1.
+    pub by: Vec<f64>,
+}
+
+impl Factor {
+    /// At a value of the covariate; 0 where it has none.
+    pub(crate) fn value(&self, x: f64) -> f64 {
+        let Factor { at, by, .. } = self;
+        let k = at.partition_point(|at| *at <= x);
+        match (k.checked_sub(1), at.get(k)) {
+            _ if !x.is_finite() => 0.0,
+            (None, _) => by[0],
+            (Some(last), None) => by[last],
+            (Some(low), Some(high)) => by[low] + (by[k] - by[low]) * (x - at[low]) / (high - at[low]),
+        }
+    }
+}
+
 /// A curve over a covariate, and what it explains.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dependence {
@@ -72,6 +97,9 @@ pub struct Dependence {
     pub steps: Vec<f64>,
     /// By how much in each bin, less the mean of all: a share, seconds, or events a second.
     pub value: Vec<f64>,
+    /// A second curve that multiplies it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times: Option<Factor>,
     /// Half the difference of what two halves of the pixels say; of a rate of events, its standard error.
     pub error: Vec<f64>,
     /// Share of the squares that it removes, on pixels that it was not fitted to; of a rate of events, the
@@ -100,6 +128,7 @@ impl Dependence {
             at: Vec::new(),
             steps: Vec::new(),
             value: Vec::new(),
+            times: None,
             error: Vec::new(),
             taken: 0.0,
             significance: 0.0,
@@ -115,7 +144,8 @@ impl Dependence {
         let (scale, unit, digits) = self.moved.written();
         let of_formula = |formula: &Formula| {
             let equation = formula.equation((scale, unit), self.covariate, self.period_s);
-            format!(", c({name}) = {equation} (probability {:.2})", formula.probability)
+            let c = if self.times.is_some() { "f" } else { "c" };
+            format!(", {c}({name}) = {equation} (probability {:.2})", formula.probability)
         };
         let formulas = self.formulas.iter().map(of_formula).collect::<Vec<_>>().join(" or");
         let points: Vec<String> = (0..self.at.len())
@@ -124,7 +154,15 @@ impl Dependence {
         let rhythm =
             self.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
         let measured = if formulas.is_empty() { "" } else { "; measured" };
-        format!("{}{formulas}{measured}, c({name}){rhythm} = {}", self.moved.equation(), points.join(", "))
+        let c = self.times.as_ref().map_or("", |_| ", c = f * g");
+        let of = if self.times.is_some() { "f" } else { "c" };
+        let factor = self.times.as_ref().map_or_else(String::new, |Factor { covariate, at, by }| {
+            let points: Vec<String> =
+                at.iter().zip(by).map(|(at, by)| format!("{by:+.2} at {}", short(*at))).collect();
+            format!(", g({}) = {}", covariate.name(), points.join(", "))
+        });
+        let (equation, points) = (self.moved.equation(), points.join(", "));
+        format!("{equation}{c}{formulas}{measured}, {of}({name}){rhythm} = {points}{factor}")
     }
 
     /// Where a bin is.
@@ -173,6 +211,13 @@ impl Dependence {
         let given = json!({ "moves": moves, "over": self.covariate.name(), "at": at, "by": by });
         let Value::Object(mut given) = given else { return None };
         given.extend(period.map(|period| ("period".to_owned(), Value::from(period))));
+        if let Some(Factor { covariate, at, by }) = &self.times {
+            let is_time = *covariate == Covariate::Time;
+            let at = at.iter().map(|at| six_digits(if is_time { at + start_s } else { *at }));
+            given.insert("times".to_owned(), json!(covariate.name()));
+            given.insert("times_at".to_owned(), at.collect());
+            given.insert("times_by".to_owned(), by.iter().map(|by| six_digits(*by)).collect());
+        }
         let described = [(EFFECT.to_owned(), given.clone())].into();
         from_description(&described).ok().map(|_| given)
     }

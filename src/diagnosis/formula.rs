@@ -2,7 +2,7 @@
 
 use crate::covariates::Covariate;
 use crate::report::short;
-use photocurrent_sensor::form::Form;
+use photocurrent_sensor::form::{Form, Term};
 use serde::{Deserialize, Serialize};
 
 /// Does a form apply where the variable takes values from `low` to `high`?
@@ -40,13 +40,17 @@ pub(crate) fn tried(form: Form, low: f64, high: f64) -> Vec<f64> {
 /// Shape numbers of a form that are tried.
 const TRIED: usize = 16;
 
-/// A formula with its numbers: c(x) = constant + amplitude * form(x).
+/// A formula with its numbers: c(x) = constant + amplitude * form(x), and where it is a sum of two another
+/// amplitude times another form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Formula {
     /// Its form.
     pub form: Form,
     /// The shape number; 0 of a form without one.
     pub shape: f64,
+    /// A second form that is added, whose amplitudes follow those of the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plus: Option<Term>,
     /// In the unit of what is moved: a share, seconds or events a second. The mean of c over all events is
     /// 0.
     pub constant: f64,
@@ -78,18 +82,26 @@ impl Formula {
             let phase = format!("{} {}", if phase < 0.0 { "-" } else { "+" }, short(phase.abs()));
             return format!("{} (+- {}) * sin(2 pi {of} {phase})", number(size), number(error));
         }
-        let (size, error) = (self.amplitudes[0], self.errors[0]);
-        let shape = short(self.shape);
-        let form = match self.form {
-            Form::Linear => x.to_owned(),
-            Form::Logarithm => format!("ln({x})"),
-            Form::Power => format!("{x}^{shape}"),
-            Form::Relaxation => format!("exp(-{x} / {shape})"),
-            Form::Saturation => format!("{x} / ({x} + {shape})"),
-            Form::Step | Form::Sine => format!("({x} >= {shape})"),
+        let terms = std::iter::once(Term { form: self.form, shape: self.shape }).chain(self.plus);
+        let written = |(term, (size, error)): (Term, (&f64, &f64))| {
+            let sign = if *size < 0.0 { "-" } else { "+" };
+            format!(" {sign} {} (+- {}) * {}", number(size.abs()), number(*error), of_term(&term, x))
         };
-        let sign = if size < 0.0 { "-" } else { "+" };
-        format!("{} {sign} {} (+- {}) * {form}", number(self.constant), number(size.abs()), number(error))
+        let sum: String = terms.zip(self.amplitudes.iter().zip(&self.errors)).map(written).collect();
+        format!("{}{sum}", number(self.constant))
+    }
+}
+
+/// A term with one amplitude, of the variable `x`.
+fn of_term(term: &Term, x: &str) -> String {
+    let shape = short(term.shape);
+    match term.form {
+        Form::Linear => x.to_owned(),
+        Form::Logarithm => format!("ln({x})"),
+        Form::Power => format!("{x}^{shape}"),
+        Form::Relaxation => format!("exp(-{x} / {shape})"),
+        Form::Saturation => format!("{x} / ({x} + {shape})"),
+        Form::Step | Form::Sine => format!("({x} >= {shape})"),
     }
 }
 
@@ -104,6 +116,7 @@ mod tests {
         let formula = |form, shape, amplitudes: &[f64]| Formula {
             form,
             shape,
+            plus: None,
             constant: -0.02,
             errors: vec![0.001; amplitudes.len()],
             amplitudes: amplitudes.to_vec(),
@@ -117,6 +130,12 @@ mod tests {
         assert_eq!(
             formula(Form::Power, 2.0, &[-0.1]).equation(SHARE, Covariate::Radius, None),
             "-2 % - 10 % (+- 0.1 %) * radius^2"
+        );
+        let plus = Some(Term { form: Form::Step, shape: 0.1 });
+        let sum = Formula { plus, ..formula(Form::Linear, 0.0, &[0.1, -0.05]) };
+        assert_eq!(
+            sum.equation(SHARE, Covariate::Time, None),
+            "-2 % + 10 % (+- 0.1 %) * time - 5 % (+- 0.1 %) * (time >= 0.1)"
         );
         // 0.03 sin(a) + 0.04 cos(a) = 0.05 sin(a + atan(4/3)).
         let sine = formula(Form::Sine, 0.0, &[0.03, 0.04]);

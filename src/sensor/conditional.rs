@@ -14,8 +14,8 @@
 
 use crate::comparator::signed_step;
 use crate::effects::{
-    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Reading,
-    RowSite, Site, Thresholds,
+    Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Reading, RowSite, Site,
+    Thresholds,
 };
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
@@ -320,15 +320,20 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
             .fold(ideal, |reference, effect| effect.reference(site, history, &mut random, reference, before));
         (reference, draw(history, t_ns, &mut random))
     };
+    let waits = effects.iter().any(|effect| effect.waits());
     for (t_ns, _, mark) in marks {
         walk.go_to(t_ns);
+        let mut thresholds_now = thresholds;
+        if waits {
+            effects.iter().for_each(|effect| effect.waiting(site, &history, t_ns, &mut thresholds_now));
+        }
         match mark {
             Mark::Impulse(n) => walk.impulse(&impulses[n]),
             Mark::Quiet => out.quiet.push(Quiet {
                 t_ns,
                 reference_ns: taken_ns,
                 level: walk.input() - reference,
-                thresholds,
+                thresholds: thresholds_now,
                 slope_per_s: walk.rate_per_s(),
                 is_armed: t_ns >= held_until_ns,
             }),
@@ -338,7 +343,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
             }
             Mark::Fire(k) => {
                 let (event, time) = (&look.events[k], &times[k]);
-                let step = signed_step(event.polarity, thresholds.on, thresholds.off);
+                let step = signed_step(event.polarity, thresholds_now.on, thresholds_now.off);
                 let value = walk.input();
                 out.excess[k] = value - reference - step;
                 out.threshold[k] = step.abs();
@@ -346,7 +351,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
                 out.slope_per_s[k] = walk.rate_per_s();
                 held_until_ns = time.latch_ns;
                 let now = PixelEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity };
-                history = with(&history, now, time.light);
+                history = history.with(now, time.light);
                 before = reference;
                 if model.reset != Reset::Resample {
                     // A reference that moves by one threshold is the voltage of the event, unless the event
@@ -360,15 +365,6 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
             }
         }
     }
-}
-
-/// A history with one more event.
-fn with(history: &History, event: PixelEvent, light: f64) -> History {
-    let burst_index = match history.last_event {
-        Some(last) if event.t_in_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
-        _ => 1,
-    };
-    History { last_event: Some(event), events: history.events + 1, burst_index, light }
 }
 
 /// Digital numbers of the frames; leaves what is said of events alone.

@@ -70,6 +70,36 @@ impl Form {
     }
 }
 
+/// A form with its shape number: a part of a formula.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Term {
+    /// Its form.
+    pub form: Form,
+    /// The shape number; 0 of a form without one.
+    pub shape: f64,
+}
+
+impl Term {
+    /// What terms with these amplitudes, of one term after the other, add up to at `x`; not finite where one
+    /// of them has no value.
+    pub fn sum(terms: &[Term], amplitudes: &[f64], x: f64) -> f64 {
+        let parts = terms
+            .iter()
+            .flat_map(|Term { form, shape }| (0..form.amplitudes()).map(move |n| form.value(n, *shape, x)));
+        parts.zip(amplitudes).map(|(value, size)| size * value).sum()
+    }
+
+    /// How many amplitudes terms have together.
+    pub fn amplitudes(terms: &[Term]) -> usize {
+        terms.iter().map(|term| term.form.amplitudes()).sum()
+    }
+
+    /// How many numbers: amplitudes and shapes.
+    pub fn numbers(terms: &[Term]) -> usize {
+        Term::amplitudes(terms) + terms.iter().map(|term| term.form.shapes()).sum::<usize>()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,7 +1,7 @@
 //! Which formula a curve over a covariate follows.
 //!
-//! The bins of a curve ([`super::open`]) take any shape. A formula has a form and two or three numbers; it
-//! is fitted to the same residuals, judged on the blocks that it was not fitted to, and compared by a
+//! The bins of a curve ([`super::open`]) take any shape. A formula has a form and two or three numbers, or two
+//! forms; it is fitted to the same residuals, judged on the blocks that it was not fitted to, and compared by a
 //! criterion like that of Schwarz: twice its held-out log-likelihood, less the logarithm of the number of
 //! events for each number that was fitted. Events of one place of the scene err alike, so log-likelihoods
 //! count as if standard errors were three times as large.
@@ -11,11 +11,11 @@
 use super::Residuals;
 use super::fit::{Column, Fitted, Plain, Rows, heldout};
 use super::laid::Laid;
-use super::open::moving;
+use super::open::{Factors, moving};
 use super::setting::ERRORS;
 use crate::dependence::Dependence;
 use crate::formula::{Formula, applies, tried};
-use photocurrent_sensor::form::Form;
+use photocurrent_sensor::form::{Form, Term};
 
 /// Formulas whose criterion is within this of the best one's are reported (Kass and Raftery, Bayes factors,
 /// 1995: beyond 6 is strong).
@@ -23,6 +23,9 @@ const NEAR: f64 = 6.0;
 /// A formula explains a curve that gains no more than so many times as much: otherwise it is a curve
 /// without a formula.
 const MOST_BETTER: f64 = 1.25;
+
+/// A sum of two forms gains so many times as much as a curve at the most: the bins of a curve are coarse.
+const LEFT_OVER: f64 = 1.05;
 
 /// Formulas of a curve, best first; none of a class, and where none explains the curve.
 pub(crate) fn formulas(
@@ -34,6 +37,7 @@ pub(crate) fn formulas(
     threshold: f64,
     least: f64,
 ) -> Vec<Formula> {
+    let factors = Factors::of(laid, curve);
     let Some(laid) = laid.iter().find(|laid| laid.covariate == curve.covariate) else { return Vec::new() };
     if curve.covariate.is_class() {
         return Vec::new();
@@ -51,40 +55,62 @@ pub(crate) fn formulas(
     let plain = Plain::new(residual, rows);
     let column = |of: &dyn Fn(f64) -> f64| -> Column {
         let part = |x: f64| if x.is_finite() { of(x) } else { 0.0 };
-        moving(events, curve.moved, threshold, |k| part(laid.at[k]), |k| part(laid.before[k]))
+        let here = |k: usize| factors.at(k) * part(laid.at[k]);
+        moving(events, curve.moved, threshold, here, |k| factors.before(k) * part(laid.before[k]))
     };
     let whole = column(&|_| 1.0);
     let alone = heldout(&plain, &[&whole]).gain.max(0.0);
-    let fitted = |form: Form, shape: f64| -> Option<(Formula, f64)> {
-        let is_finite = known.iter().all(|x| form.value(0, shape, *x).is_finite());
-        if !is_finite {
+    let fitted = |terms: &[Term]| -> Option<(Formula, f64)> {
+        let part = |n: usize| {
+            let mut sizes = vec![0.0; Term::amplitudes(terms)];
+            sizes[n] = 1.0;
+            move |x: f64| Term::sum(terms, &sizes, x)
+        };
+        let parts: Vec<_> = (0..Term::amplitudes(terms)).map(part).collect();
+        if !parts.iter().all(|of| known.iter().all(|x| of(*x).is_finite())) {
             return None;
         }
-        let parts: Vec<Column> =
-            (0..form.amplitudes()).map(|n| column(&|x| form.value(n, shape, x))).collect();
-        let columns: Vec<&Column> = std::iter::once(&whole).chain(&parts).collect();
+        let columns: Vec<Column> = parts.iter().map(|of| column(of)).collect();
+        let columns: Vec<&Column> = std::iter::once(&whole).chain(&columns).collect();
         let Fitted { size, error, gain, .. } = heldout(&plain, &columns);
         let amplitudes = size[1..].to_vec();
-        let mean =
-            |n: usize| known.iter().map(|x| form.value(n, shape, *x)).sum::<f64>() / known.len() as f64;
-        // Only with the scene is known what is the same everywhere.
-        let constant = match curve.is_with_scene {
+        let mean = |of: &dyn Fn(f64) -> f64| known.iter().map(|x| of(*x)).sum::<f64>() / known.len() as f64;
+        // Only with the scene, or where something multiplies it, is known what is the same everywhere.
+        let constant = match curve.is_with_scene || curve.times.is_some() {
             true => size[0],
-            false => -amplitudes.iter().enumerate().map(|(n, size)| size * mean(n)).sum::<f64>(),
+            false => -amplitudes.iter().zip(&parts).map(|(size, of)| size * mean(of)).sum::<f64>(),
         };
-        let gain = gain - alone;
-        let numbers = (form.amplitudes() + form.shapes()) as f64;
-        let count = known.len() as f64;
+        let (gain, count) = (gain - alone, known.len() as f64);
+        let numbers = Term::numbers(terms) as f64;
         let criterion = 2.0 * gain * count / (ERRORS * ERRORS) - numbers * libm::log(count);
-        let errors = error[1..].to_vec();
-        Some((Formula { form, shape, constant, amplitudes, errors, gain, probability: 0.0 }, criterion))
+        let Term { form, shape } = terms[0];
+        let (plus, errors) = (terms.get(1).copied(), error[1..].to_vec());
+        Some((Formula { form, shape, plus, constant, amplitudes, errors, gain, probability: 0.0 }, criterion))
     };
-    let best_of = |form: Form| {
-        let tried = tried(form, low, high).into_iter().filter_map(|shape| fitted(form, shape));
+    // The best shape of a form, beside a term that stands.
+    let best_of = |form: Form, beside: Option<Term>| {
+        let with = |shape: f64| -> Vec<Term> { beside.into_iter().chain([Term { form, shape }]).collect() };
+        let tried = tried(form, low, high).into_iter().filter_map(|shape| fitted(&with(shape)));
         tried.max_by(|a, b| a.1.total_cmp(&b.1))
     };
-    let applies = |form: &Form| applies(*form, curve.covariate, low, high);
-    let mut found: Vec<(Formula, f64)> = Form::ALL.into_iter().filter(applies).filter_map(best_of).collect();
+    let forms: Vec<Form> =
+        Form::ALL.into_iter().filter(|form| applies(*form, curve.covariate, low, high)).collect();
+    let mut found: Vec<(Formula, f64)> = forms.iter().filter_map(|form| best_of(*form, None)).collect();
+    // A sum can only be near the best form where that leaves something of the curve.
+    let most = found.iter().map(|(one, _)| one.gain).fold(0.0, f64::max);
+    let room = 2.0 * (LEFT_OVER * curve.nats_per_event - most) * known.len() as f64 / (ERRORS * ERRORS);
+    let singles = if room > libm::log(known.len() as f64) - NEAR { &found[..] } else { &[] };
+    let mut sums: Vec<(Formula, f64)> = Vec::new();
+    for (n, (one, _)) in singles.iter().enumerate() {
+        // A step may be there twice.
+        for form in forms.iter().filter(|form| is_later(&found[n..], **form) || **form == Form::Step) {
+            let first = Term { form: one.form, shape: one.shape };
+            let Some(second) = best_of(*form, Some(first)).and_then(|(sum, _)| sum.plus) else { continue };
+            // Each as it is beside the other one.
+            sums.extend(best_of(one.form, Some(second)));
+        }
+    }
+    found.append(&mut sums);
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     let Some(best) = found.first().map(|(_, criterion)| *criterion) else { return Vec::new() };
     found.retain(|(formula, criterion)| {
@@ -96,6 +122,11 @@ pub(crate) fn formulas(
         .into_iter()
         .map(|(formula, criterion)| Formula { probability: weight(criterion) / all, ..formula })
         .collect()
+}
+
+/// Does a form come behind the first of these?
+fn is_later(found: &[(Formula, f64)], form: Form) -> bool {
+    found.iter().skip(1).any(|(other, _)| other.form == form)
 }
 
 #[cfg(test)]
@@ -170,6 +201,19 @@ mod tests {
             (libm::hypot(a, b) - 0.1).abs() < 0.005 && (libm::atan2(b, a) - 0.4).abs() < 0.05,
             "{sine:?}"
         );
+    }
+
+    #[test]
+    fn a_sum_of_two_forms_is_found_where_neither_explains_the_curve() {
+        let both = found(Covariate::Time, (0.0, 0.16), |x| 2.0 * x - if x < 0.08 { 0.0 } else { 0.25 });
+        let best = &both[0];
+        let forms = [Some(best.form), best.plus.map(|plus| plus.form)];
+        assert!(forms.contains(&Some(Form::Linear)) && forms.contains(&Some(Form::Step)), "{both:?}");
+        let of = |form: Form| best.amplitudes[usize::from(best.form != form)];
+        assert!((of(Form::Linear) - 2.0).abs() < 0.1 && (of(Form::Step) + 0.25).abs() < 0.02, "{both:?}");
+        // One form is enough for a line.
+        let line = found(Covariate::Time, (0.0, 0.2), |x| 0.5 * x);
+        assert_eq!((line[0].form, line[0].plus), (Form::Linear, None), "{line:?}");
     }
 
     #[test]

@@ -21,7 +21,7 @@ const BINS_OF_PLACE: usize = 12;
 /// And of the phase of a rhythm or of frames, whose curves turn.
 const BINS_OF_PHASE: usize = 8;
 /// Fewer events in a bin have no size of their own.
-const LEAST_IN_BIN: usize = 60;
+pub(super) const LEAST_IN_BIN: usize = 60;
 
 /// A curve over a covariate, with its held-out gain beyond one size for all, nats an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -120,26 +120,23 @@ pub(super) struct Free {
 }
 
 impl Free {
-    /// With the bins of a curve that was found.
-    fn of(events: &Residuals, laid: &Laid, found: &Dependence, threshold: f64) -> Option<Free> {
-        match found.steps.is_empty() {
-            true => Free::new(events, laid, found.moved, threshold),
-            false => {
-                let bins = Bins::between(&laid.at, found.steps.clone(), false);
-                Some(Free::between(events, laid, found.moved, threshold, bins))
-            }
-        }
+    /// With the bins of a curve that was found, and what multiplies it.
+    fn of(events: &Residuals, laid: &[Laid], found: &Dependence, threshold: f64) -> Option<Free> {
+        let factors = Factors::of(laid, found);
+        let laid = laid.iter().find(|laid| laid.covariate == found.covariate)?;
+        let bins = match found.steps.is_empty() {
+            true => bins(laid),
+            false => Bins::between(&laid.at, found.steps.clone(), false),
+        };
+        let between = |bins| Free::between((events, threshold), laid, found.moved, bins, &factors);
+        (bins.at.len() >= 2).then(|| between(bins))
     }
 
     /// With about as many events in each bin; none where there is one bin.
     pub(super) fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64) -> Option<Free> {
-        let most = match laid.covariate {
-            Covariate::AcPhase | Covariate::FramePhase => BINS_OF_PHASE,
-            Covariate::Row | Covariate::Column | Covariate::Radius | Covariate::Time => BINS_OF_PLACE,
-            _ => BINS,
-        };
-        let bins = Bins::new(&laid.at, most, LEAST_IN_BIN, laid.covariate.is_class());
-        (bins.at.len() >= 2).then(|| Free::between(events, laid, moved, threshold, bins))
+        let bins = bins(laid);
+        let between = |bins| Free::between((events, threshold), laid, moved, bins, &Factors::default());
+        (bins.at.len() >= 2).then(|| between(bins))
     }
 
     /// Mean over all events of what their bins have.
@@ -149,17 +146,62 @@ impl Free {
     }
 
     /// Events without a value keep what they have.
-    fn between(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64, bins: Bins) -> Free {
+    fn between(
+        (events, threshold): (&Residuals, f64),
+        laid: &Laid,
+        moved: Moved,
+        bins: Bins,
+        factors: &Factors,
+    ) -> Free {
         let of = &bins.of;
         let of_before: Vec<Option<u32>> = laid.before.iter().map(|value| bins.bin(*value)).collect();
         let column = |bin: Option<u32>| -> Column {
             let is_in = |at: Option<u32>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
-            let one = |is: bool| f64::from(u8::from(is));
-            moving(events, moved, threshold, |k| one(is_in(of[k])), |k| one(is_in(of_before[k])))
+            let one = |is: bool, factor: f64| if is { factor } else { 0.0 };
+            let here = |k: usize| one(is_in(of[k]), factors.at(k));
+            moving(events, moved, threshold, here, |k| one(is_in(of_before[k]), factors.before(k)))
         };
         let columns = (0..bins.at.len() as u32).map(|bin| column(Some(bin))).collect();
         let whole = column(None);
         Free { bins, columns, whole }
+    }
+}
+
+/// Bins of a covariate.
+pub(super) fn bins(laid: &Laid) -> Bins {
+    let most = match laid.covariate {
+        Covariate::AcPhase | Covariate::FramePhase => BINS_OF_PHASE,
+        Covariate::Row | Covariate::Column | Covariate::Radius | Covariate::Time => BINS_OF_PLACE,
+        _ => BINS,
+    };
+    Bins::new(&laid.at, most, LEAST_IN_BIN, laid.covariate.is_class())
+}
+
+/// What the second curve of a product multiplies the first by, at every event and at the one before it; of
+/// other curves 1, and empty.
+#[derive(Default)]
+pub(super) struct Factors {
+    at: Vec<f64>,
+    before: Vec<f64>,
+}
+
+impl Factors {
+    /// Of a curve.
+    pub(super) fn of(laid: &[Laid], curve: &Dependence) -> Factors {
+        let Some(factor) = &curve.times else { return Factors::default() };
+        let laid = laid.iter().find(|laid| laid.covariate == factor.covariate);
+        let of = |values: &Vec<f64>| values.iter().map(|x| factor.value(*x)).collect();
+        laid.map_or_else(Factors::default, |laid| Factors { at: of(&laid.at), before: of(&laid.before) })
+    }
+
+    /// At event `k`.
+    pub(super) fn at(&self, k: usize) -> f64 {
+        self.at.get(k).copied().unwrap_or(1.0)
+    }
+
+    /// At the event before it.
+    pub(super) fn before(&self, k: usize) -> f64 {
+        self.before.get(k).copied().unwrap_or(1.0)
     }
 }
 
@@ -180,7 +222,6 @@ pub(crate) fn after(
     threshold: f64,
     least: f64,
 ) -> Option<After> {
-    let laid = laid.iter().find(|laid| laid.covariate == dependence.covariate)?;
     let free = Free::of(events, laid, dependence, threshold)?;
     let rows =
         Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
@@ -207,7 +248,6 @@ pub(super) fn restored(
     curve: &Dependence,
     threshold: f64,
 ) -> Option<Vec<f64>> {
-    let laid = laid.iter().find(|laid| laid.covariate == curve.covariate)?;
     let Free { columns, .. } = Free::of(events, laid, curve, threshold)?;
     let of_curve = |k: usize| {
         columns.iter().zip(&curve.value).map(|(column, value)| value * f64::from(column.of[k])).sum::<f64>()
@@ -234,7 +274,7 @@ fn dependence(
     let is_stepped = matches!(laid.covariate, Covariate::Row | Covariate::Column);
     if let Some(steps) = is_stepped.then(|| steps(&laid.at, residual, &found.1.whole, LEAST_IN_BIN)) {
         let bins = Bins::between(&laid.at, steps.first.clone(), false);
-        let free = Free::between(events, laid, moved, threshold, bins);
+        let free = Free::between((events, threshold), laid, moved, bins, &Factors::default());
         let of_steps = of_bins(&free);
         if !steps.first.is_empty() && of_steps.gain - steps.cost > found.0.gain {
             found = (of_steps, free, steps.first);

@@ -101,11 +101,22 @@ pub struct History {
     pub last_event: Option<PixelEvent>,
     /// Events so far.
     pub events: u64,
-    /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event.
-    /// 0 before any event.
+    /// Position of the last event in its burst, from 1: a run of events of one polarity, which ends after
+    /// [`BURST_GAP_NS`] without one. 0 before any event.
     pub burst_index: u32,
     /// Photocurrent in the logarithm when the last event left, or at the start.
     pub light: f64,
+}
+
+impl History {
+    /// With one more event, which left when the photocurrent in the logarithm was `light`.
+    pub(crate) fn with(&self, event: PixelEvent, light: f64) -> History {
+        let goes_on = self.last_event.is_some_and(|last| {
+            last.polarity == event.polarity && event.t_in_ns - last.t_in_ns <= BURST_GAP_NS
+        });
+        let burst_index = if goes_on { self.burst_index + 1 } else { 1 };
+        History { last_event: Some(event), events: self.events + 1, burst_index, light }
+    }
 }
 
 /// Time without an event that ends a burst, nanoseconds.
@@ -357,6 +368,15 @@ pub trait Effect: Send + Sync {
     ) {
     }
 
+    /// Do thresholds go on to change while the pixel waits for its next event ([`Effect::waiting`])?
+    fn waits(&self) -> bool {
+        false
+    }
+
+    /// Changes the thresholds that [`Effect::thresholds`] gave to those that hold at `t_ns`, before the next
+    /// event.
+    fn waiting(&self, _site: &Site, _history: &History, _t_ns: i64, _thresholds: &mut Thresholds) {}
+
     /// The drift of the voltage against the reference. `stated` are the description's thresholds.
     fn leak(&self, _site: &Site, _stated: &Thresholds) -> Leak {
         Leak::default()
@@ -398,8 +418,9 @@ pub trait Effect: Send + Sync {
     ) {
     }
 
-    /// Whether the event reaches the recording. One that does not has still reset its pixel.
-    fn keeps(&self, _site: &Site, _random: &mut Random, _event: &PixelEvent) -> bool {
+    /// Whether the event reaches the recording. One that does not has still reset its pixel. `history`: up to
+    /// the event before.
+    fn keeps(&self, _site: &Site, _history: &History, _random: &mut Random, _event: &PixelEvent) -> bool {
         true
     }
 

@@ -11,7 +11,7 @@
 
 use super::sought::{SHARE, Search, Size, Sought};
 use super::{
-    Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit,
+    Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit,
 };
 use photocurrent_core::random::Random;
 
@@ -61,7 +61,7 @@ impl Effect for EventLoss {
         KIND.decl.id
     }
 
-    fn keeps(&self, _site: &Site, random: &mut Random, _event: &PixelEvent) -> bool {
+    fn keeps(&self, _site: &Site, _history: &History, random: &mut Random, _event: &PixelEvent) -> bool {
         random.uniform() >= self.fraction
     }
 
@@ -82,7 +82,12 @@ mod tests {
         let mut random = Random::new(7, &[1]);
         (0..20_000)
             .map(|t| {
-                effect.keeps(&site(3, 4), &mut random, &PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 })
+                effect.keeps(
+                    &site(3, 4),
+                    &History::default(),
+                    &mut random,
+                    &PixelEvent { t_in_ns: t, t_off_ns: t, polarity: 1 },
+                )
             })
             .collect()
     }

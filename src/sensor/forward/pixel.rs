@@ -6,8 +6,8 @@ use super::response::{Response, StepResponse};
 use super::steps::Steps;
 use crate::comparator::{fired_polarity, signed_step};
 use crate::effects::{
-    Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Site, Spontaneous, Thresholds,
-    effect::BURST_GAP_NS, effect::Streams,
+    BURST_GAP_NS, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Leak, PixelEvent, Site,
+    Spontaneous, Thresholds, effect::Streams,
 };
 use crate::elementary;
 use crate::front_end::settled_voltage;
@@ -16,6 +16,10 @@ use photocurrent_core::sensor::Reset;
 
 /// A threshold never falls below this, whatever noise is added: at zero a pixel would fire without end.
 const THRESHOLD_FLOOR: f64 = 1e-6;
+/// Thresholds that change while a pixel waits are constant over this part of the wait, and at least over so
+/// many nanoseconds.
+const WAITING_PARTS: i64 = 64;
+const WAITING_LEAST_NS: i64 = 10_000;
 
 /// Where the simulated pixel gets its randomness from; the methods' defaults are "none".
 pub trait PixelNoise {
@@ -119,6 +123,9 @@ pub fn simulate(
         reference: 0.0,
         before: 0.0,
         thresholds: stated,
+        drawn: stated,
+        waits: chain.effects.iter().any(|effect| effect.waits()),
+        change_ns: i64::MAX,
         threshold_offset: 0.0,
         blind_until_ns: None,
         history: History { light: seen.at(start_ns), ..History::default() },
@@ -191,6 +198,10 @@ struct Run<'a, N> {
     /// The reference at the last event.
     before: f64,
     thresholds: Thresholds,
+    /// As they were at the reset, and when they change next where they do while the pixel waits.
+    drawn: Thresholds,
+    waits: bool,
+    change_ns: i64,
     threshold_offset: f64,
     blind_until_ns: Option<i64>,
     history: History,
@@ -261,6 +272,7 @@ impl<N: PixelNoise> Run<'_, N> {
                         .map(|slope| slope + drift_per_s * steps.length_s[n]);
                     let turns = (first_slope > 0.0) != (last_slope > 0.0);
                     is_outside
+                        || self.waits
                         || turns
                             && (first.max(last).max(voltage) + self.drift + reach >= high
                                 || first.min(last).min(voltage) + self.drift - reach <= low)
@@ -362,10 +374,17 @@ impl<N: PixelNoise> Run<'_, N> {
                 }
             }
             let Thresholds { on, off } = self.thresholds;
+            let change_s = f64::max(origin.seconds_to(self.change_ns), now_s);
+            let until_s = if self.waits { f64::min(change_s, length_s) } else { length_s };
             let Some((fired_s, polarity)) =
-                response.first_crossing((now_s, value), length_s, self.reference, on, off)
+                response.first_crossing((now_s, value), until_s, self.reference, on, off)
             else {
-                break;
+                if until_s >= length_s {
+                    break;
+                }
+                (now_s, value) = (until_s, response.value(until_s));
+                self.wait(self.change_ns);
+                continue;
             };
             let is_late = fired_s == now_s;
             if !is_late {
@@ -416,20 +435,15 @@ impl<N: PixelNoise> Run<'_, N> {
         let event = PixelEvent { t_in_ns, t_off_ns, polarity };
         let mut recorded = Some(event);
         for (effect, streams) in effects.clone().zip(&mut self.streams) {
-            let is_kept = effect.keeps(self.site, &mut streams.keeps, &event);
+            let is_kept = effect.keeps(self.site, &self.history, &mut streams.keeps, &event);
             recorded = recorded.filter(|_| is_kept);
             if let Some(stamped) = &mut recorded {
                 effect.stamp(self.site, &mut streams.stamp, stamped);
             }
         }
         self.fired.push(Fired { event, left_ns, recorded });
-        let burst_index = match self.history.last_event {
-            Some(last) if t_in_ns - last.t_in_ns <= BURST_GAP_NS => self.history.burst_index + 1,
-            _ => 1,
-        };
-        let last_event = Some(PixelEvent { t_in_ns, t_off_ns: left_ns, polarity });
         let light = if self.chain.effects.is_empty() { 0.0 } else { self.seen.at(left_ns) };
-        self.history = History { last_event, events: self.history.events + 1, burst_index, light };
+        self.history = self.history.with(PixelEvent { t_in_ns, t_off_ns: left_ns, polarity }, light);
         let refractory_ns = effects.fold(pixel.refractory_ns, |refractory_ns, effect| {
             effect.refractory_ns(self.site, light, refractory_ns)
         });
@@ -475,10 +489,36 @@ impl<N: PixelNoise> Run<'_, N> {
         for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
             effect.thresholds(self.site, &self.history, &mut streams.thresholds, t_reset_ns, &mut thresholds);
         }
-        self.thresholds = Thresholds {
-            on: f64::max(thresholds.on, THRESHOLD_FLOOR),
-            off: f64::max(thresholds.off, THRESHOLD_FLOOR),
-        };
+        self.drawn = thresholds;
+        self.thresholds = floored(thresholds);
+        if self.waits {
+            self.wait(t_reset_ns);
+        }
+    }
+
+    /// Thresholds from `t_ns` on until they change next: constant over a short part of the time since the
+    /// last event, as in its middle.
+    fn wait(&mut self, t_ns: i64) {
+        let last_ns = self.history.last_event.map(|last| last.t_in_ns);
+        let length_ns = last_ns.map(|last_ns| {
+            let part_ns = i64::max((t_ns - last_ns) / WAITING_PARTS, WAITING_LEAST_NS);
+            let burst_ends_ns = last_ns + BURST_GAP_NS + 1 - t_ns;
+            if burst_ends_ns > 0 { i64::min(part_ns, burst_ends_ns) } else { part_ns }
+        });
+        let mut thresholds = self.drawn;
+        for effect in self.chain.effects {
+            let middle_ns = t_ns + length_ns.unwrap_or(0) / 2;
+            effect.waiting(self.site, &self.history, middle_ns, &mut thresholds);
+        }
+        self.thresholds = floored(thresholds);
+        self.change_ns = length_ns.map_or(i64::MAX, |length_ns| t_ns + length_ns);
+    }
+}
+
+fn floored(thresholds: Thresholds) -> Thresholds {
+    Thresholds {
+        on: f64::max(thresholds.on, THRESHOLD_FLOOR),
+        off: f64::max(thresholds.off, THRESHOLD_FLOOR),
     }
 }
 

@@ -24,6 +24,7 @@ mod exact;
 mod fit;
 mod own;
 mod places;
+mod products;
 mod random;
 mod score;
 mod unknowns;
@@ -332,7 +333,7 @@ fn on<L: FreeScene>(ground: &Ground<'_, L>, plan: &Plan) -> Result<Evidence, Fai
     base.light.release();
     nothing.settled(plan.corrections)?;
     let level = Level::of(&mut nothing)?;
-    let mut open = level.open(&mut nothing)?;
+    let mut open = level.binned(&mut nothing)?;
     nothing.release();
     let of_size = |candidate: usize| Some((candidate, scored.size(candidate)?));
     let mut to_fit: Vec<(usize, f64)> =
@@ -506,7 +507,7 @@ fn second<L: FreeScene>(
     let mut alone = scene.clone();
     alone.settled(plan.corrections_of_second)?;
     let level = Level::of(&mut alone)?;
-    let open = level.open(&mut alone)?;
+    let open = level.binned(&mut alone)?;
     let mut exact = Vec::new();
     for one in list.iter().filter(|one| one.gain > plan.least_gain).take(plan.second) {
         exact.extend(scene.exact(one.candidate, one.effect_size, plan.corrections_of_second).ok());

@@ -22,11 +22,18 @@ pub(super) struct Level {
     /// Log density of each pixel's events, nats.
     pub left_out: Vec<f64>,
     predicted: Vec<Predicted>,
-    pub(super) events: Residuals,
+    pub(super) measured: Observed,
+}
+
+/// Events of some pixels, with the values of everything that they may depend on.
+pub(super) struct Observed {
+    pub events: Residuals,
     /// Of each event, positive, natural-log units.
     threshold: Vec<f64>,
-    pub(super) block: Vec<u32>,
-    pub(super) laid: Vec<Laid>,
+    pub block: Vec<u32>,
+    pub laid: Vec<Laid>,
+    /// Of each place its first event, and how many.
+    pub of_places: Vec<(usize, usize)>,
 }
 
 /// Curves that no effect of the catalogue has.
@@ -49,21 +56,24 @@ impl Dependences {
     }
 }
 
-impl Level {
-    /// Of a fit as it stands.
+impl Observed {
+    /// Events of places that `is` holds for, on a fit as it stands.
     ///
     /// # Errors
     /// When its sensor cannot be applied.
-    pub(super) fn of<L: FreeScene>(fit: &mut Fit<'_, L>) -> Result<Level, String> {
+    pub(super) fn of<L: FreeScene>(
+        fit: &mut Fit<'_, L>,
+        predicted: &[Predicted],
+        is: impl Fn(usize) -> bool,
+    ) -> Result<Observed, String> {
         let ground = fit.ground;
         let (case, side) = (ground.case, EvidenceSetting::default().block);
         let prediction = fit.predict()?;
-        let predicted = fit.predicted()?;
-        let left_out = fit.light.left_out(&predicted);
         let (mut events, mut block, mut threshold) = (Residuals::default(), Vec::new(), Vec::new());
-        for (place, numbers) in
-            ground.events.iter().enumerate().filter(|(place, _)| ground.is_measured(*place))
-        {
+        let mut of_places = Vec::with_capacity(ground.events.len());
+        for (place, numbers) in ground.events.iter().enumerate() {
+            let numbers = if is(place) { &numbers[..] } else { &[] };
+            of_places.push((block.len(), numbers.len()));
             let pixel = fit.light.pixels()[place];
             let of_pixel = case.events.of(pixel as usize);
             for (k, found) in numbers.iter().zip(&predicted[place].events) {
@@ -89,24 +99,29 @@ impl Level {
         let constants = (front_end.tau_0_s, front_end.alpha_s);
         let mut surroundings = Surroundings::of(case, light, case.extent.pixels(), constants);
         let laid = lay(&events, &mut surroundings, rhythm_of(case, &events, &events.excess));
-        Ok(Level { left_out, predicted, events, threshold, block, laid })
+        Ok(Observed { events, threshold, block, laid, of_places })
     }
+}
 
-    /// What events have and no effect of the catalogue does, best first: those that are held out, or where
-    /// the light follows all of them those that it is estimated from ([`super::binned`]).
+impl Level {
+    /// Of a fit as it stands.
     ///
     /// # Errors
-    /// When the fit's sensor cannot be applied.
-    pub(super) fn open<L: FreeScene>(&self, fit: &mut Fit<'_, L>) -> Result<Dependences, String> {
-        if L::IS_ONE { Ok(self.dependences(fit.ground)) } else { self.binned(fit) }
+    /// When its sensor cannot be applied.
+    pub(super) fn of<L: FreeScene>(fit: &mut Fit<'_, L>) -> Result<Level, String> {
+        let ground = fit.ground;
+        fit.predict()?;
+        let predicted = fit.predicted()?;
+        let left_out = fit.light.left_out(&predicted);
+        let measured = Observed::of(fit, &predicted, |place| ground.is_measured(place))?;
+        Ok(Level { left_out, predicted, measured })
     }
 
     /// What events that are held out have.
     pub(super) fn dependences<L: FreeScene>(&self, ground: &Ground<'_, L>) -> Dependences {
         let threshold = ground.scales.threshold;
-        let (events, excess) = (&self.events, &self.events.excess);
-        let mut list =
-            dependences(events, excess, &self.block, &self.laid, threshold, LEAST_NOISE * threshold);
+        let Observed { events, block, laid, .. } = &self.measured;
+        let mut list = dependences(events, &events.excess, block, laid, threshold, LEAST_NOISE * threshold);
         list.iter_mut().for_each(|one| one.control_gain = BY_CHANCE * one.gain_error);
         self.finished(ground, list)
     }
@@ -114,7 +129,8 @@ impl Level {
     /// Curves that gain anything, best first, the best one with its formulas and its place, and what events
     /// miss their thresholds by with it, a median share of them.
     pub(super) fn finished<L: FreeScene>(&self, ground: &Ground<'_, L>, mut list: Vec<Open>) -> Dependences {
-        let Residuals { pixel, t_ns, polarity, log_light, excess, .. } = &self.events;
+        let Observed { events, block, laid, threshold: thresholds, .. } = &self.measured;
+        let Residuals { pixel, t_ns, polarity, log_light, excess, .. } = events;
         let threshold = ground.scales.threshold;
         let least = LEAST_NOISE * threshold;
         list.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
@@ -122,19 +138,18 @@ impl Level {
         list.truncate(DEPENDENCES);
         let mut left = f64::INFINITY;
         if let Some(best) = list.first_mut() {
-            let (events, block) = (&self.events, &self.block);
             best.dependence.formulas =
-                formulas(events, excess, block, &self.laid, &best.dependence, threshold, least);
+                formulas(events, excess, block, laid, &best.dependence, threshold, least);
             let curve = &best.dependence;
-            let after = after(&self.events, excess, &self.block, &self.laid, curve, threshold, least);
+            let after = after(events, excess, block, laid, curve, threshold, least);
             let setting = LocatedSetting::default();
-            let on = Values { pixel, t_ns, polarity, log_light, block: &self.block };
-            let places = Gains::new(ground.case, on, &self.laid, &setting);
+            let on = Values { pixel, t_ns, polarity, log_light, block };
+            let places = Gains::new(ground.case, on, laid, &setting);
             best.located = after.as_ref().map(|after| {
                 places.locate(&after.gains, curve.covariate.name()).of_dependence(curve, &setting)
             });
             if let Some(after) = after {
-                let of = after.residual.iter().zip(&self.threshold);
+                let of = after.residual.iter().zip(thresholds);
                 let mut shares: Vec<f64> =
                     of.map(|(residual, threshold)| residual.abs() / threshold).collect();
                 left = ground.beyond_stated(median(&mut shares));
@@ -147,10 +162,9 @@ impl Level {
     pub(super) fn formulas<L: FreeScene>(&self, ground: &Ground<'_, L>, curve: &Dependence) -> Vec<Formula> {
         let threshold = ground.scales.threshold;
         let least = LEAST_NOISE * threshold;
-        let plain = restored(&self.events, &self.events.excess, &self.laid, curve, threshold);
-        let of = |plain: Vec<f64>| {
-            formulas(&self.events, &plain, &self.block, &self.laid, curve, threshold, least)
-        };
+        let Observed { events, block, laid, .. } = &self.measured;
+        let plain = restored(events, &events.excess, laid, curve, threshold);
+        let of = |plain: Vec<f64>| formulas(events, &plain, block, laid, curve, threshold, least);
         plain.map(of).unwrap_or_default()
     }
 
@@ -164,9 +178,10 @@ impl Level {
         let of_pixels = light.event_gains(predicted, &self.predicted).into_iter().enumerate();
         let gains: Vec<f64> =
             of_pixels.filter(|(place, _)| ground.is_measured(*place)).flat_map(|(_, of)| of).collect();
-        let Residuals { pixel, t_ns, polarity, log_light, .. } = &self.events;
-        let on = Values { pixel, t_ns, polarity, log_light, block: &self.block };
+        let Observed { events, block, laid, .. } = &self.measured;
+        let Residuals { pixel, t_ns, polarity, log_light, .. } = events;
+        let on = Values { pixel, t_ns, polarity, log_light, block };
         let own = CANDIDATES[candidate].decl().covariate;
-        Gains::new(ground.case, on, &self.laid, &LocatedSetting::default()).locate(&gains, own)
+        Gains::new(ground.case, on, laid, &LocatedSetting::default()).locate(&gains, own)
     }
 }

@@ -69,22 +69,54 @@ fn nothing_is_claimed_of_a_sound_recording() {
     assert!(most < Model::of_pixels().least_gain, "{:?}", found.open[0]);
 }
 
+/// A recording whose thresholds are larger by this share where `is` holds, by row and time, ns.
+fn larger_thresholds(truth: f64, is: impl Fn(u32, i64) -> bool) -> Case {
+    use photocurrent_scene::case::PixelEvents;
+    use photocurrent_sensor::effects::PixelEvent;
+    let plain = recording(None);
+    let nominal = plain.nominal().unwrap();
+    let scales = Scales::of(&plain, &nominal);
+    let scale = Candidate::find("threshold_scale", "fraction").unwrap();
+    let larger =
+        recording(Some(("threshold_scale", "fraction", scale.effect_size(truth, &scales, &nominal))));
+    let of = |pixel: usize| {
+        let (_, y) = plain.place(pixel);
+        let part = |case: &Case, wanted: bool| -> Vec<PixelEvent> {
+            case.events.of(pixel).iter().filter(|event| is(y, event.t_in_ns) == wanted).copied().collect()
+        };
+        let mut events = [part(&plain, false), part(&larger, true)].concat();
+        events.sort_by_key(|event| event.t_in_ns);
+        events
+    };
+    Case { events: PixelEvents::new((0..plain.extent.pixels()).map(of)), ..plain.clone() }
+}
+
+#[test]
+fn a_second_variable_multiplies_a_curve_where_that_gains_more() {
+    use crate::covariates::Covariate;
+    // From a quarter of the recording on.
+    let truth = 0.2;
+    let case = larger_thresholds(truth, |y, t_ns| y % 2 == 1 && t_ns >= 25_000_000);
+    let found = on_pixels(&case, &case.nominal().unwrap()).unwrap();
+    let curve = &found.open[0].dependence;
+    assert_eq!(curve.covariate, Covariate::RowParity, "{curve:?}");
+    let times = curve.times.as_ref().expect("a product");
+    assert_eq!((times.covariate, times.at.len()), (Covariate::Time, 4), "{times:?}");
+    // Of the first bin the light takes what the others leave it.
+    assert!(times.by[0] < 0.25 && times.by[1..].iter().all(|by| (by - 1.0).abs() < 0.15), "{times:?}");
+    let difference = curve.value[1] - curve.value[0];
+    assert!((difference / truth - 1.0).abs() < 0.3, "{curve:?}");
+    let equation = curve.equation();
+    assert!(equation.contains("c = f * g") && equation.contains("g(time) = "), "{equation}");
+}
+
 #[test]
 fn thresholds_of_odd_rows_are_a_curve_on_the_light_of_pixels() {
     use crate::covariates::Covariate;
     use crate::dependence::Moved;
-    use photocurrent_scene::case::PixelEvents;
-    let (even, truth) = (recording(None), 0.25);
-    let nominal = even.nominal().unwrap();
-    let scales = Scales::of(&even, &nominal);
-    let scale = Candidate::find("threshold_scale", "fraction").unwrap();
-    let odd = recording(Some(("threshold_scale", "fraction", scale.effect_size(truth, &scales, &nominal))));
-    let of = |pixel: usize| {
-        let is_odd = even.place(pixel).1 % 2 == 1;
-        (if is_odd { &odd } else { &even }).events.of(pixel).to_vec()
-    };
-    let case = Case { events: PixelEvents::new((0..even.extent.pixels()).map(of)), ..even.clone() };
-    let found = on_pixels(&case, &nominal).unwrap();
+    let truth = 0.25;
+    let case = larger_thresholds(truth, |y, _| y % 2 == 1);
+    let found = on_pixels(&case, &case.nominal().unwrap()).unwrap();
     let curve = &found.open[0].dependence;
     assert_eq!((curve.covariate, curve.moved), (Covariate::RowParity, Moved::Threshold), "{curve:?}");
     // The light takes a part of what is the same in all rows, and nothing of their difference.

@@ -28,7 +28,7 @@ macro_rules! made {
 }
 
 made!(Loses {
-    fn keeps(&self, _: &Site, _: &mut Random, event: &PixelEvent) -> bool {
+    fn keeps(&self, _: &Site, _: &crate::effects::History, _: &mut Random, event: &PixelEvent) -> bool {
         event.t_in_ns > 25 * MS
     }
 });
