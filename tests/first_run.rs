@@ -382,9 +382,8 @@ fn npy(values: &[i64]) -> Vec<u8> {
     b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(bytes).collect()
 }
 
-#[test]
-fn a_sequence_of_hs_ergb() {
-    let bench = Bench::new();
+/// A sequence whose events have places in 32nds of a pixel.
+fn hs_ergb(bench: &Bench, events: &[(i64, i64, i64, bool)]) {
     let frames = &scene().frames;
     let mut stamps = String::new();
     for (l, (t, codes)) in frames.iter().enumerate() {
@@ -393,12 +392,13 @@ fn a_sequence_of_hs_ergb() {
         // File n lies between pictures n and n + 1; what comes before the first picture stands in the first.
         let from = if l == 0 { i64::MIN } else { *t };
         let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
-        let part: Vec<_> = scene().events.iter().filter(|event| (from..to).contains(&event.0)).collect();
-        let column =
-            |of: &dyn Fn(&Event) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
+        let part: Vec<_> = events.iter().filter(|event| (from..to).contains(&event.0)).collect();
+        let column = |of: &dyn Fn(&(i64, i64, i64, bool)) -> i64| {
+            npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>())
+        };
         let bytes = zip(&[
-            ("x.npy", column(&|event| 32 * i64::from(event.1))),
-            ("y.npy", column(&|event| 32 * i64::from(event.2))),
+            ("x.npy", column(&|event| event.1)),
+            ("y.npy", column(&|event| event.2)),
             ("t.npy", column(&|event| event.0)),
             ("p.npy", column(&|event| i64::from(event.3))),
         ]);
@@ -406,6 +406,47 @@ fn a_sequence_of_hs_ergb() {
         fs::write(bench.path(&format!("clip/events/{l:06}.npz")), bytes).unwrap();
     }
     bench.write("clip/images/timestamp.txt", &stamps);
+}
+
+#[test]
+fn a_sequence_of_hs_ergb() {
+    let bench = Bench::new();
+    let place = |event: &Event| (event.0, 32 * i64::from(event.1), 32 * i64::from(event.2), event.3);
+    hs_ergb(&bench, &scene().events.iter().map(place).collect::<Vec<_>>());
+    two_commands(&bench, &["clip"], &KNOWN);
+}
+
+#[test]
+fn a_sequence_of_hs_ergb_whose_events_were_warped_has_no_pixel_without_them() {
+    // Event pixels of another camera, 1.16 pixels of the frames apart and turned a little: each has the events
+    // of the pixel that lies nearest to its place.
+    let bench = Bench::new();
+    let warped = |column: i64, row: i64| {
+        let (x, y) = (1.16 * column as f64, 1.16 * row as f64);
+        (x - 0.02 * y + 0.3, y + 0.02 * x + 0.1)
+    };
+    let mut of_pixel: std::collections::HashMap<(i64, i64), Vec<&Event>> = Default::default();
+    for event in &scene().events {
+        of_pixel.entry((event.1.into(), event.2.into())).or_default().push(event);
+    }
+    let mut events = Vec::new();
+    let mut without = vec![true; WIDTH * HEIGHT];
+    for (column, row) in (0..45).flat_map(|column| (0..35).map(move |row| (column, row))) {
+        let (x, y) = warped(column, row);
+        let nearest = ((x + 0.5).floor() as i64, (y + 0.5).floor() as i64);
+        if let Some(without) = without.get_mut((nearest.1 * WIDTH as i64 + nearest.0) as usize) {
+            *without = false;
+        }
+        let (x, y) = ((32.0 * x).round() as i64, (32.0 * y).round() as i64);
+        let seen = of_pixel.get(&nearest).into_iter().flatten();
+        events.extend(seen.map(|event| (event.0, x, y, event.3)));
+    }
+    events.sort_by_key(|event| event.0);
+    // Rounded, a quarter of the pixels had none.
+    assert!(without.iter().filter(|is| **is).count() > WIDTH * HEIGHT / 5);
+    hs_ergb(&bench, &events);
+    let seen = bench.run(&["inspect", "clip"]);
+    assert!(seen.stdout.contains("with a pitch of 1.16"), "{} {}", seen.stdout, seen.stderr);
     two_commands(&bench, &["clip"], &KNOWN);
 }
 

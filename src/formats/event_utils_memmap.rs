@@ -98,6 +98,7 @@ impl Memmap {
             }
             _ => None,
         };
+        notes.extend(npz::rounded(&table));
         let scale = declared.coordinate_scale.unwrap_or(1).max(1);
         let reading =
             Reading { unit, scale, wraps_at: None, extent, has_t_in: false, rules: Rules::default() };

@@ -4,7 +4,8 @@
 //! Event file n lies between pictures n and n + 1. Stamps are microseconds; that is taken only where the
 //! values agree with it. BS-ERGB's coordinates were rectified and are stored as 16-bit numbers of 1/32 pixel,
 //! where negative ones appear as 65,536 too large; HS-ERGB's are whole pixels or floats. Which of these it is
-//! follows from the values and is noted. Source: the loaders of Time Lens and of EVREAL. Limits: the events'
+//! follows from the values and is noted. Places with fractions were warped to the pictures: each pixel has the
+//! events of the event pixel that sees it ([`crate::warped`]). Source: the loaders of Time Lens and of EVREAL. Limits: the events'
 //! array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
 
 use crate::chunk::EventChunk;
@@ -19,7 +20,9 @@ use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
 use crate::pictures::{Defined, PictureFiles, names};
 use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
+use crate::warped::Warped;
 use photocurrent_core::Extent;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -33,6 +36,9 @@ pub(crate) static FORMAT: Format = Format {
 
 const EVENTS: [&str; 3] = ["events_aligned", "events_corrected", "events"];
 const IMAGES: [&str; 3] = ["images_corrected", "images_aligned", "images"];
+/// So many files, and events of each, show where event pixels lie.
+const FILES_OF_PLACES: usize = 16;
+const EVENTS_OF_PLACES: usize = 1 << 19;
 const STAMPS: [&str; 2] = ["timestamp.txt", "timestamps.txt"];
 
 fn recognises(probe: &Probe) -> bool {
@@ -93,6 +99,8 @@ pub(crate) struct HsErgb {
     reading: Reading,
     archives: Arc<Vec<PathBuf>>,
     declared: Declared,
+    /// Where places have fractions.
+    warped: Option<Arc<Warped>>,
     frames: Option<Arc<PictureFiles>>,
     files: Vec<PathBuf>,
 }
@@ -141,10 +149,20 @@ impl HsErgb {
         let mut files = archives.clone();
         files.extend(frames.iter().flat_map(|frames| frames.files().to_vec()));
         let reading = Reading { unit, scale, wraps_at, extent, has_t_in: false, rules: Rules::default() };
+        let warped = match extent.filter(|_| sample.is_fractional || scale > 1) {
+            Some(extent) => warped(&archives, declared, reading, extent).map(Arc::new),
+            None => None,
+        };
+        match &warped {
+            Some(warped) => notes.push(warped.note()),
+            None if scale > 1 => notes.push("places were rounded to the nearest pixel".into()),
+            None => notes.extend(npz::rounded(&sample.table)),
+        }
         let mut about = npz::about(&sample.table, &reading, notes);
         about.count = None;
         let about = Lazy::new(path, declared, about);
-        Ok(HsErgb { about, reading, archives: Arc::new(archives), declared: declared.clone(), frames, files })
+        let (archives, declared) = (Arc::new(archives), declared.clone());
+        Ok(HsErgb { about, reading, archives, declared, warped, frames, files })
     }
 }
 
@@ -159,6 +177,18 @@ impl HsErgb {
         }
         Ok(())
     }
+}
+
+/// The event array's own grid, from places in some of the files.
+fn warped(archives: &[PathBuf], declared: &Declared, reading: Reading, extent: Extent) -> Option<Warped> {
+    let mut places = HashSet::new();
+    for file in archives.iter().step_by(archives.len().div_ceil(FILES_OF_PLACES)) {
+        let Ok((table, _)) = npz::table(file, declared) else { continue };
+        let cursor = TableCursor::open(Arc::new(table), reading);
+        // What cannot be read is reported by who reads the events.
+        let _ = cursor.and_then(|cursor| cursor.places(EVENTS_OF_PLACES, &mut places));
+    }
+    Warped::of(&places, extent)
 }
 
 fn frames(
@@ -276,7 +306,7 @@ impl Sample {
         let (x, y) = self.reach;
         let reach = format!("coordinates reach x = {x}, y = {y}");
         if let Some(scale) = declared.coordinate_scale.map(|scale| scale.max(1)) {
-            notes.push(format!("{reach}; divided by {scale}, as declared, and rounded to the nearest pixel"));
+            notes.push(format!("{reach}; divided by {scale}, as declared"));
             return Ok(scale);
         }
         let undeclared = |what: String| {
@@ -307,7 +337,7 @@ impl Sample {
         {
             notes.push(format!(
                 "{reach} where the pictures are {width} x {height}: divided by 32, as the dataset's authors \
-                 document, and rounded to the nearest pixel"
+                 document"
             ));
             return Ok(32);
         }
@@ -320,6 +350,7 @@ struct SequenceCursor {
     archives: Arc<Vec<PathBuf>>,
     declared: Declared,
     reading: Reading,
+    warped: Option<Arc<Warped>>,
     index: usize,
     inner: Option<TableCursor>,
     losses: Losses,
@@ -332,7 +363,8 @@ impl SequenceCursor {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let opened = npz::table(file, &self.declared).and_then(|(mut table, _)| {
             let losses = table.compare()?;
-            Ok((TableCursor::open(Arc::new(table), self.reading)?, losses))
+            let cursor = TableCursor::open_warped(Arc::new(table), self.reading, self.warped.clone())?;
+            Ok((cursor, losses))
         });
         match opened {
             Ok((cursor, losses)) => {
@@ -411,6 +443,7 @@ impl Recording for HsErgb {
             archives,
             declared,
             reading,
+            warped: self.warped.clone(),
             index: 0,
             inner: None,
             losses: Losses::default(),

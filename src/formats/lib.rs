@@ -71,6 +71,7 @@ mod incomplete_tests;
 pub mod instead;
 pub mod joined;
 mod known;
+pub mod lattice;
 mod losses;
 mod mcap;
 mod npy;
@@ -87,6 +88,7 @@ pub mod survey;
 mod text;
 mod transfer;
 pub mod trim;
+mod warped;
 pub mod ycbcr;
 
 pub use catalog::{FORMATS, recognise};

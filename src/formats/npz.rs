@@ -84,6 +84,7 @@ impl Npz {
         if scale > 1 {
             notes.push(format!("coordinates divided by {scale} and rounded to the nearest pixel"));
         }
+        notes.extend(rounded(&table));
         let has_t_in = table.scalar(Column::TIn).is_some();
         let reading = Reading {
             unit,
@@ -99,6 +100,15 @@ impl Npz {
     }
 }
 
+/// Notes on coordinates that are rounded.
+pub(crate) fn rounded(table: &Table) -> impl Iterator<Item = String> {
+    let is_float = |column| table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Float);
+    [(Column::X, "x"), (Column::Y, "y")]
+        .into_iter()
+        .filter(move |(column, _)| is_float(*column))
+        .map(|(_, name)| format!("{name} is stored as floats and was rounded to the nearest pixel"))
+}
+
 /// What is known of a table before it is read.
 pub(crate) fn about(table: &Table, reading: &Reading, mut notes: Vec<String>) -> EventsAbout {
     let scalar = table.scalar(Column::T);
@@ -108,11 +118,6 @@ pub(crate) fn about(table: &Table, reading: &Reading, mut notes: Vec<String>) ->
             "stamps are stored as {}, of 24 bits: their step grows to 1e-7 of the time since 0",
             scalar.name()
         ));
-    }
-    for (column, name) in [(Column::X, "x"), (Column::Y, "y")] {
-        if table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Float) {
-            notes.push(format!("{name} is stored as floats and was rounded to the nearest pixel"));
-        }
     }
     EventsAbout {
         extent: reading.extent,

@@ -12,7 +12,9 @@ use crate::declared::{Column, TimeUnit};
 use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::EventCursor;
+use crate::warped::{self, Warped};
 use photocurrent_core::Extent;
+use std::collections::HashSet;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 use std::sync::Arc;
@@ -303,6 +305,10 @@ const NONE: i64 = crate::convention::NONE;
 pub(crate) struct TableCursor {
     table: Arc<Table>,
     reading: Reading,
+    /// Places have fractions, and these pixels have their events.
+    warped: Option<Arc<Warped>>,
+    /// Are places read in parts of a pixel?
+    is_fine: bool,
     streams: Vec<Bytes>,
     row: u64,
     rows: Vec<u8>,
@@ -328,12 +334,62 @@ impl TableCursor {
         Ok(TableCursor {
             table,
             reading,
+            warped: None,
+            is_fine: false,
             streams,
             row: 0,
             rows: Vec::new(),
             columns: Default::default(),
             losses: Losses::default(),
         })
+    }
+
+    /// The same, where pixels have the events of warped places.
+    pub(crate) fn open_warped(
+        table: Arc<Table>,
+        reading: Reading,
+        warped: Option<Arc<Warped>>,
+    ) -> Result<TableCursor, FormatError> {
+        let is_fine = warped.is_some();
+        Ok(TableCursor { warped, is_fine, ..TableCursor::open(table, reading)? })
+    }
+
+    /// Distinct places of at most so many rows, in parts of a pixel.
+    pub(crate) fn places(mut self, most: usize, places: &mut HashSet<(i64, i64)>) -> Result<(), FormatError> {
+        self.is_fine = true;
+        let mut rows = 0;
+        while rows < most
+            && let Some((wanted, got)) = self.load()?
+        {
+            let [_, x, y, ..] = &self.columns;
+            let is_place = |(x, y): &(i64, i64)| *x != NONE && *y != NONE;
+            places.extend(x.iter().copied().zip(y.iter().copied()).take(got).filter(is_place));
+            rows += got;
+            self.row = if got < wanted { self.table.rows } else { self.row + got as u64 };
+        }
+        Ok(())
+    }
+
+    /// Gives every event to the pixels that its place belongs to; one that belongs to none has no pixel.
+    fn spread(&mut self, warped: &Warped, rows: usize) -> usize {
+        let [t, x, y, p, number] = &self.columns;
+        let mut spread: [Vec<i64>; 5] = Default::default();
+        for k in 0..rows {
+            let pixels = warped.pixels_of((x[k], y[k]));
+            let mut push = |x: i64, y: i64| {
+                let number = number.get(k).copied().unwrap_or_default();
+                for (to, value) in spread.iter_mut().zip([t[k], x, y, p[k], number]) {
+                    to.push(value);
+                }
+            };
+            if x[k] == NONE || y[k] == NONE {
+                push(NONE, NONE);
+            }
+            let width = warped.width();
+            pixels.iter().for_each(|pixel| push((pixel % width).into(), (pixel / width).into()));
+        }
+        self.columns = spread;
+        self.columns[0].len()
     }
 
     /// Hands over what was left out.
@@ -367,6 +423,12 @@ impl TableCursor {
                     Column::T | Column::TIn => {
                         each(scalar, rows, source.stride, at, |number| into.push(time(number, unit)))
                     }
+                    Column::X if self.is_fine => each(scalar, rows, source.stride, at, |number| {
+                        into.push(part(number, scale, wraps_at.map(|(x, _)| x)))
+                    }),
+                    Column::Y if self.is_fine => each(scalar, rows, source.stride, at, |number| {
+                        into.push(part(number, scale, wraps_at.map(|(_, y)| y)))
+                    }),
                     Column::X => each(scalar, rows, source.stride, at, |number| {
                         into.push(pixel(number, scale, wraps_at.map(|(x, _)| x)))
                     }),
@@ -477,6 +539,19 @@ fn pixel(number: Number, scale: u32, wraps_at: Option<i64>) -> i64 {
     }
 }
 
+/// A coordinate in parts of a pixel.
+#[inline]
+fn part(number: Number, scale: u32, wraps_at: Option<i64>) -> i64 {
+    match number {
+        Number::Whole(value) => {
+            let value = if wraps_at.is_some_and(|from| value >= from) { value - 65_536 } else { value };
+            warped::fine(value as f64, scale)
+        }
+        Number::Beyond => NONE,
+        Number::Fraction(value) => warped::fine(value, scale),
+    }
+}
+
 /// A polarity as it is stored.
 #[inline]
 fn polarity(number: Number) -> i64 {
@@ -500,11 +575,15 @@ impl EventCursor for TableCursor {
         let Some((wanted, got)) = self.load()? else { return Ok(false) };
         let table = self.table.clone();
         let origin = self.reading.rules;
-        if !origin.is_usual() {
+        if !origin.is_usual() && !self.is_fine {
             let [_, x, y, ..] = &mut self.columns;
             x.iter_mut().chain(y).for_each(|place| *place = origin.pixel(*place));
         }
-        self.take(chunk, got);
+        let events = match self.warped.clone() {
+            Some(warped) => self.spread(&warped, got),
+            None => got,
+        };
+        self.take(chunk, events);
         self.row += got as u64;
         if got < wanted {
             let (row, rows) = (self.row, self.table.rows);
@@ -532,7 +611,7 @@ impl EventCursor for TableCursor {
 
     fn seek(&mut self, _t_ns: i64) -> Result<(), FormatError> {
         // Stamps need not be sorted, so that only the beginning is safe.
-        *self = TableCursor::open(self.table.clone(), self.reading)?;
+        *self = TableCursor::open_warped(self.table.clone(), self.reading, self.warped.clone())?;
         Ok(())
     }
 
