@@ -21,7 +21,7 @@ macro_rules! readers {
                 const DECL: Decl = Decl {
                     kind: $kind,
                     about: $about,
-                    revision: 3,
+                    revision: 4,
                     grain: Grain::Pixel,
                     draws: false,
                     exports: false,

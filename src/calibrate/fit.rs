@@ -384,6 +384,31 @@ mod tests {
     }
 
     #[test]
+    fn the_numbers_of_frames_and_events_hold_where_curves_are_scored_against_the_picture() {
+        // Numbers that are fitted to curves on residuals, on recordings that none of them saw so.
+        let text = include_str!("../../data/diagnosis/examples-joint-scored.jsonl");
+        let examples: Vec<Example> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let (models, least) = (Models::default(), Decision::default().least);
+        let mut counts = [(0, 0); 3];
+        let (mut unnamed, mut first) = (0, 0);
+        for Example { truth, facts, .. } in &examples {
+            let (Some(facts), true) = (facts, truth.effects.len() < 2) else { continue };
+            let found = models.of("joint").first(facts);
+            let kind = if truth.other.is_some() { 2 } else { truth.effects.len() };
+            let most = found.each.iter().copied().fold(0.0, f64::max);
+            counts[kind].0 += 1;
+            counts[kind].1 += usize::from(found.something >= least);
+            if found.something >= least {
+                unnamed += usize::from(kind == 2 && found.unnamed > most);
+                let name = found.each.iter().position(|each| *each == most).map(|n| &facts.first[n].0);
+                let is_right = truth.effects.first().is_some_and(|(id, ..)| name == Some(id));
+                first += usize::from(is_right && found.unnamed <= most);
+            }
+        }
+        assert_eq!((examples.len(), counts, unnamed, first), (72, [(14, 0), (26, 13), (8, 7)], 7, 11));
+    }
+
+    #[test]
     fn odds_that_recordings_were_made_with_are_found_again() {
         let examples = examples(3_000);
         let model = calibrate(&examples.iter().collect::<Vec<&Example>>());
