@@ -36,7 +36,7 @@ const STEPS: usize = 12;
 pub struct Lattice {
     /// Columns and rows that places were found in, of the event array.
     pub size: Extent,
-    /// Mean distance of neighbouring columns and rows, pixels of the other grid.
+    /// Distance of neighbouring columns and rows in the middle, pixels of the other grid.
     pub pitch: (f64, f64),
     /// What places lie off the polynomials by, root mean square, pixels of the other grid.
     pub residual: f64,
@@ -55,8 +55,8 @@ impl Lattice {
         }
         let buckets = Buckets::new(places);
         let basis = basis(places, &buckets)?;
-        let pitch = (libm::hypot(basis[0].0, basis[0].1), libm::hypot(basis[1].0, basis[1].1));
-        let mean = 0.5 * (pitch.0 + pitch.1);
+        let length = |step: (f64, f64)| libm::hypot(step.0, step.1);
+        let mean = 0.5 * (length(basis[0]) + length(basis[1]));
         let mut found = chained(places, &buckets, basis, mean);
         let mut warp = Warp::fit(places, &found)?;
         for _ in 0..ROUNDS {
@@ -79,6 +79,7 @@ impl Lattice {
                 (place.0 - fitted.0) * (place.0 - fitted.0) + (place.1 - fitted.1) * (place.1 - fitted.1)
             })
             .sum();
+        let pitch = warp.pitch();
         let residual = libm::sqrt(off / cells.len() as f64);
         let range = |of: &dyn Fn(&(i64, i64)) -> i64| {
             cells.iter().map(of).fold((i64::MAX, i64::MIN), |(low, high), n| (low.min(n), high.max(n)))
@@ -323,6 +324,14 @@ impl Warp {
         (sum(&self.x), sum(&self.y))
     }
 
+    /// Distance of columns and of rows in the middle.
+    fn pitch(&self) -> (f64, f64) {
+        let (column, row) = self.middle;
+        let between = |a: (f64, f64), b: (f64, f64)| libm::hypot(a.0 - b.0, a.1 - b.1);
+        let across = between(self.at((column + 0.5, row)), self.at((column - 0.5, row)));
+        (across, between(self.at((column, row + 0.5)), self.at((column, row - 0.5))))
+    }
+
     fn place(&self, (column, row): (i64, i64)) -> (f64, f64) {
         self.at((column as f64, row as f64))
     }
@@ -399,7 +408,7 @@ mod tests {
         let places = places();
         let found =
             Lattice::of(&places.iter().map(|(_, place)| *place).collect::<Vec<_>>()).expect("a lattice");
-        assert!((found.pitch.0 / 1.17 - 1.0).abs() < 0.02 && found.residual < 0.01, "{found:?}");
+        assert!((found.pitch.0 / 1.16 - 1.0).abs() < 0.005 && found.residual < 0.01, "{found:?}");
         let (first, _) = places.iter().fold(((u32::MAX, u32::MAX), 0), |((x, y), n), ((column, row), _)| {
             ((x.min(*column), y.min(*row)), n)
         });
