@@ -382,8 +382,11 @@ fn npy(values: &[i64]) -> Vec<u8> {
     b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(bytes).collect()
 }
 
-/// A sequence whose events have places in 32nds of a pixel.
-fn hs_ergb(bench: &Bench, events: &[(i64, i64, i64, bool)]) {
+/// An event with its place in 32nds of a pixel.
+type Placed = (i64, i64, i64, bool);
+
+/// A sequence with these events.
+fn hs_ergb(bench: &Bench, events: &[Placed]) {
     let frames = &scene().frames;
     let mut stamps = String::new();
     for (l, (t, codes)) in frames.iter().enumerate() {
@@ -393,9 +396,8 @@ fn hs_ergb(bench: &Bench, events: &[(i64, i64, i64, bool)]) {
         let from = if l == 0 { i64::MIN } else { *t };
         let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
         let part: Vec<_> = events.iter().filter(|event| (from..to).contains(&event.0)).collect();
-        let column = |of: &dyn Fn(&(i64, i64, i64, bool)) -> i64| {
-            npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>())
-        };
+        let column =
+            |of: &dyn Fn(&Placed) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
         let bytes = zip(&[
             ("x.npy", column(&|event| event.1)),
             ("y.npy", column(&|event| event.2)),

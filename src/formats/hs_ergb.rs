@@ -2,11 +2,12 @@
 //! pictures `images*/000000.png`, and their stamps in `timestamp.txt` or `timestamps.txt`.
 //!
 //! Event file n lies between pictures n and n + 1. Stamps are microseconds; that is taken only where the
-//! values agree with it. BS-ERGB's coordinates were rectified and are stored as 16-bit numbers of 1/32 pixel,
-//! where negative ones appear as 65,536 too large; HS-ERGB's are whole pixels or floats. Which of these it is
-//! follows from the values and is noted. Places with fractions were warped to the pictures: each pixel has the
-//! events of the event pixel that sees it ([`crate::warped`]). Source: the loaders of Time Lens and of EVREAL. Limits: the events'
-//! array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
+//! values agree with it. BS-ERGB's coordinates were rectified and are stored as 16-bit numbers of 1/32
+//! pixel, where negative ones appear as 65,536 too large; HS-ERGB's are whole pixels or floats. Which of
+//! these it is follows from the values and is noted. Places with fractions were warped to the pictures:
+//! each pixel has the events of the event pixel that sees it ([`crate::warped`]). Source: the loaders of
+//! Time Lens and of EVREAL. Limits: the events' array is taken to be as large as the pictures, on which
+//! they were aligned; what lies outside is left out.
 
 use crate::chunk::EventChunk;
 use crate::convention::{Lazy, Rules, Tally};

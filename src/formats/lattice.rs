@@ -336,8 +336,8 @@ impl Warp {
         self.at((column as f64, row as f64))
     }
 
-    /// Column and row, with fractions, of a place, by Newton's method with differences over half a pixel, from
-    /// where it may be about.
+    /// Column and row, with fractions, of a place, by Newton's method with differences over half a pixel,
+    /// from where it may be about.
     fn inverse(&self, place: (f64, f64), begin: (f64, f64)) -> Option<(f64, f64)> {
         let mut at = begin;
         for _ in 0..STEPS {

@@ -94,8 +94,8 @@ impl Warped {
     pub(crate) fn note(&self) -> String {
         let Lattice { size, pitch, residual, .. } = &self.lattice;
         format!(
-            "places of events have fractions: they are a lattice of {size} with a pitch of {:.3} x {:.3} pixels \
-             ({residual:.4} off it); each pixel has the events of the event pixel that sees it",
+            "places of events have fractions: they are a lattice of {size} with a pitch of {:.3} x {:.3} \
+             pixels ({residual:.4} off it); each pixel has the events of the event pixel that sees it",
             pitch.0, pitch.1
         )
     }

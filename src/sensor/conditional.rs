@@ -320,13 +320,9 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
             .fold(ideal, |reference, effect| effect.reference(site, history, &mut random, reference, before));
         (reference, draw(history, t_ns, &mut random))
     };
-    let waits = effects.iter().any(|effect| effect.waits());
     for (t_ns, _, mark) in marks {
         walk.go_to(t_ns);
-        let mut thresholds_now = thresholds;
-        if waits {
-            effects.iter().for_each(|effect| effect.waiting(site, &history, t_ns, &mut thresholds_now));
-        }
+        let thresholds_now = waited(effects, site, &history, t_ns, thresholds);
         match mark {
             Mark::Impulse(n) => walk.impulse(&impulses[n]),
             Mark::Quiet => out.quiet.push(Quiet {
@@ -365,6 +361,18 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
             }
         }
     }
+}
+
+/// Thresholds of a reset as they are at an instant before the next event.
+fn waited(
+    effects: &[Box<dyn Effect>],
+    site: &Site,
+    history: &History,
+    t_ns: i64,
+    mut thresholds: Thresholds,
+) -> Thresholds {
+    effects.iter().for_each(|effect| effect.waiting(site, history, t_ns, &mut thresholds));
+    thresholds
 }
 
 /// Digital numbers of the frames; leaves what is said of events alone.

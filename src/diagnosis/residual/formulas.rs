@@ -1,10 +1,10 @@
 //! Which formula a curve over a covariate follows.
 //!
-//! The bins of a curve ([`super::open`]) take any shape. A formula has a form and two or three numbers, or two
-//! forms; it is fitted to the same residuals, judged on the blocks that it was not fitted to, and compared by a
-//! criterion like that of Schwarz: twice its held-out log-likelihood, less the logarithm of the number of
-//! events for each number that was fitted. Events of one place of the scene err alike, so log-likelihoods
-//! count as if standard errors were three times as large.
+//! The bins of a curve ([`super::open`]) take any shape. A formula has a form and two or three numbers, or
+//! two forms; it is fitted to the same residuals, judged on the blocks that it was not fitted to, and
+//! compared by a criterion like that of Schwarz: twice its held-out log-likelihood, less the logarithm of
+//! the number of events for each number that was fitted. Events of one place of the scene err alike, so
+//! log-likelihoods count as if standard errors were three times as large.
 //!
 //! Source: Schwarz, Estimating the dimension of a model (Annals of Statistics 6, 1978).
 
@@ -87,9 +87,9 @@ pub(crate) fn formulas(
         let (plus, errors) = (terms.get(1).copied(), error[1..].to_vec());
         Some((Formula { form, shape, plus, constant, amplitudes, errors, gain, probability: 0.0 }, criterion))
     };
-    // The best shape of a form, beside a term that stands.
-    let best_of = |form: Form, beside: Option<Term>| {
-        let with = |shape: f64| -> Vec<Term> { beside.into_iter().chain([Term { form, shape }]).collect() };
+    // The best shape of a form, in addition to a term that stands.
+    let best_of = |form: Form, other: Option<Term>| {
+        let with = |shape: f64| -> Vec<Term> { other.into_iter().chain([Term { form, shape }]).collect() };
         let tried = tried(form, low, high).into_iter().filter_map(|shape| fitted(&with(shape)));
         tried.max_by(|a, b| a.1.total_cmp(&b.1))
     };
@@ -100,17 +100,33 @@ pub(crate) fn formulas(
     let most = found.iter().map(|(one, _)| one.gain).fold(0.0, f64::max);
     let room = 2.0 * (LEFT_OVER * curve.nats_per_event - most) * known.len() as f64 / (ERRORS * ERRORS);
     let singles = if room > libm::log(known.len() as f64) - NEAR { &found[..] } else { &[] };
+    let mut sums = sums(singles, &forms, best_of);
+    found.append(&mut sums);
+    near(found, curve)
+}
+
+/// Sums of two forms, of which the first are given with their best shapes. `best_of` a form in addition to a
+/// term that stands.
+fn sums(
+    singles: &[(Formula, f64)],
+    forms: &[Form],
+    best_of: impl Fn(Form, Option<Term>) -> Option<(Formula, f64)>,
+) -> Vec<(Formula, f64)> {
     let mut sums: Vec<(Formula, f64)> = Vec::new();
     for (n, (one, _)) in singles.iter().enumerate() {
         // A step may be there twice.
-        for form in forms.iter().filter(|form| is_later(&found[n..], **form) || **form == Form::Step) {
+        for form in forms.iter().filter(|form| is_later(&singles[n..], **form) || **form == Form::Step) {
             let first = Term { form: one.form, shape: one.shape };
             let Some(second) = best_of(*form, Some(first)).and_then(|(sum, _)| sum.plus) else { continue };
-            // Each as it is beside the other one.
+            // Each as it is with the other one.
             sums.extend(best_of(one.form, Some(second)));
         }
     }
-    found.append(&mut sums);
+    sums
+}
+
+/// Those near the best one that explain the curve, best first, with their probabilities.
+fn near(mut found: Vec<(Formula, f64)>, curve: &Dependence) -> Vec<Formula> {
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     let Some(best) = found.first().map(|(_, criterion)| *criterion) else { return Vec::new() };
     found.retain(|(formula, criterion)| {

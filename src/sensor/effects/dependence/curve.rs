@@ -1,8 +1,10 @@
 //! A curve over a variable: knots, linear between them, or a formula.
 
 use super::super::{Parameters, Unit};
-use super::ID;
 use crate::form::{Form, Term};
+
+/// Id of the effect.
+pub(super) const ID: &str = "dependence";
 
 /// A curve over a variable.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,8 +93,8 @@ impl Knots {
         if at.is_empty() || at.len() != by.len() {
             let (knots, values) = (at.len(), by.len());
             return Err(format!(
-                "`effects.{ID}`: expected as many values in `{name_by}` as knots in `{name_at}`, and at least \
-                 one; found {values} and {knots}"
+                "`effects.{ID}`: expected as many values in `{name_by}` as knots in `{name_at}`, and at \
+                 least one; found {values} and {knots}"
             ));
         }
         if let Some(pair) = at.windows(2).find(|pair| pair[0] >= pair[1]) {
@@ -122,7 +124,7 @@ fn formula(parameters: &Parameters, name: &str, by: Vec<f64>) -> Result<Curve, S
     match (parameters.choice("plus"), parameters.get("plus_shape")) {
         (Some(plus), _) => terms.push(term(plus, "plus_shape")?),
         (None, Some(_)) => {
-            return Err(format!("`effects.{ID}.plus_shape` is a number of `plus`, and there is none"));
+            return Err(format!("`effects.{ID}.plus_shape` belongs to `plus`, and there is none"));
         }
         (None, None) => {}
     }

@@ -10,10 +10,10 @@
 //! Sources: none, it is a measurement; a diagnosis writes it where it finds a mismatch without a name.
 //! Limits: a threshold is taken at the reset, so what changes while a pixel waits for its next event is
 //! behind by that wait, but over the time since the last event and the place in a burst, which are those of
-//! the instant; without them a stamp knows nothing of the event before. Slopes, gradients and neighbours'
-//! events are no variables here: they are the light's, and a curve over them cannot be told from light that
-//! is estimated wrongly. No curve takes a threshold below a twentieth of its value, as at zero a pixel would
-//! fire without end.
+//! the instant; stamps do not follow the event before. Slopes, gradients and neighbours' events are no
+//! variables here: they are the light's, and a curve over them is nearly what light that is estimated wrongly
+//! shows. No curve takes a threshold below a twentieth of its value, as at zero a pixel would fire without
+//! end.
 
 mod curve;
 mod variable;
@@ -25,12 +25,9 @@ use super::{
     Stage, Thresholds, Unit,
 };
 use crate::form::Form;
-use curve::{Curve, Knots, typical};
+use curve::{Curve, ID, Knots, typical};
 use photocurrent_core::random::Random;
 use variable::{At, Needs, Variable};
-
-/// Its id.
-const ID: &str = "dependence";
 
 /// The catalogue entry.
 pub(super) const KIND: EffectKind = EffectKind {
@@ -38,9 +35,10 @@ pub(super) const KIND: EffectKind = EffectKind {
         id: ID,
         stage: Stage::Comparator,
         about: "Something differs over a variable, by a curve that was measured",
-        equation: "threshold * (1 + c), ON / OFF threshold * (1 + c), threshold + c * normal, stamp + c, leak \
-                   + c * threshold, loss with probability c, or frame signal * (1 + c), with c(variable) linear \
-                   between knots, or constant + amplitude * form(variable), times a second curve",
+        equation: "threshold * (1 + c), ON / OFF threshold * (1 + c), threshold + c * normal, stamp + c, \
+                   leak + c * threshold, loss with probability c, or frame signal * (1 + c), with \
+                   c(variable) linear between knots, or constant + amplitude * form(variable), times a \
+                   second curve",
         parameters: &[
             ParameterDecl {
                 name: "moves",
@@ -48,9 +46,9 @@ pub(super) const KIND: EffectKind = EffectKind {
                 null: None,
                 allowed: (0.0, 0.0),
                 plausible: (0.0, 0.0),
-                about: "what differs: both thresholds, one of them or their ratio, the noise of each event's \
-                        threshold, the stamps, a leak (ON less OFF events a second), a share of events that is \
-                        lost, or the frame pixel's signal",
+                about: "what differs: both thresholds, one of them or their ratio, the noise of each \
+                        event's threshold, the stamps, a leak (ON less OFF events a second), a share of \
+                        events that is lost, or the frame pixel's signal",
             },
             ParameterDecl {
                 name: "over",
@@ -62,10 +60,10 @@ pub(super) const KIND: EffectKind = EffectKind {
                         seconds, `ac_phase` periods from time zero, `photocurrent` its natural logarithm \
                         when the last event left, `previous_polarity` 1 where the event before was of the \
                         same polarity and -1 where of the other, `time_since_last_event` seconds, \
-                        `burst_index` the place in a run of events of one polarity with at most 10 ms between \
-                        them, from 1; `time` and `ac_phase` of thresholds are those of the reset; a leak and \
-                        the frame pixel's signal depend on the place alone, stamps on place, time and polarity, \
-                        noise on place, time and light",
+                        `burst_index` the place in a run of events of one polarity with at most 10 ms \
+                        between them, from 1; `time` and `ac_phase` of thresholds are those of the reset; a \
+                        leak and the frame pixel's signal depend on the place alone, stamps on place, time \
+                        and polarity, noise on place, time and light",
             },
             ParameterDecl {
                 name: "at",
@@ -213,8 +211,8 @@ impl Moved {
     fn takes(self, needs: Needs) -> bool {
         match self {
             Moved::Thresholds(..) | Moved::Ratio | Moved::Loss => true,
-            Moved::Noise => matches!(needs, Needs::Place | Needs::Instant | Needs::Light),
-            Moved::Delay => matches!(needs, Needs::Place | Needs::Instant | Needs::Polarity),
+            Moved::Noise => matches!(needs, Needs::Place | Needs::Time | Needs::Light),
+            Moved::Delay => matches!(needs, Needs::Place | Needs::Time | Needs::Polarity),
             Moved::Leak | Moved::FrameSignal => needs == Needs::Place,
         }
     }

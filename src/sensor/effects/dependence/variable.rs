@@ -26,7 +26,7 @@ pub(super) enum Variable {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Needs {
     Place,
-    Instant,
+    Time,
     /// The pixel's light when its last event left.
     Light,
     Polarity,
@@ -91,7 +91,7 @@ impl Variable {
             | Variable::ColumnParity
             | Variable::ColumnBlock
             | Variable::Radius => Needs::Place,
-            Variable::Time | Variable::Phase(_) => Needs::Instant,
+            Variable::Time | Variable::Phase(_) => Needs::Time,
             Variable::Photocurrent => Needs::Light,
             Variable::Polarity => Needs::Polarity,
             Variable::PreviousPolarity => Needs::Past,
