@@ -420,8 +420,8 @@ fn a_sequence_of_hs_ergb() {
 
 #[test]
 fn a_sequence_of_hs_ergb_whose_events_were_warped_has_no_pixel_without_them() {
-    // Event pixels of another camera, 1.16 pixels of the frames apart and turned a little: each has the events
-    // of the pixel that lies nearest to its place.
+    // Event pixels of another camera, 1.16 pixels of the frames apart and turned a little: each has the
+    // events of the pixel that lies nearest to its place.
     let bench = Bench::new();
     let warped = |column: i64, row: i64| {
         let (x, y) = (1.16 * column as f64, 1.16 * row as f64);
