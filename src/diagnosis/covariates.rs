@@ -9,7 +9,7 @@ use crate::curves::Curves;
 use crate::sample::Sample;
 use photocurrent_core::Extent;
 use photocurrent_scene::case::Case;
-use photocurrent_sensor::effects::Site;
+use photocurrent_sensor::effects::{BURST_GAP_NS, Site};
 use serde::{Deserialize, Serialize};
 
 /// Something that a mismatch may depend on.
@@ -160,8 +160,6 @@ impl Covariate {
     }
 }
 
-/// Events closer than this belong to one burst, ns.
-const BURST_NS: i64 = 10_000_000;
 /// Load is counted over so long, ns.
 const LOAD_NS: i64 = 1_000_000;
 /// A slope is taken over so long to each side, ns.
@@ -313,7 +311,7 @@ impl<'a> Surroundings<'a> {
         let events = self.case.events.of(pixel);
         let (mut index, mut later) = (1.0, t_ns);
         for event in events[..events.partition_point(|event| event.t_in_ns < t_ns)].iter().rev() {
-            if event.polarity != polarity || later - event.t_in_ns > BURST_NS {
+            if event.polarity != polarity || later - event.t_in_ns > BURST_GAP_NS {
                 break;
             }
             (index, later) = (index + 1.0, event.t_in_ns);

@@ -5,6 +5,7 @@ use crate::formula::Formula;
 use crate::record::Described;
 use crate::report::{short, six_digits};
 use photocurrent_sensor::effects::from_description;
+use photocurrent_sensor::form::through_knots;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
@@ -69,14 +70,7 @@ pub struct Factor {
 impl Factor {
     /// At a value of the covariate; 0 where it has none.
     pub(crate) fn value(&self, x: f64) -> f64 {
-        let Factor { at, by, .. } = self;
-        let k = at.partition_point(|at| *at <= x);
-        match (k.checked_sub(1), at.get(k)) {
-            _ if !x.is_finite() => 0.0,
-            (None, _) => by[0],
-            (Some(last), None) => by[last],
-            (Some(low), Some(high)) => by[low] + (by[k] - by[low]) * (x - at[low]) / (high - at[low]),
-        }
+        if x.is_finite() { through_knots(&self.at, &self.by, false, x) } else { 0.0 }
     }
 }
 

@@ -16,6 +16,8 @@ use nalgebra::{DMatrix, DVector};
 use photocurrent_core::Extent;
 use std::collections::HashMap;
 
+// Not tuned: what is warped by a calibration lies within thousandths of a pixel of its polynomials, and what
+// is no lattice misses these limits by far.
 /// Degree of the polynomials.
 const DEGREE: usize = 5;
 /// Fewer places are no lattice.
@@ -26,6 +28,8 @@ const NEAR: f64 = 0.35;
 const LEAST_SHARE: f64 = 0.97;
 /// And the rest of them no further off than this share of the pitch, root mean square.
 const MOST_RESIDUAL: f64 = 0.1;
+/// No event array has more columns or rows.
+const LARGEST: u32 = 1 << 13;
 /// Rounds of fit and assignment.
 const ROUNDS: usize = 3;
 /// Steps of the inverse.
@@ -33,15 +37,13 @@ const STEPS: usize = 12;
 
 /// A grid behind places.
 #[derive(Clone, Debug)]
-pub struct Lattice {
+pub(crate) struct Lattice {
     /// Columns and rows that places were found in, of the event array.
-    pub size: Extent,
+    pub(crate) size: Extent,
     /// Distance of neighbouring columns and rows in the middle, pixels of the other grid.
-    pub pitch: (f64, f64),
+    pub(crate) pitch: (f64, f64),
     /// What places lie off the polynomials by, root mean square, pixels of the other grid.
-    pub residual: f64,
-    /// How many distinct places there are.
-    pub places: usize,
+    pub(crate) residual: f64,
     /// Column and row of (0, 0) of the size.
     origin: (i64, i64),
     warp: Warp,
@@ -49,7 +51,7 @@ pub struct Lattice {
 
 impl Lattice {
     /// Of distinct places; none where they are no lattice.
-    pub fn of(places: &[(f64, f64)]) -> Option<Lattice> {
+    pub(crate) fn of(places: &[(f64, f64)]) -> Option<Lattice> {
         if places.len() < FEWEST {
             return None;
         }
@@ -89,24 +91,20 @@ impl Lattice {
             width: u32::try_from(right - left + 1).ok()?,
             height: u32::try_from(bottom - top + 1).ok()?,
         };
-        let lattice = Lattice { size, pitch, residual, places: places.len(), origin: (left, top), warp };
-        (residual < MOST_RESIDUAL * mean).then_some(lattice)
+        let lattice = Lattice { size, pitch, residual, origin: (left, top), warp };
+        let is_an_array = size.width <= LARGEST && size.height <= LARGEST;
+        (is_an_array && residual < MOST_RESIDUAL * mean).then_some(lattice)
     }
 
     /// Column and row of the event pixel at a place; none where the place is no pixel's.
-    pub fn pixel(&self, place: (f64, f64)) -> Option<(u32, u32)> {
+    pub(crate) fn pixel(&self, place: (f64, f64)) -> Option<(u32, u32)> {
         let mean = 0.5 * (self.pitch.0 + self.pitch.1);
         self.inside(self.warp.cell(place, NEAR * mean)?)
     }
 
-    /// Where an event pixel lies on the other grid.
-    pub fn place(&self, (column, row): (u32, u32)) -> (f64, f64) {
-        self.warp.place((i64::from(column) + self.origin.0, i64::from(row) + self.origin.1))
-    }
-
     /// Of each pixel of the other grid, row by row, the event pixel that sees its middle: the nearest one;
     /// none beyond the event array.
-    pub fn seen_by(&self, extent: Extent) -> Vec<Option<(u32, u32)>> {
+    pub(crate) fn seen_by(&self, extent: Extent) -> Vec<Option<(u32, u32)>> {
         let mean = 0.5 * (self.pitch.0 + self.pitch.1);
         // From the pixel before it is a step.
         let mut last = self.warp.middle;

@@ -71,7 +71,7 @@ mod incomplete_tests;
 pub mod instead;
 pub mod joined;
 mod known;
-pub mod lattice;
+mod lattice;
 mod losses;
 mod mcap;
 mod npy;

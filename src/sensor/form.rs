@@ -70,6 +70,27 @@ impl Form {
     }
 }
 
+/// The curve through knots: `by` at `at`, which rise, linear between them, constant beyond; where it goes
+/// round, the first follows the last at a distance of 1.
+///
+/// # Panics
+/// Without knots, or with fewer values than knots.
+pub fn through_knots(at: &[f64], by: &[f64], is_round: bool, x: f64) -> f64 {
+    let last = at.len() - 1;
+    let between = |a: (f64, f64), b: (f64, f64)| {
+        if b.0 > a.0 { a.1 + (b.1 - a.1) * (x - a.0) / (b.0 - a.0) } else { b.1 }
+    };
+    let knot = |k: usize, round: f64| (at[k] + round, by[k]);
+    let k = at.partition_point(|at| *at <= x);
+    match k {
+        0 if is_round => between(knot(last, -1.0), knot(0, 0.0)),
+        k if k > last && is_round => between(knot(last, 0.0), knot(0, 1.0)),
+        0 => by[0],
+        k if k > last => by[last],
+        k => between(knot(k - 1, 0.0), knot(k, 0.0)),
+    }
+}
+
 /// A form with its shape number: a part of a formula.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Term {

@@ -151,6 +151,26 @@ fn each_effect_that_can_be_undone_is() {
         (json!({"frame_nonlinearity": {"compression": 0.5}}), 0.35),
         (json!({"black_level": {"black_level_dn": 90}}), 0.35),
         (
+            json!({"dependence": {
+                "moves": "threshold", "over": "time_since_last_event",
+                "form": "relaxation", "shape": 4e-3, "by": [0.0, 0.5],
+            }}),
+            0.35,
+        ),
+        (
+            json!({"dependence": {
+                "moves": "threshold_ratio", "over": "burst_index", "at": [1, 8], "by": [0.0, 0.6],
+            }}),
+            0.35,
+        ),
+        (
+            json!({"dependence": {
+                "moves": "threshold", "over": "column_parity", "at": [0, 1], "by": [0.3, 0.0],
+                "times": "time", "times_at": [0.0, 0.24], "times_by": [0.0, 1.0],
+            }}),
+            0.35,
+        ),
+        (
             json!({
                 "second_pole": {"tau": "700 us"}, "leak_events": {"rate": "25 Hz"},
                 "image_lag": {"fraction": 0.2},

@@ -309,6 +309,8 @@ pub(crate) struct TableCursor {
     warped: Option<Arc<Warped>>,
     /// Are places read in parts of a pixel?
     is_fine: bool,
+    /// Of each event that warped places were spread to, the row that it comes from.
+    rows_of: Vec<usize>,
     streams: Vec<Bytes>,
     row: u64,
     rows: Vec<u8>,
@@ -336,6 +338,7 @@ impl TableCursor {
             reading,
             warped: None,
             is_fine: false,
+            rows_of: Vec::new(),
             streams,
             row: 0,
             rows: Vec::new(),
@@ -370,26 +373,24 @@ impl TableCursor {
         Ok(())
     }
 
-    /// Gives every event to the pixels that its place belongs to; one that belongs to none has no pixel.
+    /// Gives every event to the pixels that its place belongs to; one that belongs to none is outside.
     fn spread(&mut self, warped: &Warped, rows: usize) -> usize {
-        let [t, x, y, p, number] = &self.columns;
+        let [t, x, y, p, _] = &self.columns;
         let mut spread: [Vec<i64>; 5] = Default::default();
+        self.rows_of.clear();
         for k in 0..rows {
-            let pixels = warped.pixels_of((x[k], y[k]));
             let mut push = |x: i64, y: i64| {
-                let number = number.get(k).copied().unwrap_or_default();
-                for (to, value) in spread.iter_mut().zip([t[k], x, y, p[k], number]) {
-                    to.push(value);
-                }
+                spread.iter_mut().zip([t[k], x, y, p[k]]).for_each(|(to, value)| to.push(value));
+                self.rows_of.push(k);
             };
-            if x[k] == NONE || y[k] == NONE {
+            let (pixels, width) = (warped.pixels_of((x[k], y[k])), warped.width());
+            if pixels.is_empty() {
                 push(NONE, NONE);
             }
-            let width = warped.width();
             pixels.iter().for_each(|pixel| push((pixel % width).into(), (pixel / width).into()));
         }
         self.columns = spread;
-        self.columns[0].len()
+        self.rows_of.len()
     }
 
     /// Hands over what was left out.
@@ -472,7 +473,8 @@ impl TableCursor {
                 }
                 continue;
             }
-            let at = || format!("event {}", first + k as u64);
+            let row = self.rows_of.get(k).copied().unwrap_or(k);
+            let at = || format!("event {}", first + row as u64);
             if t[k] == NONE || !has_t_in {
                 self.losses.add_by(
                     Cause::Stamp,

@@ -29,10 +29,12 @@ const SECOND: [Covariate; 9] = [
 const BINS: usize = 4;
 /// Turns of both curves.
 const TURNS: usize = 12;
-/// A product gains so much of what its first curve does, at the least.
+/// A product gains so much of what its first curve does, at the least: the best of nine always gains a
+/// little. Not calibrated.
 const WORTH: f64 = 0.15;
 
 /// A product: first curve, and factors of which the largest is 1.
+#[derive(Clone)]
 struct Product {
     first: DVector<f64>,
     second: DVector<f64>,
@@ -129,16 +131,14 @@ impl<L: FreeScene> On<'_, '_, L> {
         let halves = self.halves(&of, of.len()).pop()?;
         let size = (of_first, of_second);
         let whole = Product::of(&halves[0].with(&halves[1]), size, prior)?;
-        let [x, y] = match L::IS_ONE {
-            true => [None, None],
-            false => {
-                [Some(Product::of(&halves[0], size, prior)?), Some(Product::of(&halves[1], size, prior)?)]
-            }
+        let half = |n: usize| Product::of(&halves[n], size, prior);
+        let sizes = match L::IS_ONE {
+            true => [whole.clone(), whole.clone()],
+            false => [half(0)?, half(1)?],
         };
-        let sizes = [x.as_ref().unwrap_or(&whole), y.as_ref().unwrap_or(&whole)];
         let column = |k: usize| {
             // Of an event by sizes that it took no part in.
-            let of = sizes[1 - (self.observed.block[k] % 2) as usize];
+            let of = &sizes[1 - (self.observed.block[k] % 2) as usize];
             let by =
                 |n: usize| of.first[n / of_second] * of.second[n % of_second] * f64::from(columns[n].of[k]);
             (0..columns.len()).map(by).sum::<f64>() as f32

@@ -1,7 +1,7 @@
 //! A curve over a variable: knots, linear between them, or a formula.
 
 use super::super::{Parameters, Unit};
-use crate::form::{Form, Term};
+use crate::form::{Form, Term, through_knots};
 
 /// Id of the effect.
 pub(super) const ID: &str = "dependence";
@@ -67,19 +67,7 @@ pub(super) struct Knots {
 
 impl Knots {
     pub(super) fn value(&self, x: f64) -> f64 {
-        let last = self.at.len() - 1;
-        let between = |a: (f64, f64), b: (f64, f64)| {
-            if b.0 > a.0 { a.1 + (b.1 - a.1) * (x - a.0) / (b.0 - a.0) } else { b.1 }
-        };
-        let knot = |k: usize, round: f64| (self.at[k] + round, self.by[k]);
-        let k = self.at.partition_point(|at| *at <= x);
-        match k {
-            0 if self.is_round => between(knot(last, -1.0), knot(0, 0.0)),
-            k if k > last && self.is_round => between(knot(last, 0.0), knot(0, 1.0)),
-            0 => self.by[0],
-            k if k > last => self.by[last],
-            k => between(knot(k - 1, 0.0), knot(k, 0.0)),
-        }
+        through_knots(&self.at, &self.by, self.is_round, x)
     }
 
     /// Knots at the list named first with the values `by` of the list named second.
