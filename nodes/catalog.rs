@@ -27,6 +27,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<split::time::SplitTime>(),
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
+        Kind::of::<render::grey::RenderGrey>(),
         Kind::of::<solve::map::SolveMap>(),
         Kind::of::<solve::paper::SolvePaper>(),
         Kind::of::<refine::steered::RefineSteered>(),
@@ -36,6 +37,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<render::rows::RenderRows>(),
         Kind::of::<render::demosaic::RenderDemosaic>(),
         Kind::of::<refine::onnx::RefineOnnx>(),
+        Kind::of::<render::colour::RenderColour>(),
         // The same by other methods.
         Kind::of::<baseline::repeat::BaselineRepeat>(),
         Kind::of::<baseline::contrast::BaselineContrast>(),

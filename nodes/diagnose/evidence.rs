@@ -149,7 +149,7 @@ impl Node for DiagnoseEvidence {
         kind: "diagnose/evidence",
         about: "Computes how much each effect of the catalogue explains of what events miss their \
                 thresholds by, on a scene of frames alone or of frames and events, or on known light.",
-        revision: 22,
+        revision: 23,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -71,7 +71,7 @@ impl Node for DiagnoseIntegrity {
         kind: "diagnose/integrity",
         about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and \
                 pixels, noise, loss.",
-        revision: 13,
+        revision: 14,
         grain: Grain::Whole,
         draws: false,
         exports: false,

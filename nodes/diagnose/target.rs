@@ -317,7 +317,7 @@ impl Node for DiagnoseTarget {
     const DECL: Decl = Decl {
         kind: "diagnose/target",
         about: "Fits named free parameters of a known target to the frames, and gives its light.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -1,5 +1,7 @@
 //! From photocurrent to pictures.
 
+pub mod colour;
 pub mod demosaic;
+pub mod grey;
 mod reading;
 pub mod rows;

@@ -1,6 +1,6 @@
 //! Holds some frames out, so that a solution can be tested on frames it never saw.
 //!
-//! Every n-th frame goes to `held`, the others to `kept`. A solver gets `kept`; a scorer compares `held` with
+//! Every n-th frame goes to `held`, the others to `kept`; or, with `keep_every`, every n-th to `kept`. A solver gets `kept`; a scorer compares `held` with
 //! what is rendered at its exposures. The very first and the very last frame are never held out: what lies
 //! between two kept frames is interpolated and constrained from both sides, what lies beyond the last one is
 //! not, and would measure something else.
@@ -19,13 +19,17 @@ pub struct Params {
     /// One of this many frames is held out; 2 or more.
     #[schemars(range(min = 2))]
     pub every: usize,
+    /// One of this many frames is kept, from the first one on, and all between two kept ones are held out;
+    /// frames after the last kept one are in neither part. Absent = `every` decides.
+    #[schemars(range(min = 2))]
+    pub keep_every: Option<usize>,
     /// Index of the first frame to hold out, counted from 0. Default: half of `every`, rounded down.
     pub first: Option<usize>,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params { every: 5, first: None }
+        Params { every: 5, keep_every: None, first: None }
     }
 }
 
@@ -55,7 +59,7 @@ pub struct SplitFrames {
 impl SplitFrames {
     /// Indices of the frames to keep and to hold out.
     fn split(&self, count: usize) -> Result<(Vec<usize>, Vec<usize>), NodeError> {
-        let Params { every, first } = self.params;
+        let Params { every, keep_every, first } = self.params;
         let first = first.unwrap_or(every / 2);
         if count < 3 {
             return Err(NodeError::usage(format!(
@@ -63,6 +67,18 @@ impl SplitFrames {
             ))
             .note("the first and the last frame are never held out")
             .hint("solve with all frames and leave the held-out score away"));
+        }
+        if let Some(n) = keep_every {
+            let last = (count - 1) / n * n;
+            if last == 0 {
+                return Err(NodeError::usage(format!(
+                    "`keep_every = {n}` keeps only the first of {count} frames"
+                ))
+                .note("what lies between two kept frames is held out")
+                .hint(format!("keep one of {} or more", count - 1))
+                .param("keep_every"));
+            }
+            return Ok((0..=last).partition(|l| l.is_multiple_of(n)));
         }
         let is_held =
             |l: &usize| *l >= first && (l - first).is_multiple_of(every) && *l > 0 && *l < count - 1;
@@ -83,7 +99,7 @@ impl Node for SplitFrames {
     const DECL: Decl = Decl {
         kind: "split/frames",
         about: "Holds every n-th frame out, to test a solution on frames it never saw.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -110,6 +126,15 @@ params = { every = 5 }
                 params.every
             ))
             .param("every"));
+        }
+        if params.keep_every.is_some_and(|n| n < 2) {
+            return Err(NodeError::usage("`keep_every` must be 2 or more: otherwise nothing is held out")
+                .param("keep_every"));
+        }
+        if params.keep_every.is_some() && params.first.is_some() {
+            return Err(NodeError::usage("`first` belongs to `every`, and `keep_every` is stated")
+                .hint("state one of the two")
+                .param("first"));
         }
         Ok(SplitFrames { params })
     }
@@ -140,7 +165,25 @@ mod tests {
         every: usize,
         first: Option<usize>,
     ) -> Result<(Vec<usize>, Vec<usize>), NodeError> {
-        SplitFrames::build(Params { every, first })?.split(count)
+        SplitFrames::build(Params { every, first, ..Params::default() })?.split(count)
+    }
+
+    #[test]
+    fn one_of_n_is_kept_and_what_lies_between_is_held() {
+        let split = |count: usize, n: usize| {
+            SplitFrames::build(Params { keep_every: Some(n), ..Params::default() })?.split(count)
+        };
+        assert_eq!(split(10, 4).unwrap(), (vec![0, 4, 8], vec![1, 2, 3, 5, 6, 7]));
+        assert_eq!(split(9, 2).unwrap().0, [0, 2, 4, 6, 8]);
+        let error = split(4, 4).unwrap_err();
+        assert_eq!(error.message, "`keep_every = 4` keeps only the first of 4 frames");
+        assert_eq!(
+            (error.hint.as_deref(), error.param.as_deref()),
+            (Some("keep one of 3 or more"), Some("keep_every"))
+        );
+        assert!(split(9, 1).is_err());
+        let both = Params { keep_every: Some(3), first: Some(1), ..Params::default() };
+        assert_eq!(SplitFrames::build(both).err().unwrap().param.as_deref(), Some("first"));
     }
 
     #[test]
@@ -165,7 +208,7 @@ mod tests {
             (Some("first"), Some("choose `first` between 1 and 2"))
         );
         assert_eq!(
-            SplitFrames::build(Params { every: 1, first: None }).err().unwrap().param.as_deref(),
+            SplitFrames::build(Params { every: 1, ..Params::default() }).err().unwrap().param.as_deref(),
             Some("every")
         );
     }
@@ -173,7 +216,7 @@ mod tests {
     #[test]
     fn both_parts_keep_pictures_and_times_together_and_the_plan_says_so() {
         let frames = testing::frames(3, 2, 7);
-        let node = SplitFrames::build(Params { every: 3, first: None }).unwrap();
+        let node = SplitFrames::build(Params { every: 3, ..Params::default() }).unwrap();
         let metas =
             PortMetas::new(BTreeMap::from([("frames".to_string(), vec![Meta::Frames(frames.meta.clone())])]));
         let plan = node.plan(&metas).unwrap();

@@ -1,7 +1,7 @@
 //! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the
 //! sensor.
 
-use crate::grey::Grey;
+use crate::grey::{Clipped, Grey};
 use crate::recorded::Gathered;
 pub use crate::recorded::{CaseFrames, PixelEvents};
 use photocurrent_core::events::{Event, EventRow};
@@ -117,7 +117,8 @@ impl Case {
         let both = frames.zip(grey).filter(|(frames, _)| !frames.is_empty());
         let frames = both
             .map(|(frames, grey)| -> Result<CaseFrames, DataError> {
-                let mut read = CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames)?);
+                let mut read =
+                    CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames, Clipped::Unknown)?);
                 read.filters = grey.is_behind_filters().then_some(frames.meta.colour);
                 Ok(read)
             })

@@ -6,21 +6,34 @@
 //! Behind a mosaic of filters at the events' own pixels, events have the colour of their pixel as well, so
 //! each value stays as it is; neighbours then measure other light ([`Grey::is_behind_filters`]).
 //!
-//! Limit: a mean of values of which one is saturated is not known.
+//! Limit: a mean of values of which one is saturated is not known, or is that of the clipped values
+//! ([`Clipped`]).
 
 use photocurrent_core::{
     Colour, DataError, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp,
 };
+use photocurrent_sensor::pooling::block_weights;
+
+/// What a mean is of which a value is saturated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clipped {
+    /// Not known: for whoever measures.
+    Unknown,
+    /// The mean of the values as they are, saturated where all are: for whoever renders.
+    Mean,
+}
 
 /// How frames become one grey value for each event pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grey {
     extent: Extent,
     /// Frame pixels along the side of an event pixel.
-    ratio: u32,
-    colour: Colour,
-    /// What an event pixel receives of red, green and blue.
-    weights: [f64; 3],
+    pub ratio: u32,
+    /// Colours of the frames.
+    pub colour: Colour,
+    /// What an event pixel receives of each of its values, for each column and row of event pixels within a
+    /// cell of the mosaic.
+    weights: Vec<Vec<f64>>,
     gains: [f64; 3],
     black: f64,
     full: f64,
@@ -35,21 +48,22 @@ impl Grey {
         let ratio = frames.extent.multiple_of(extent).ok_or_else(|| {
             let (found, times) = (frames.extent, "or a whole number of times as many");
             DataError::new(format!(
-                "frames have {found} pixels, {}; a diagnosis needs frames of {extent} pixels, as the events \
-                 have, {times}",
+                "frames have {found} pixels, {}; needed are frames of {extent} pixels, as the events have, {times}",
                 frames.colour.name()
             ))
         })?;
-        let (weights, gains) =
-            (sensor.optics.event_weights.unwrap_or([1.0; 3]), sensor.frames.channel_gain.unwrap_or([1.0; 3]));
+        let gains = sensor.frames.channel_gain.unwrap_or([1.0; 3]);
+        let seen = sensor.optics.event_weights;
         if !gains.iter().all(|gain| *gain > 0.0 && gain.is_finite()) {
             return Err(DataError::new(format!(
                 "`frames.channel_gain` is {gains:?}, and must be three positive numbers: red, green, blue"
             )));
         }
-        if !weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite())
-            || weights.iter().sum::<f64>() <= 0.0
-        {
+        let is_mixture = |weights: [f64; 3]| {
+            weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite())
+                && weights.iter().sum::<f64>() > 0.0
+        };
+        if let Some(weights) = seen.filter(|weights| !is_mixture(*weights)) {
             return Err(DataError::new(format!(
                 "`optics.event_weights` is {weights:?}, and must be three numbers, not negative and not all 0"
             )));
@@ -58,6 +72,10 @@ impl Grey {
             sensor.frames.black_level_dn.unwrap_or(0.0),
             sensor.frames.saturation_dn.unwrap_or(f64::INFINITY),
         );
+        let cell = frames.colour.cell();
+        let weights = (0..cell * cell)
+            .map(|at| block_weights(frames.colour, ratio, (at % cell, at / cell), seen))
+            .collect();
         Ok(Grey { extent, ratio, colour: frames.colour, weights, gains, black, full })
     }
 
@@ -85,11 +103,49 @@ impl Grey {
         FrameTimes { exposures: exposures.into(), row_time_ns: i64::from(self.ratio) * times.row_time_ns }
     }
 
+    /// Values of the frames on each event pixel.
+    pub fn values(&self) -> usize {
+        (self.ratio * self.ratio * self.colour.channels()) as usize
+    }
+
+    /// Where value `n` of those on event pixel (x, y) stands: its number in its row, and the row.
+    pub fn place(&self, n: usize, (x, y): (u32, u32)) -> (u32, u32) {
+        let side = self.ratio * self.colour.channels();
+        (x * side + n as u32 % side, y * self.ratio + n as u32 / side)
+    }
+
+    /// Gain of the channel of a value.
+    fn gain(&self, value: u32, row: u32) -> f64 {
+        self.colour.channel(value, row).map_or(1.0, |channel| self.gains[channel])
+    }
+
+    /// What event pixel (x, y) receives of each of its values: positive or zero, 1 in all
+    /// ([`block_weights`]).
+    pub fn weights(&self, (x, y): (u32, u32)) -> &[f64] {
+        let cell = self.colour.cell();
+        &self.weights[(y % cell * cell + x % cell) as usize]
+    }
+
+    /// Light of a value of the frames, DN above black over the gain of its channel.
+    pub fn light(&self, dn: f64, value: u32, row: u32) -> f64 {
+        (dn - self.black) / self.gain(value, row)
+    }
+
+    /// Light of a mixture, DN above black.
+    pub fn above(&self, dn: f64) -> f64 {
+        dn - self.black
+    }
+
+    /// The DN of light that is so many DN above black in a channel without gain.
+    pub fn dn(&self, light: f64, value: u32, row: u32) -> f64 {
+        self.black + light * self.gain(value, row)
+    }
+
     /// The grey values as [frame][y][x], DN; NaN = not known.
     ///
     /// # Errors
     /// When the frames cannot be read.
-    pub fn read(&self, frames: &FrameSequence) -> Result<Vec<f32>, DataError> {
+    pub fn read(&self, frames: &FrameSequence, clipped: Clipped) -> Result<Vec<f32>, DataError> {
         let rows = frames.meta.extent.rows();
         if self.is_plain() {
             return Ok(frames.read_rows(rows)?.dn);
@@ -100,35 +156,25 @@ impl Grey {
             let block = frames.read(l..l + 1, rows)?;
             let values = block.frame(l);
             (0..self.extent.height).for_each(|y| {
-                all.extend((0..self.extent.width).map(|x| self.of_pixel(values, block.row_values, x, y)))
+                let of = |x: u32| self.of_pixel(values, block.row_values, (x, y), clipped);
+                all.extend((0..self.extent.width).map(of))
             });
         }
         Ok(all)
     }
 
-    fn of_pixel(&self, values: &[f32], row_values: usize, x: u32, y: u32) -> f32 {
-        let (mut sum, mut weight) = (0.0, 0.0);
-        let side = self.ratio * self.colour.channels();
-        for row in y * self.ratio..(y + 1) * self.ratio {
-            for value in x * side..(x + 1) * side {
-                let dn = f64::from(values[row as usize * row_values + value as usize]);
-                let (of, gain) = self
-                    .colour
-                    .channel(value, row)
-                    .map_or((1.0, 1.0), |channel| (self.weights[channel], self.gains[channel]));
-                // One value alone is not weighted.
-                let of = if side == 1 { 1.0 } else { of };
-                sum += if dn < self.full {
-                    of * (self.black + (dn - self.black) / gain)
-                } else if side == 1 {
-                    dn
-                } else {
-                    f64::NAN
-                };
-                weight += of;
-            }
+    fn of_pixel(&self, values: &[f32], row_values: usize, place: (u32, u32), clipped: Clipped) -> f32 {
+        let mut sum = 0.0;
+        for (n, of) in self.weights(place).iter().enumerate() {
+            let (value, row) = self.place(n, place);
+            let dn = f64::from(values[row as usize * row_values + value as usize]);
+            sum += match clipped {
+                _ if self.values() == 1 && dn >= self.full => dn,
+                Clipped::Unknown if dn >= self.full => f64::NAN,
+                _ => of * (self.black + self.light(dn, value, row)),
+            };
         }
-        (sum / weight) as f32
+        sum as f32
     }
 }
 
@@ -151,7 +197,7 @@ mod tests {
     }
 
     fn grey(frames: &FrameSequence, sensor: &Sensor) -> Vec<f32> {
-        Grey::new(EXTENT, &frames.meta, sensor).unwrap().read(frames).unwrap()
+        Grey::new(EXTENT, &frames.meta, sensor).unwrap().read(frames, Clipped::Unknown).unwrap()
     }
 
     #[test]
@@ -167,6 +213,8 @@ mod tests {
         assert_eq!(grey(&rgb, &sensor)[0], 50.0);
         sensor.frames.saturation_dn = Some(80.0);
         assert!(grey(&rgb, &sensor)[0].is_nan());
+        let clipped = Grey::new(EXTENT, &rgb.meta, &sensor).unwrap().read(&rgb, Clipped::Mean).unwrap();
+        assert_eq!(clipped[0], 50.0, "blue is clipped, and counts as it is");
     }
 
     #[test]
@@ -175,6 +223,10 @@ mod tests {
         let finer = frames(2, "mono", &[1.0, 2.0, 10.0, 20.0, 3.0, 4.0, 30.0, 40.0]);
         assert_eq!(grey(&finer, &sensor), [2.5, 25.0]);
         let of = |frames: &FrameSequence| Grey::new(EXTENT, &frames.meta, &sensor).unwrap();
+        let mut seen = sensor.clone();
+        seen.optics.event_weights = Some([0.0, 1.0, 0.0]);
+        let bayer = frames(2, "bayer_rggb", &[1.0, 2.0, 10.0, 20.0, 3.0, 4.0, 30.0, 40.0]);
+        assert_eq!(grey(&bayer, &seen), [2.5, 25.0], "two greens share what green counts");
         let (mosaic, cells) = (frames(1, "bayer_rggb", &[5.0, 7.0]), frames(2, "bayer_rggb", &[1.0; 8]));
         assert_eq!(grey(&mosaic, &sensor), [5.0, 7.0]);
         assert!(

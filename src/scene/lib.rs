@@ -14,7 +14,8 @@
 //! - [`light`]: log photocurrent of an array at steady instants; [`gate`]: which events lie where a scene
 //!   predicts the frames.
 //! - [`flow`]: velocities over the array, from a [`film`] of solved tracks; [`activity`]: where they are
-//!   estimated. [`image`]: a picture and its values between pixels.
+//!   estimated. [`image`]: a picture and its values between pixels. [`hue`]: the hue of captured frames,
+//!   carried along the motion.
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
@@ -29,6 +30,7 @@ pub mod flow;
 pub mod free;
 pub mod gate;
 pub mod grey;
+pub mod hue;
 pub mod image;
 pub mod joint;
 pub mod known;
