@@ -102,11 +102,12 @@ fn read(path: &Path) -> Scene {
     }
 }
 
-/// A grey picture as PNG.
+/// A picture as PNG: grey, or red, green and blue.
 fn png(codes: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, WIDTH as u32, HEIGHT as u32);
-    encoder.set_color(png::ColorType::Grayscale);
+    let is_grey = codes.len() == WIDTH * HEIGHT;
+    encoder.set_color(if is_grey { png::ColorType::Grayscale } else { png::ColorType::Rgb });
     encoder.set_depth(png::BitDepth::Eight);
     encoder.write_header().unwrap().write_image_data(codes).unwrap();
     bytes
@@ -180,8 +181,12 @@ fn two_commands(bench: &Bench, files: &[&str], options: &[&str]) {
     assert_eq!(done.code, 0, "{}\n{manifest}", done.stderr);
     let scene = scene();
     let zero = scene.events[0].0.min(scene.frames[0].0);
-    let ours: Vec<(i64, Vec<f64>)> =
-        rendered(&bench.path("out/my/frames")).into_iter().map(|(t, values)| (t + zero, values)).collect();
+    // Of pictures in colour the red.
+    let red = |values: Vec<f64>| values.iter().step_by(values.len() / (WIDTH * HEIGHT)).copied().collect();
+    let ours: Vec<(i64, Vec<f64>)> = rendered(&bench.path("out/my/frames"))
+        .into_iter()
+        .map(|(t, values)| (t + zero, red(values)))
+        .collect();
     let captured =
         |t: i64| scene.frames.iter().min_by_key(|(start, _)| (start + EXPOSURE_US / 2 - t).abs()).unwrap();
     let repeated: Vec<(i64, Vec<f64>)> = ours
@@ -385,12 +390,16 @@ fn npy(values: &[i64]) -> Vec<u8> {
 /// An event with its place in 32nds of a pixel.
 type Placed = (i64, i64, i64, bool);
 
-/// A sequence with these events.
-fn hs_ergb(bench: &Bench, events: &[Placed]) {
+/// A sequence with these events, in shades of grey or of a colour: green and blue as parts of red.
+fn hs_ergb(bench: &Bench, events: &[Placed], hue: Option<[f64; 2]>) {
     let frames = &scene().frames;
     let mut stamps = String::new();
     for (l, (t, codes)) in frames.iter().enumerate() {
-        write_png(&bench.path(&format!("clip/images/{l:06}.png")), codes);
+        let in_colour = |[green, blue]: [f64; 2]| -> Vec<u8> {
+            let part = |code: &u8, part: f64| (f64::from(*code) * part).round() as u8;
+            codes.iter().flat_map(|code| [*code, part(code, green), part(code, blue)]).collect()
+        };
+        write_png(&bench.path(&format!("clip/images/{l:06}.png")), &hue.map_or(codes.clone(), in_colour));
         writeln!(stamps, "{t}").unwrap();
         // File n lies between pictures n and n + 1; what comes before the first picture stands in the first.
         let from = if l == 0 { i64::MIN } else { *t };
@@ -414,8 +423,29 @@ fn hs_ergb(bench: &Bench, events: &[Placed]) {
 fn a_sequence_of_hs_ergb() {
     let bench = Bench::new();
     let place = |event: &Event| (event.0, 32 * i64::from(event.1), 32 * i64::from(event.2), event.3);
-    hs_ergb(&bench, &scene().events.iter().map(place).collect::<Vec<_>>());
+    hs_ergb(&bench, &scene().events.iter().map(place).collect::<Vec<_>>(), None);
     two_commands(&bench, &["clip"], &KNOWN);
+}
+
+#[test]
+fn a_sequence_of_hs_ergb_in_colour_is_solved_as_its_mixture() {
+    let bench = Bench::new();
+    let place = |event: &Event| (event.0, 32 * i64::from(event.1), 32 * i64::from(event.2), event.3);
+    let hue = [0.7, 0.4];
+    hs_ergb(&bench, &scene().events.iter().map(place).collect::<Vec<_>>(), Some(hue));
+    two_commands(&bench, &["clip"], &KNOWN);
+    let manifest = fs::read_to_string(bench.path("my.toml")).unwrap();
+    for kind in ["render/grey", "refine/motion", "render/colour"] {
+        assert!(manifest.contains(kind), "{manifest}");
+    }
+    for (_, values) in rendered(&bench.path("out/my/frames")) {
+        // Codes of dark places are rounded by much, and white is clipped.
+        for pixel in values.chunks_exact(3).filter(|pixel| (60.0..254.0).contains(&pixel[0])) {
+            for (value, part) in pixel[1..].iter().zip(hue) {
+                assert!((value / pixel[0] - part).abs() < 0.02, "{pixel:?}, {part} of red");
+            }
+        }
+    }
 }
 
 #[test]
@@ -446,7 +476,7 @@ fn a_sequence_of_hs_ergb_whose_events_were_warped_has_no_pixel_without_them() {
     events.sort_by_key(|event| event.0);
     // Rounded, a quarter of the pixels had none.
     assert!(without.iter().filter(|is| **is).count() > WIDTH * HEIGHT / 5);
-    hs_ergb(&bench, &events);
+    hs_ergb(&bench, &events, None);
     let seen = bench.run(&["inspect", "clip"]);
     assert!(seen.stdout.contains("with a pitch of 1.16"), "{} {}", seen.stdout, seen.stderr);
     two_commands(&bench, &["clip"], &KNOWN);

@@ -4,6 +4,7 @@
 //! - [`offset`]: how late events are against frames, and whether the clocks drift apart.
 //! - [`row_time`]: the delay from row to row.
 //! - [`thresholds`]: the log change of an ON and of an OFF event.
+//! - [`held_out`]: the same by frames that are held out, for `photocurrent init`.
 //! - [`exposure`]: the length of the exposure that blurred the frames.
 //!
 //! All look at some frames and at the busiest pixels of every band of rows ([`panel()`]) and call one
@@ -11,6 +12,7 @@
 //! the table, never a guess.
 
 pub mod exposure;
+pub mod held_out;
 pub mod offset;
 mod panel;
 pub mod row_time;
@@ -65,6 +67,8 @@ pub struct Proposals {
     pub offset_ns: Option<Estimate>,
     /// Contrast thresholds, natural-log units.
     pub thresholds: Option<(Estimate, Estimate)>,
+    /// Those with which frames that are held out are predicted best, where that can be tried.
+    pub held_out: Option<held_out::HeldOut>,
     /// Length of the exposure, ns.
     pub exposure_ns: Option<Estimate>,
     /// Why there is none, where there is none.
@@ -89,7 +93,9 @@ pub fn proposals(events: &EventStream, frames: &FrameSequence) -> Result<Proposa
     let thresholds = estimate::thresholds(&panel, late.value).map(|steps| (steps.on, steps.off));
     let exposure = exposure::of(&panel, thresholds.map(|(on, off)| (on.value, off.value)), &late);
     let exposure_unclear = exposure.as_ref().err().cloned();
-    Ok(Proposals { offset_ns, thresholds, exposure_ns: exposure.ok(), exposure_unclear })
+    let given = thresholds.map(|(on, off)| (on.value, off.value)).filter(|(on, off)| on.min(*off) > 0.0);
+    let held_out = held_out::thresholds(events, frames, late.value, given)?;
+    Ok(Proposals { offset_ns, thresholds, held_out, exposure_ns: exposure.ok(), exposure_unclear })
 }
 
 /// A value that is stated.

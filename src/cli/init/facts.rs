@@ -15,6 +15,7 @@ use photocurrent_formats::hazard::{self, Limits};
 use photocurrent_formats::placed::PartOf;
 use photocurrent_formats::survey::{Most, survey};
 use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
+use photocurrent_nodes::estimate::held_out::HeldOut;
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::{All, Size};
 use photocurrent_nodes::read::formats::takes;
@@ -236,6 +237,15 @@ impl Draft {
         }
         if let (None, Some((_, mark))) = (&found.offset_ns, &acts.late) {
             acts.marks.push(format!("{mark}; no offset was proposed: {offset_why}"));
+        }
+        if let Some(HeldOut { error, blend: (of_blend, true), .. }) = &found.held_out {
+            acts.marks.push(format!(
+                "a blend of the frames before and after predicts frames that are held out within {:.1} %, a \
+                 solution with the best thresholds within {:.1} %: events gain nothing with this description; \
+                 check the exposure, what a stamp means, and the offset of the clocks",
+                100.0 * of_blend,
+                100.0 * error
+            ));
         }
         (self.all.start, self.all.end) = (start, end);
         Ok((found, offset_why))
@@ -460,29 +470,51 @@ fn is_an_offset(offset: &Estimate) -> bool {
 /// Fields of the description that no file states.
 fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
     let matters = "Too small a value gives pale motion, too large a value ghosts";
-    let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate
-        .filter(|estimate| (0.02..2.0).contains(&estimate.value))
-    {
-        Some(Estimate { value, ci95: (low, high) }) => Fill::open(
-            name,
-            format!("{value:.3}"),
-            format!(
-                "never recorded; this one explains the change of the frames by their events (95 %: \
-                     {low:.3} to {high:.3}). {matters}"
+    let usual = |estimate: &Estimate| (0.02..2.0).contains(&estimate.value);
+    let both = found.thresholds.filter(|(on, off)| usual(on) && usual(off));
+    let width = |(on, off): &(Estimate, Estimate)| {
+        let of = |one: &Estimate| one.ci95.1 / f64::max(one.ci95.0, f64::MIN_POSITIVE);
+        f64::max(of(on), of(off))
+    };
+    // What the change of the frames gives stands where it is the narrower of the two, unless frames that are
+    // held out show it to be worse.
+    let is_better = |held: &HeldOut| {
+        let stands = |both: &(Estimate, Estimate)| width(both) <= width(&held.thresholds);
+        held.given.is_none_or(|(_, is_worse)| is_worse) || !both.as_ref().is_some_and(stands)
+    };
+    let held = found.held_out.as_ref().filter(|held| is_better(held));
+    let threshold = |name: &'static str, of: fn(&(Estimate, Estimate)) -> Estimate| {
+        let stated = |Estimate { value, ci95: (low, high) }: Estimate, what: String| {
+            let why = format!("never recorded; {what} (95 %: {low:.3} to {high:.3}). {matters}");
+            Fill::open(name, format!("{value:.3}"), why)
+        };
+        match (held, both) {
+            (Some(held), _) => {
+                let than = held.given.map_or(String::new(), |(error, _)| {
+                    format!("; with what the change of the frames gives, {:.1} %", 100.0 * error)
+                });
+                let error = 100.0 * held.error;
+                let what = format!(
+                    "with this one frames that are held out are predicted best, within {error:.1} %{than}"
+                );
+                stated(of(&held.thresholds), what)
+            }
+            (None, Some(both)) => {
+                stated(of(&both), "this one explains the change of the frames by their events".to_owned())
+            }
+            (None, None) => Fill::open(
+                name,
+                "0.25",
+                format!(
+                    "never recorded, and too little moves to measure it; usual settings lie between 0.15 and \
+                     0.5. {matters}"
+                ),
             ),
-        ),
-        None => Fill::open(
-            name,
-            "0.25",
-            format!(
-                "never recorded, and too little moves to measure it; \
-                                                     usual settings lie between 0.15 and 0.5. {matters}"
-            ),
-        ),
+        }
     };
     let mut fills = vec![
-        threshold("threshold_on", found.thresholds.map(|both| both.0)),
-        threshold("threshold_off", found.thresholds.map(|both| both.1)),
+        threshold("threshold_on", |both| both.0),
+        threshold("threshold_off", |both| both.1),
         Fill::open(
             "refractory",
             "\"100 us\"",

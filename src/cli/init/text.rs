@@ -3,6 +3,7 @@
 use super::facts::{Facts, OWN};
 use super::fill::Fill;
 use super::window::Window;
+use photocurrent_core::Colour;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -77,52 +78,157 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
             let _ = writeln!(text, "end = \"{end}\"");
         }
     }
-    pipeline(&mut text, facts.rate_hz, recording, sensor_port);
+    let wiring = Wiring { recording, sensor: sensor_port, rate_hz: rendered_hz(facts) };
+    if facts.frames.colour == Colour::Rgb {
+        mixture(&mut text, &wiring, facts.frames.times.len());
+    } else {
+        alone(&mut text, &wiring);
+    }
+    compared(&mut text, &wiring, if facts.frames.colour == Colour::Rgb { "colour" } else { "render" });
     text
 }
 
-/// The nodes behind the readers, from the solver to the files that are written.
-fn pipeline(text: &mut String, rate_hz: f64, recording: &str, sensor_port: &str) {
-    let exposure = photocurrent_core::quantity::Duration::new((1e9 / rate_hz).round() as i64);
+/// Where the nodes of a manifest take their inputs from, and how many pictures they render.
+struct Wiring<'a> {
+    recording: &'a str,
+    sensor: &'a str,
+    rate_hz: f64,
+}
+
+impl Wiring<'_> {
+    /// Parameters of whoever renders.
+    fn sampling(&self) -> String {
+        let exposure = photocurrent_core::quantity::Duration::new((1e9 / self.rate_hz).round() as i64);
+        format!("rate = \"{} Hz\", exposure = \"{exposure}\"", self.rate_hz)
+    }
+}
+
+/// Pictures in colour are in memory all at once: so many values of them at most, four bytes each.
+const MOST_VALUES: f64 = 2.5e8;
+/// Tracks are refined along the motion from so many frames on: with fewer, no frame can judge it.
+const JUDGED_FRAMES: usize = 4;
+
+/// The rate of the pictures: in colour no more of them than memory holds.
+fn rendered_hz(facts: &Facts) -> f64 {
+    let (frames, mut rate_hz) = (&facts.frames, facts.rate_hz);
+    if frames.colour != Colour::Rgb {
+        return rate_hz;
+    }
+    let seconds = frames.times.span(frames.extent.height).map_or(0.0, |span| span.length_ns() as f64 * 1e-9);
+    let a_second = (frames.extent.height as usize * frames.row_values()) as f64 * seconds;
+    while rate_hz * a_second > MOST_VALUES && rate_hz > 1.0 {
+        rate_hz = (rate_hz / 2.0).ceil();
+    }
+    rate_hz
+}
+
+/// Every value of a frame solved by itself.
+fn alone(text: &mut String, wiring: &Wiring<'_>) {
+    let Wiring { recording, sensor, .. } = wiring;
     let _ = write!(
         text,
         r#"
 # The photocurrent of every pixel, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
 [nodes.solve]
 kind   = "solve/map"
-in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor_port}" }}
-params = {{ front_end = "ideal", event_noise = 0.1 }}
+in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor}" }}
+params = {{ front_end = "ideal" }}
 
 # Sharp frames without rolling shutter.
 [nodes.render]
 kind   = "render/rows"
-in     = {{ tracks = "solve.tracks", sensor = "{sensor_port}" }}
-params = {{ rate = "{rate} Hz", exposure = "{exposure}" }}
+in     = {{ tracks = "solve.tracks", sensor = "{sensor}" }}
+params = {{ {sampling} }}
+"#,
+        sampling = wiring.sampling(),
+    );
+}
 
+/// The mixture of the colours solved, which is what events see, and divided by the hue of the frames.
+fn mixture(text: &mut String, wiring: &Wiring<'_>, frames: usize) {
+    let Wiring { recording, sensor, .. } = wiring;
+    let _ = write!(
+        text,
+        r#"
+# An event pixel sees the mixture of its colours: the photocurrent of that, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
+[nodes.grey]
+kind = "render/grey"
+in   = {{ frames = "{recording}.frames", events = "{recording}.events", sensor = "{sensor}" }}
+
+[nodes.solve]
+kind   = "solve/map"
+in     = {{ events = "{recording}.events", frames = "grey.frames", sensor = "{sensor}" }}
+params = {{ front_end = "ideal" }}
+"#
+    );
+    let tracks = if frames >= JUDGED_FRAMES {
+        let _ = write!(
+            text,
+            r#"
+# Solved again with what neighbouring pixels see before and after, where that predicts frames better.
+[nodes.refine]
+kind   = "refine/motion"
+in     = {{ tracks = "solve.tracks", events = "{recording}.events", frames = "grey.frames", sensor = "{sensor}" }}
+params = {{ front_end = "ideal" }}
+"#
+        );
+        "refine.tracks"
+    } else {
+        "solve.tracks"
+    };
+    let _ = write!(
+        text,
+        r#"
+# Sharp frames without rolling shutter, and their colours.
+[nodes.render]
+kind   = "render/rows"
+in     = {{ tracks = "{tracks}", sensor = "{sensor}" }}
+params = {{ {sampling} }}
+
+[nodes.colour]
+kind = "render/colour"
+
+[nodes.colour.in]
+frames   = "render.frames"
+captured = "{recording}.frames"
+tracks   = "{tracks}"
+events   = "{recording}.events"
+sensor   = "{sensor}"
+"#,
+        sampling = wiring.sampling(),
+    );
+}
+
+/// What the frames of `node` are compared with, and the files that are written.
+fn compared(text: &mut String, wiring: &Wiring<'_>, node: &str) {
+    let Wiring { recording, sensor, .. } = wiring;
+    let _ = write!(
+        text,
+        r#"
 # For comparison: the event-based double integral, and the frames as they were captured.
 [nodes.edi]
 kind   = "baseline/edi"
-in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor_port}" }}
-params = {{ rate = "{rate} Hz", exposure = "{exposure}" }}
+in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor}" }}
+params = {{ {sampling} }}
 
 [nodes.repeat]
 kind   = "baseline/repeat"
-in     = {{ frames = "{recording}.frames", sensor = "{sensor_port}" }}
-params = {{ rate = "{rate} Hz", exposure = "{exposure}" }}
+in     = {{ frames = "{recording}.frames", sensor = "{sensor}" }}
+params = {{ {sampling} }}
 
 # What to look at first: sheet/contact_sheet.png.
 [nodes.sheet]
 kind   = "write/contact_sheet"
-in     = {{ frames = ["render", "edi", "repeat"], events = "{recording}.events", sensor = "{sensor_port}" }}
+in     = {{ frames = ["{node}", "edi", "repeat"], events = "{recording}.events", sensor = "{sensor}" }}
 params = {{ labels = ["photocurrent", "EDI", "captured frames"], columns = 4 }}
 
 # Linear 16-bit PNG for measurements, times in frames.csv; 8-bit pictures to look at in preview/.
 [nodes.frames]
 kind   = "write/frames"
-in     = {{ frames = "render", sensor = "{sensor_port}" }}
+in     = {{ frames = "{node}", sensor = "{sensor}" }}
 params = {{ preview = true }}
 "#,
-        rate = rate_hz,
+        sampling = wiring.sampling(),
     );
 }
 

@@ -21,8 +21,6 @@ pub(crate) const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
 pub const FEWEST_EVENTS: usize = 40;
 /// Frames are held out where there are at least so many.
 pub const FEWEST_FRAMES: usize = 4;
-/// One in so many frames is held out, never the first or the last.
-const HELD_OUT: usize = 3;
 /// Added to a frame value that an error is compared with, as a share of the range from darkness to
 /// saturation: in the dark, noise is not relative, and a few dark pixels whose light ran away must not pass
 /// for good.
@@ -154,19 +152,41 @@ pub fn choose(
     best.choice
 }
 
-/// Is frame `l` of a pixel's `count` held out where a choice is judged by its prediction?
-pub(crate) fn is_held_out(l: usize, count: usize) -> bool {
-    count >= FEWEST_FRAMES && l % HELD_OUT == 1 && l + 1 < count
+/// Which of a pixel's frames are held out where a choice is judged by its prediction: one in so many, never
+/// the first or the last, and none where there are fewer than [`FEWEST_FRAMES`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HoldOut {
+    /// One in so many, 2 or more.
+    pub every: usize,
+    /// The first of them.
+    pub first: usize,
 }
 
-/// The frames that are not held out.
+impl HoldOut {
+    /// One in three.
+    pub const USUAL: HoldOut = HoldOut { every: 3, first: 1 };
+
+    /// Is frame `l` of a pixel's `count` held out?
+    fn is_held(self, l: usize, count: usize) -> bool {
+        count >= FEWEST_FRAMES && l % self.every == self.first && l > 0 && l + 1 < count
+    }
+
+    /// Those of a pixel's frames that are held out and not saturated, with their numbers.
+    pub fn held(self, frames: &[MapFrame]) -> impl Iterator<Item = (usize, &MapFrame)> {
+        let is_held = move |l: usize| self.is_held(l, frames.len());
+        frames.iter().enumerate().filter(move |(l, frame)| is_held(*l) && !frame.saturated)
+    }
+
+    /// The frames that are not held out.
+    pub fn kept(self, frames: &[MapFrame]) -> Vec<MapFrame> {
+        let is_kept = |(l, _): &(usize, &MapFrame)| !self.is_held(*l, frames.len());
+        frames.iter().enumerate().filter(is_kept).map(|(_, frame)| *frame).collect()
+    }
+}
+
+/// The frames that are not held out by the usual rule.
 pub fn kept(frames: &[MapFrame]) -> Vec<MapFrame> {
-    frames
-        .iter()
-        .enumerate()
-        .filter(|(l, _)| !is_held_out(*l, frames.len()))
-        .map(|(_, frame)| *frame)
-        .collect()
+    HoldOut::USUAL.kept(frames)
 }
 
 /// What choices are tried on.
@@ -217,7 +237,7 @@ impl Tried<'_> {
         group.solve_with(&tasks, evidence, |n, solution| {
             let problem = &self.problems[looking[n / choices.len()]];
             losses[n] = if self.kept.is_some() {
-                prediction_error(problem, self.dark_dn, &solution)
+                prediction_error(HoldOut::USUAL, problem, self.dark_dn, &solution)
             } else {
                 -solution.outcome.log_evidence
             };
@@ -234,7 +254,17 @@ pub fn prediction_errors(
     options: &MapOptions,
     group: &mut MapGroup,
 ) -> Vec<f64> {
-    let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
+    prediction_errors_of(HoldOut::USUAL, problems, options, group)
+}
+
+/// The same of frames that are held out by another rule.
+pub fn prediction_errors_of(
+    hold: HoldOut,
+    problems: &[MapProblem<'_>],
+    options: &MapOptions,
+    group: &mut MapGroup,
+) -> Vec<f64> {
+    let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| hold.kept(problem.frames)).collect();
     let options = MapOptions { with_sigma: false, ..*options };
     let tasks: Vec<MapTask<'_>> = problems
         .iter()
@@ -244,7 +274,7 @@ pub fn prediction_errors(
     let mut errors = vec![0.0; tasks.len()];
     let dark_dn = dark_dn(problems);
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
-        errors[n] = prediction_error(&problems[n], dark_dn, &solution)
+        errors[n] = prediction_error(hold, &problems[n], dark_dn, &solution)
     });
     errors
 }
@@ -278,9 +308,7 @@ pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut Map
             .zip(solution.variance)
             .map(|(u, variance)| u + log_sigma(*variance))
             .collect();
-        for (_, frame) in
-            frames.iter().enumerate().filter(|(l, frame)| is_held_out(*l, frames.len()) && !frame.saturated)
-        {
+        for (_, frame) in HoldOut::USUAL.held(frames) {
             let over = |log: &[f64]| {
                 sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns)
             };
@@ -352,18 +380,43 @@ fn dark_dn(problems: &[MapProblem<'_>]) -> f64 {
 }
 
 /// The sum of relative errors of frames that were held out.
-fn prediction_error(problem: &MapProblem<'_>, dark_dn: f64, solution: &MapSolution<'_>) -> f64 {
-    let mut error = 0.0;
-    for (_, frame) in problem
-        .frames
-        .iter()
-        .enumerate()
-        .filter(|(l, frame)| is_held_out(*l, problem.frames.len()) && !frame.saturated)
-    {
+fn prediction_error(
+    hold: HoldOut,
+    problem: &MapProblem<'_>,
+    dark_dn: f64,
+    solution: &MapSolution<'_>,
+) -> f64 {
+    let of = |(_, frame): (usize, &MapFrame)| {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
         let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
-        let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);
-        error += f64::min((predicted - frame.dn).abs() / (bright + dark_dn), LARGEST_ERROR);
-    }
-    error
+        relative_error(problem, dark_dn, frame, predicted)
+    };
+    hold.held(problem.frames).map(of).sum()
+}
+
+/// What a predicted DN misses a frame value by, as a part of it; at most [`LARGEST_ERROR`].
+fn relative_error(problem: &MapProblem<'_>, dark_dn: f64, frame: &MapFrame, predicted: f64) -> f64 {
+    let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);
+    f64::min((predicted - frame.dn).abs() / (bright + dark_dn), LARGEST_ERROR)
+}
+
+/// The same as [`prediction_errors_of`], of a blend by time of the frames before and after in the place of a
+/// solution.
+pub fn blend_errors(hold: HoldOut, problems: &[MapProblem<'_>]) -> Vec<f64> {
+    let dark_dn = dark_dn(problems);
+    let of_problem = |problem: &MapProblem<'_>| {
+        let black = problem.sensor.black_level_dn;
+        let length = |frame: &MapFrame| (frame.end_ns - frame.start_ns) as f64;
+        let middle = |frame: &MapFrame| 0.5 * (frame.start_ns as f64 + frame.end_ns as f64);
+        let of = |(l, frame): (usize, &MapFrame)| {
+            // One in two or more is held out, and neither the first nor the last.
+            let (before, after) = (&problem.frames[l - 1], &problem.frames[l + 1]);
+            let share = (middle(frame) - middle(before)) / (middle(after) - middle(before));
+            let light = |frame: &MapFrame| (frame.dn - black) / length(frame);
+            let blend = (1.0 - share) * light(before) + share * light(after);
+            relative_error(problem, dark_dn, frame, black + blend * length(frame))
+        };
+        hold.held(problem.frames).map(of).sum()
+    };
+    problems.iter().map(of_problem).collect()
 }
