@@ -31,18 +31,20 @@ const MOST_FRAMES: usize = 25;
 /// Of fewer frames each is held out in turn.
 const FEW_FRAMES: usize = 10;
 /// Rows that are looked at, each the busiest of as many bands, and pixels of each.
-const ROWS: u32 = 32;
-const PIXELS: usize = 48;
+const ROWS: u32 = 24;
+const PIXELS: usize = 16;
 /// Fewer pixels decide nothing.
 const FEWEST_PIXELS: usize = 48;
 /// The thresholds that are tried first, alike for both signs, natural-log units: each 1.3 times the last.
 const FIRST: f64 = 0.06;
 const STEP: f64 = 1.3;
 const TRIED: i32 = 12;
-/// ON over OFF thresholds that are tried with the best of them.
+/// ON over OFF thresholds that are tried around the best of them.
 const RATIOS: [f64; 6] = [0.5, 0.7, 0.85, 1.0 / 0.85, 1.0 / 0.7, 2.0];
-/// And steps around what is best by then.
+/// Steps around the best of those that are alike.
 const REFINED: [f64; 4] = [0.82, 0.91, 1.1, 1.21];
+/// The interval reaches at least by this factor beyond what is best: pairs nearer than that are not tried.
+const APART: f64 = 1.1;
 /// A pair of thresholds is clearly worse by so many standard errors.
 const CLEAR: f64 = 2.0;
 
@@ -51,7 +53,7 @@ const CLEAR: f64 = 2.0;
 pub struct HeldOut {
     /// ON and OFF thresholds, natural-log units.
     pub thresholds: (Estimate, Estimate),
-    /// Mean relative error of a frame value with them, as a part of it.
+    /// Root mean square of the relative error of a frame value with them, each at most 1.
     pub error: f64,
     /// The same with the thresholds that were given, and whether they are clearly worse.
     pub given: Option<(f64, bool)>,
@@ -59,7 +61,8 @@ pub struct HeldOut {
     pub blend: (f64, bool),
 }
 
-/// A pair of thresholds, and what each row loses with it.
+/// A pair of thresholds, and what each row loses with it: squares of relative errors, as pictures are judged
+/// by squares; absolute values prefer thresholds that are too large, with which few pixels err by much.
 struct Tried {
     on: f64,
     off: f64,
@@ -85,36 +88,34 @@ pub fn thresholds(
     if bench.places.iter().map(|(_, columns)| columns.len()).sum::<usize>() < FEWEST_PIXELS {
         return Ok(None);
     }
-    let mut tried: Vec<Tried> = Vec::new();
-    let add = |pairs: Vec<(f64, f64)>, tried: &mut Vec<Tried>| -> Result<(f64, f64), NodeError> {
-        let new: Result<Vec<Tried>, NodeError> = pairs.into_par_iter().map(|pair| bench.of(pair)).collect();
-        tried.extend(new?);
-        let best = best_of(tried);
-        Ok((best.on, best.off))
+    let of = |pairs: Vec<(f64, f64)>| -> Result<Vec<Tried>, NodeError> {
+        pairs.into_par_iter().map(|pair| bench.of(pair)).collect()
     };
-    let alike = (0..TRIED).map(|n| FIRST * libm::pow(STEP, f64::from(n))).map(|both| (both, both));
-    let (on, off) = add(given.into_iter().chain(alike).collect(), &mut tried)?;
-    let mean = libm::sqrt(on * off);
-    let unlike = |ratio: &f64| (mean * libm::sqrt(*ratio), mean / libm::sqrt(*ratio));
-    let (on, off) = add(RATIOS.iter().map(unlike).collect(), &mut tried)?;
-    add(REFINED.iter().map(|by| (on * by, off * by)).collect(), &mut tried)?;
-    let best = best_of(&tried);
-    let held = bench.held as f64;
+    let alike = (0..TRIED).map(|n| FIRST * libm::pow(STEP, f64::from(n)));
+    let mut tried = of(alike.map(|both| (both, both)).collect())?;
+    let both = best_of(&tried).on;
+    tried.extend(of(REFINED.iter().map(|by| (both * by, both * by)).collect())?);
+    let both = best_of(&tried).on;
+    let given = given.map(|pair| bench.of(pair)).transpose()?;
+    let unlike = |ratio: &f64| (both * libm::sqrt(*ratio), both / libm::sqrt(*ratio));
+    let unlike = of(RATIOS.iter().map(unlike).collect())?;
+    // Unlike for the two signs only where that is clearly better.
+    let best = [best_of(&tried), best_of(&unlike)];
+    let best = best[usize::from(clearly(&best[1].of_rows, &best[0].of_rows))];
+    let root = |squares: f64| libm::sqrt(squares / bench.held as f64);
     let blend = bench.blend()?;
     let behind = |of_rows: &[f64]| clearly(&best.of_rows, of_rows);
-    let close: Vec<&Tried> = tried.iter().filter(|one| !behind(&one.of_rows)).collect();
-    let interval = |of: fn(&Tried) -> f64| Estimate {
-        value: of(best),
-        ci95: close
-            .iter()
-            .map(|one| of(one))
-            .fold((f64::INFINITY, 0.0), |(low, high), value| (f64::min(low, value), f64::max(high, value))),
+    let close: Vec<&Tried> = tried.iter().chain(&unlike).filter(|one| !behind(&one.of_rows)).collect();
+    let interval = |of: fn(&Tried) -> f64| {
+        let least = (of(best) / APART, of(best) * APART);
+        let wider = |(low, high): (f64, f64), value: f64| (f64::min(low, value), f64::max(high, value));
+        Estimate { value: of(best), ci95: close.iter().map(|one| of(one)).fold(least, wider) }
     };
     Ok(Some(HeldOut {
         thresholds: (interval(|one| one.on), interval(|one| one.off)),
-        error: best.sum() / held,
-        given: given.map(|_| (tried[0].sum() / held, behind(&tried[0].of_rows))),
-        blend: (blend.iter().sum::<f64>() / held, clearly(&blend, &best.of_rows)),
+        error: root(best.sum()),
+        given: given.map(|given| (root(given.sum()), behind(&given.of_rows))),
+        blend: (root(blend.iter().sum()), clearly(&blend, &best.of_rows)),
     }))
 }
 
@@ -336,23 +337,29 @@ impl Bench<'_> {
         })
     }
 
-    /// What each row loses with a pair of thresholds, and the noise of events that suits it.
+    /// What each row loses with a pair of thresholds, and with the noise and prior that a solver chooses then.
     fn of(&self, (on, off): (f64, f64)) -> Result<Tried, NodeError> {
-        let errors = self.with_problems((on, off), |problems, options, group| {
+        let squares = self.with_problems((on, off), |problems, options, group| {
             let choice = estimate::choose(problems, None, &Choosing::USUAL, options, group);
             let options = MapOptions { prior: choice.prior, ..*options };
             let problems: Vec<MapProblem<'_>> =
                 problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
-            let of = |hold: &HoldOut| estimate::prediction_errors_of(*hold, &problems, &options, group);
+            let of = |hold: &HoldOut| {
+                let [_, squares] = estimate::prediction_errors_of(*hold, &problems, &options, group);
+                squares
+            };
             together(self.holds.iter().map(of))
         })?;
-        Ok(Tried { on, off, of_rows: self.by_row(&errors) })
+        Ok(Tried { on, off, of_rows: self.by_row(&squares) })
     }
 
     /// The same of a blend of the frames before and after.
     fn blend(&self) -> Result<Vec<f64>, NodeError> {
         let errors = self.with_problems((0.25, 0.25), |problems, _, _| {
-            together(self.holds.iter().map(|hold| estimate::blend_errors(*hold, problems)))
+            together(self.holds.iter().map(|hold| {
+                let [_, squares] = estimate::blend_errors(*hold, problems);
+                squares
+            }))
         })?;
         Ok(self.by_row(&errors))
     }

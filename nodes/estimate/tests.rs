@@ -242,3 +242,39 @@ fn streams_that_do_not_fit_are_refused_while_planning() {
             .contains("no moment in common")
     );
 }
+
+#[test]
+fn frames_that_are_held_out_choose_the_thresholds() {
+    let (events, frames) = recording(250.0, 3_000_000, 0.0);
+    let near = |found: &held_out::HeldOut| {
+        for one in [&found.thresholds.0, &found.thresholds.1] {
+            let (low, high) = one.ci95;
+            assert!(
+                low <= THRESHOLD && THRESHOLD <= high && (one.value / THRESHOLD).ln().abs() < 0.3,
+                "{one:?}"
+            );
+        }
+    };
+    // A pair that is far off is clearly worse; a blend too.
+    let found = held_out::thresholds(&events, &frames, 3e6, Some((0.4, 0.4))).unwrap().unwrap();
+    near(&found);
+    assert!(found.given.is_some_and(|(error, is_worse)| is_worse && error > 2.0 * found.error), "{found:?}");
+    assert!(!found.blend.1 && found.blend.0 > 2.0 * found.error, "{found:?}");
+    // Of five frames each of the three between is held out in turn.
+    let few = held_out::thresholds(&events, &frames.select((0..5).collect()), 3e6, None).unwrap().unwrap();
+    near(&few);
+    assert!(few.given.is_none());
+    // Three cannot be judged, and neither can what does not move.
+    assert!(held_out::thresholds(&events, &frames.select((0..3).collect()), 3e6, None).unwrap().is_none());
+    let (still, frames) = recording(0.0, 0, 0.0);
+    assert!(held_out::thresholds(&still, &frames, 0.0, None).unwrap().is_none());
+}
+
+#[test]
+fn events_of_another_scene_are_worse_than_a_blend() {
+    let (_, frames) = recording(40.0, 0, 0.0);
+    // What moves the other way, and faster.
+    let (others, _) = recording(-400.0, 0, 0.0);
+    let found = held_out::thresholds(&others, &frames, 0.0, None).unwrap().unwrap();
+    assert!(found.blend.1 && found.blend.0 < found.error, "{found:?}");
+}

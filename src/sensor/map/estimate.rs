@@ -237,7 +237,7 @@ impl Tried<'_> {
         group.solve_with(&tasks, evidence, |n, solution| {
             let problem = &self.problems[looking[n / choices.len()]];
             losses[n] = if self.kept.is_some() {
-                prediction_error(HoldOut::USUAL, problem, self.dark_dn, &solution)
+                prediction_error(HoldOut::USUAL, problem, self.dark_dn, &solution)[0]
             } else {
                 -solution.outcome.log_evidence
             };
@@ -254,16 +254,17 @@ pub fn prediction_errors(
     options: &MapOptions,
     group: &mut MapGroup,
 ) -> Vec<f64> {
-    prediction_errors_of(HoldOut::USUAL, problems, options, group)
+    let [errors, _] = prediction_errors_of(HoldOut::USUAL, problems, options, group);
+    errors
 }
 
-/// The same of frames that are held out by another rule.
+/// The same of frames that are held out by another rule; and the sums of the errors' squares.
 pub fn prediction_errors_of(
     hold: HoldOut,
     problems: &[MapProblem<'_>],
     options: &MapOptions,
     group: &mut MapGroup,
-) -> Vec<f64> {
+) -> [Vec<f64>; 2] {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| hold.kept(problem.frames)).collect();
     let options = MapOptions { with_sigma: false, ..*options };
     let tasks: Vec<MapTask<'_>> = problems
@@ -271,10 +272,11 @@ pub fn prediction_errors_of(
         .zip(&kept)
         .map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options })
         .collect();
-    let mut errors = vec![0.0; tasks.len()];
+    let mut errors = [vec![0.0; tasks.len()], vec![0.0; tasks.len()]];
     let dark_dn = dark_dn(problems);
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
-        errors[n] = prediction_error(hold, &problems[n], dark_dn, &solution)
+        let found = prediction_error(hold, &problems[n], dark_dn, &solution);
+        errors.iter_mut().zip(found).for_each(|(errors, found)| errors[n] = found);
     });
     errors
 }
@@ -385,13 +387,18 @@ fn prediction_error(
     problem: &MapProblem<'_>,
     dark_dn: f64,
     solution: &MapSolution<'_>,
-) -> f64 {
+) -> [f64; 2] {
     let of = |(_, frame): (usize, &MapFrame)| {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
         let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
         relative_error(problem, dark_dn, frame, predicted)
     };
-    hold.held(problem.frames).map(of).sum()
+    sums(hold.held(problem.frames).map(of))
+}
+
+/// The sums of some errors and of their squares.
+fn sums(errors: impl Iterator<Item = f64>) -> [f64; 2] {
+    errors.fold([0.0; 2], |[sum, squares], error| [sum + error, squares + error * error])
 }
 
 /// What a predicted DN misses a frame value by, as a part of it; at most [`LARGEST_ERROR`].
@@ -402,7 +409,7 @@ fn relative_error(problem: &MapProblem<'_>, dark_dn: f64, frame: &MapFrame, pred
 
 /// The same as [`prediction_errors_of`], of a blend by time of the frames before and after in the place of a
 /// solution.
-pub fn blend_errors(hold: HoldOut, problems: &[MapProblem<'_>]) -> Vec<f64> {
+pub fn blend_errors(hold: HoldOut, problems: &[MapProblem<'_>]) -> [Vec<f64>; 2] {
     let dark_dn = dark_dn(problems);
     let of_problem = |problem: &MapProblem<'_>| {
         let black = problem.sensor.black_level_dn;
@@ -416,7 +423,9 @@ pub fn blend_errors(hold: HoldOut, problems: &[MapProblem<'_>]) -> Vec<f64> {
             let blend = (1.0 - share) * light(before) + share * light(after);
             relative_error(problem, dark_dn, frame, black + blend * length(frame))
         };
-        hold.held(problem.frames).map(of).sum()
+        sums(hold.held(problem.frames).map(of))
     };
-    problems.iter().map(of_problem).collect()
+    let (errors, squares) =
+        problems.iter().map(of_problem).map(|[errors, squares]| (errors, squares)).unzip();
+    [errors, squares]
 }
