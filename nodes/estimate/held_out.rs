@@ -2,10 +2,11 @@
 //!
 //! What the change between two frames counts in events ([`photocurrent_sensor::estimate::thresholds`]) needs
 //! many bright places that change one way between frames. Where there are few, thresholds come out anywhere.
-//! So pixels all over the array are solved without some of their frames (one in three, or of a few frames each
-//! that is not an end in turn), with one pair of thresholds after the other, and with the noise of events that
-//! suits each: the pair that predicts those frames best is what a solution needs. A blend of the neighbouring frames is compared on the same frames: where that is better, a
-//! picture gains nothing from events.
+//! So pixels all over the array are solved without some of their frames (one in three, or of a few frames
+//! each that is not an end in turn), with one pair of thresholds after the other, and with the noise and
+//! prior that the solver chooses for each: the pair that predicts those frames best is what a solution needs.
+//! A blend of the neighbouring frames is compared on the same frames: where that is better, a picture gains
+//! nothing from events.
 //!
 //! Limits: an ideal front end, so that what a slow pixel leaves out of its events is in the thresholds; the
 //! pairs of a grid, refined once; the interval is that of the pairs that are not clearly worse.
@@ -337,7 +338,7 @@ impl Bench<'_> {
         })
     }
 
-    /// What each row loses with a pair of thresholds, and with the noise and prior that a solver chooses then.
+    /// What each row loses with a pair of thresholds, and the noise and prior that a solver then chooses.
     fn of(&self, (on, off): (f64, f64)) -> Result<Tried, NodeError> {
         let squares = self.with_problems((on, off), |problems, options, group| {
             let choice = estimate::choose(problems, None, &Choosing::USUAL, options, group);

@@ -250,7 +250,7 @@ fn frames_that_are_held_out_choose_the_thresholds() {
         for one in [&found.thresholds.0, &found.thresholds.1] {
             let (low, high) = one.ci95;
             assert!(
-                low <= THRESHOLD && THRESHOLD <= high && (one.value / THRESHOLD).ln().abs() < 0.3,
+                low <= THRESHOLD && THRESHOLD <= high && libm::log(one.value / THRESHOLD).abs() < 0.3,
                 "{one:?}"
             );
         }

@@ -99,7 +99,8 @@ impl RenderColour {
         let grey = Grey::new(frames.extent, captured, sensor)?;
         if grey.values() == 1 || grey.is_behind_filters() {
             return Err(NodeError::usage(format!(
-                "the captured frames are {} with one colour on each event pixel: there is no mixture to divide",
+                "the captured frames are {} with one colour on each event pixel: there is no mixture to \
+                 divide",
                 captured.colour
             ))
             .hint("leave render/colour out"));

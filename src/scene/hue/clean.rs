@@ -5,10 +5,11 @@
 //! ratios are in terms of their noise, and how like its light is. Where frames have no noise, only what has
 //! the same hue counts.
 
-use super::MOST;
 use crate::image::Image;
 use rayon::prelude::*;
 
+/// A larger ratio is noise in the dark.
+pub(super) const MOST: f32 = 64.0;
 /// Places are taken so far away at most, pixels.
 const REACH: usize = 3;
 /// Standard deviation of their distance, pixels.

@@ -18,6 +18,7 @@
 mod clean;
 mod path;
 mod sharp;
+mod taps;
 #[cfg(test)]
 mod tests;
 
@@ -26,8 +27,10 @@ pub use path::Path;
 use crate::film::LogTracks;
 use crate::grey::{Clipped, Grey};
 use crate::image::{Image, smooth};
+use clean::MOST;
 use photocurrent_core::{DataError, FrameSequence, FrameTimes};
 use sharp::Exposed;
+use taps::Taps;
 
 /// Light that is this part of the mean or less is dark: its logarithm states little.
 const DARK: f64 = 0.05;
@@ -39,8 +42,6 @@ const NEIGHBOURHOOD: f64 = 1.0;
 const OWN: f64 = 0.1;
 /// What a place counts where nothing agrees.
 const LEAST: f64 = 1e-5;
-/// A larger ratio is noise in the dark.
-const MOST: f32 = 64.0;
 
 /// A captured frame as mixture and values, all on the grid of the event pixels, per second of exposure.
 #[derive(Clone)]
@@ -192,50 +193,6 @@ impl Hues {
                 vec![(n - 1, 1.0 - share), (n, share)]
             }
         }
-    }
-}
-
-/// Where every pixel of a picture is read in another one: the number of the first of four pixels, and how far
-/// to the right of and below it.
-struct Taps {
-    width: usize,
-    at: Vec<(u32, f32, f32)>,
-}
-
-impl Taps {
-    fn of_places(width: usize, height: usize, places: impl Iterator<Item = (f32, f32)>) -> Taps {
-        let tap = |(x, y): (f32, f32)| {
-            let (x, y) = (x.clamp(0.0, (width - 1) as f32), y.clamp(0.0, (height - 1) as f32));
-            let (i, j) = (usize::min(x as usize, width - 2), usize::min(y as usize, height - 2));
-            ((j * width + i) as u32, x - i as f32, y - j as f32)
-        };
-        Taps { width, at: places.map(tap).collect() }
-    }
-
-    /// At the pixels themselves.
-    fn own(width: usize, height: usize) -> Taps {
-        let places = (0..width * height).map(|k| ((k % width) as f32, (k / width) as f32));
-        Taps::of_places(width, height, places)
-    }
-
-    /// Where the motion leads to.
-    fn new(
-        path: &Path<'_>,
-        (width, height): (usize, usize),
-        t_ns: &[i64],
-        at: &(dyn Fn(usize) -> i64 + Sync),
-    ) -> Taps {
-        Taps::of_places(width, height, path.places((width, height), t_ns, at).into_iter())
-    }
-
-    /// A picture's value for pixel k, bilinear.
-    fn of(&self, image: &Image, k: usize) -> f32 {
-        let (at, dx, dy) = self.at[k];
-        let at = at as usize;
-        let v = &image.values;
-        let above = v[at] + dx * (v[at + 1] - v[at]);
-        let below = v[at + self.width] + dx * (v[at + self.width + 1] - v[at + self.width]);
-        above + dy * (below - above)
     }
 }
 

@@ -6,7 +6,8 @@
 //! light, give the ratios that were collected. They are found by the iteration of Richardson (1972) and Lucy
 //! (1974), which keeps them positive and changes nothing where nothing moves.
 
-use super::{Path, Taps};
+use super::path::Path;
+use super::taps::Taps;
 use crate::film::LogTracks;
 use crate::image::Image;
 use photocurrent_core::FrameTimes;
