@@ -8,8 +8,10 @@
 //! A blend of the neighbouring frames is compared on the same frames: where that is better, a picture gains
 //! nothing from events.
 //!
-//! Limits: an ideal front end, so that what a slow pixel leaves out of its events is in the thresholds; the
-//! pairs of a grid, refined once; the interval is that of the pairs that are not clearly worse.
+//! Limits: both signs have the same threshold, as frames do not show which of the two is off (a pixel that
+//! darkens is slower); an ideal front end, so that what a slow pixel leaves out of its events is in the
+//! thresholds; a grid, refined once; the interval is that of the values that are not clearly worse. Frames
+//! are blurred, so that sharpness does not count.
 
 use super::Estimate;
 use photocurrent_core::quantity::Duration;
@@ -29,6 +31,8 @@ use std::sync::Arc;
 
 /// Frames that are looked at: as many in a row as fit, those with most events.
 const MOST_FRAMES: usize = 25;
+/// Frames that are further apart, in usual periods, have a pause between them.
+const PAUSE: i64 = 4;
 /// Of fewer frames each is held out in turn.
 const FEW_FRAMES: usize = 10;
 /// Rows that are looked at, each the busiest of as many bands, and pixels of each.
@@ -40,8 +44,6 @@ const FEWEST_PIXELS: usize = 48;
 const FIRST: f64 = 0.06;
 const STEP: f64 = 1.3;
 const TRIED: i32 = 12;
-/// ON over OFF thresholds that are tried around the best of them.
-const RATIOS: [f64; 6] = [0.5, 0.7, 0.85, 1.0 / 0.85, 1.0 / 0.7, 2.0];
 /// Steps around the best of those that are alike.
 const REFINED: [f64; 4] = [0.82, 0.91, 1.1, 1.21];
 /// The interval reaches at least by this factor beyond what is best: pairs nearer than that are not tried.
@@ -84,7 +86,7 @@ pub fn thresholds(
     if frames.len() < FEWEST_FRAMES {
         return Ok(None);
     }
-    let (events, frames) = busiest(events, frames, late_ns)?;
+    let Some((events, frames)) = busiest(events, frames, late_ns)? else { return Ok(None) };
     let bench = Bench::new(&events, &frames, late_ns)?;
     if bench.places.iter().map(|(_, columns)| columns.len()).sum::<usize>() < FEWEST_PIXELS {
         return Ok(None);
@@ -96,17 +98,12 @@ pub fn thresholds(
     let mut tried = of(alike.map(|both| (both, both)).collect())?;
     let both = best_of(&tried).on;
     tried.extend(of(REFINED.iter().map(|by| (both * by, both * by)).collect())?);
-    let both = best_of(&tried).on;
+    let best = best_of(&tried);
     let given = given.map(|pair| bench.of(pair)).transpose()?;
-    let unlike = |ratio: &f64| (both * libm::sqrt(*ratio), both / libm::sqrt(*ratio));
-    let unlike = of(RATIOS.iter().map(unlike).collect())?;
-    // Unlike for the two signs only where that is clearly better.
-    let best = [best_of(&tried), best_of(&unlike)];
-    let best = best[usize::from(clearly(&best[1].of_rows, &best[0].of_rows))];
     let root = |squares: f64| libm::sqrt(squares / bench.held as f64);
     let blend = bench.blend()?;
     let behind = |of_rows: &[f64]| clearly(&best.of_rows, of_rows);
-    let close: Vec<&Tried> = tried.iter().chain(&unlike).filter(|one| !behind(&one.of_rows)).collect();
+    let close: Vec<&Tried> = tried.iter().filter(|one| !behind(&one.of_rows)).collect();
     let interval = |of: fn(&Tried) -> f64| {
         let least = (of(best) / APART, of(best) * APART);
         let wider = |(low, high): (f64, f64), value: f64| (f64::min(low, value), f64::max(high, value));
@@ -150,12 +147,13 @@ fn together(all: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
     all.reduce(add).unwrap_or_default()
 }
 
-/// The frames in a row that have most events, in grey, and the events of their time.
+/// The frames in a row, without a pause among them, that have most events, in grey, and the events of their
+/// time; none where fewer than four lie so.
 fn busiest(
     events: &EventStream,
     frames: &FrameSequence,
     late_ns: f64,
-) -> Result<(EventStream, FrameSequence), NodeError> {
+) -> Result<Option<(EventStream, FrameSequence)>, NodeError> {
     let (extent, height) = (events.meta.extent, frames.meta.extent.height);
     let mids: Vec<i64> = frames.meta.times.exposures.iter().map(|exposure| exposure.mid().0).collect();
     let mut counts = vec![0_u64; frames.len()];
@@ -168,11 +166,22 @@ fn busiest(
             }
         }
     }
-    let window = usize::min(MOST_FRAMES, frames.len());
-    let of = |first: usize| counts[first + 1..first + window].iter().sum::<u64>();
-    let first = (0..=frames.len() - window).max_by_key(|first| (of(*first), std::cmp::Reverse(*first)));
-    let first = first.unwrap_or(0);
-    let frames = frames.select((first..first + window).collect());
+    let mut periods: Vec<i64> = mids.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    periods.sort_unstable();
+    let pause = PAUSE.saturating_mul(periods.get(periods.len() / 2).copied().unwrap_or(0));
+    // From each frame on as many as lie without a pause.
+    let mut last = mids.len() - 1;
+    let mut of_first: Vec<(u64, std::ops::Range<usize>)> = Vec::new();
+    for first in (0..mids.len()).rev() {
+        if mids.get(first + 1).is_some_and(|next| next - mids[first] > pause) {
+            last = first;
+        }
+        let run = first..usize::min(last + 1, first + MOST_FRAMES);
+        of_first.push((counts[first + 1..run.end.max(first + 1)].iter().sum(), run));
+    }
+    let long_enough = of_first.into_iter().filter(|(_, run)| run.len() >= FEWEST_FRAMES);
+    let Some((_, run)) = long_enough.max_by_key(|(count, _)| *count) else { return Ok(None) };
+    let frames = frames.select(run.collect());
     let span = frames.meta.times.span(height).unwrap_or(TimeSpan::new(0, 0));
     let late = TimeSpan::new(
         span.start.0.saturating_add(late_ns as i64),
@@ -192,7 +201,7 @@ fn busiest(
         row_values: meta.row_values(),
         dn: grey.read(&frames, Clipped::Mean)?,
     };
-    Ok((events, FrameSequence::in_memory(Arc::new(meta), block)))
+    Ok(Some((events, FrameSequence::in_memory(Arc::new(meta), block))))
 }
 
 /// Where pairs of thresholds are tried.

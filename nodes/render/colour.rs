@@ -145,7 +145,7 @@ impl Node for RenderColour {
         sources: &[
             "Lucas and Kanade, An iterative image registration technique with an application to stereo \
              vision, IJCAI 1981: the motion",
-            "Tomasi and Manduchi, Bilateral filtering for gray and color images, ICCV 1998: hue without noise",
+            "Tomasi and Manduchi, Bilateral filtering for gray and color images, ICCV 1998: noise of hue",
         ],
         example: r#"
 [nodes.grey]

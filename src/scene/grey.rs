@@ -48,7 +48,8 @@ impl Grey {
         let ratio = frames.extent.multiple_of(extent).ok_or_else(|| {
             let (found, times) = (frames.extent, "or a whole number of times as many");
             DataError::new(format!(
-                "frames have {found} pixels, {}; needed are frames of {extent} pixels, as the events have, {times}",
+                "frames have {found} pixels, {}; needed are frames of {extent} pixels, as the events \
+                 have, {times}",
                 frames.colour.name()
             ))
         })?;

@@ -75,8 +75,8 @@ fn size() -> (usize, usize) {
     (EXTENT.width as usize, EXTENT.height as usize)
 }
 
-/// Rms error of the ratios at an instant, away from the borders, where what comes in was seen by no frame; and
-/// the ratios.
+/// Rms error of the ratios at an instant, away from the borders, where what comes in was seen by no frame;
+/// and the ratios.
 fn error(frames: &FrameSequence, velocity: [f64; 2], t_ns: i64) -> (f64, Vec<Image>) {
     let flow = Flow::uniform(size(), velocity.map(|v| v as f32), [0.0; 2]);
     let path = Path::new(&flow);
