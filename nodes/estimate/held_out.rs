@@ -46,8 +46,8 @@ const STEP: f64 = 1.3;
 const TRIED: i32 = 12;
 /// Steps around the best of those that are alike.
 const REFINED: [f64; 4] = [0.82, 0.91, 1.1, 1.21];
-/// The interval reaches at least by this factor beyond what is best: pairs nearer than that are not tried.
-const APART: f64 = 1.1;
+/// The interval reaches at least by this factor beyond what is best: rows of one recording err together.
+const APART: f64 = 1.3;
 /// A pair of thresholds is clearly worse by so many standard errors.
 const CLEAR: f64 = 2.0;
 

@@ -2,8 +2,8 @@
 //!
 //! Every n-th frame goes to `held`, the others to `kept`; or, with `keep_every`, every n-th to `kept`. A
 //! solver gets `kept`; a scorer compares `held` with what is rendered at its exposures. The very first and
-//! the very last frame are never held out: what lies between two kept frames is interpolated and constrained from
-//! both sides, what lies beyond the last one is not, and would measure something else.
+//! the very last frame are never held out: what lies between two kept frames is interpolated and constrained
+//! from both sides, what lies beyond the last one is not, and would measure something else.
 //!
 //! Limits: events stay whole. A held frame's light is still seen by the events of its time, as it should be.
 
