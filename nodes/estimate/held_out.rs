@@ -3,8 +3,8 @@
 //! What the change between two frames counts in events ([`photocurrent_sensor::estimate::thresholds`]) needs
 //! many bright places that change one way between frames. Where there are few, thresholds come out anywhere.
 //! So pixels all over the array are solved without some of their frames (one in three, or of a few frames
-//! each that is not an end in turn), with one pair of thresholds after the other, and with the noise and
-//! prior that the solver chooses for each: the pair that predicts those frames best is what a solution needs.
+//! each that is not an end in turn), with one threshold after the other, and with the noise and prior that
+//! the solver chooses for each: the one that predicts those frames best is what a solution needs.
 //! A blend of the neighbouring frames is compared on the same frames: where that is better, a picture gains
 //! nothing from events.
 //!
@@ -15,9 +15,7 @@
 
 use super::Estimate;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{
-    Colour, EventStream, FrameBlock, FrameSequence, FramesMeta, NodeError, Sensor, TimeSpan,
-};
+use photocurrent_core::{EventStream, FrameBlock, FrameSequence, NodeError, Sensor, TimeSpan};
 use photocurrent_scene::grey::{Clipped, Grey};
 use photocurrent_sensor::map::estimate::{self, Choosing, FEWEST_FRAMES, HoldOut};
 use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem};
@@ -29,13 +27,13 @@ use photocurrent_solve::{FrontEndModel, Model, SolveOptions};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Frames that are looked at: as many in a row as fit, those with most events.
+/// Frames that take part: at most so many in a row, those with most events.
 const MOST_FRAMES: usize = 25;
 /// Frames that are further apart, in usual periods, have a pause between them.
 const PAUSE: i64 = 4;
 /// Of fewer frames each is held out in turn.
 const FEW_FRAMES: usize = 10;
-/// Rows that are looked at, each the busiest of as many bands, and pixels of each.
+/// Rows that take part, each the busiest of as many bands, and pixels of each.
 const ROWS: u32 = 24;
 const PIXELS: usize = 16;
 /// Fewer pixels decide nothing.
@@ -44,31 +42,30 @@ const FEWEST_PIXELS: usize = 48;
 const FIRST: f64 = 0.06;
 const STEP: f64 = 1.3;
 const TRIED: i32 = 12;
-/// Steps around the best of those that are alike.
+/// Steps around the best of those.
 const REFINED: [f64; 4] = [0.82, 0.91, 1.1, 1.21];
 /// The interval reaches at least by this factor beyond what is best: rows of one recording err together.
 const APART: f64 = 1.3;
-/// A pair of thresholds is clearly worse by so many standard errors.
+/// A threshold is clearly worse by so many standard errors.
 const CLEAR: f64 = 2.0;
 
 /// Thresholds, and how well frames that are held out are predicted with them.
 #[derive(Clone, Debug)]
 pub struct HeldOut {
-    /// ON and OFF thresholds, natural-log units.
-    pub thresholds: (Estimate, Estimate),
+    /// The threshold of both signs, natural-log units.
+    pub threshold: Estimate,
     /// Root mean square of the relative error of a frame value with them, each at most 1.
     pub error: f64,
-    /// The same with the thresholds that were given, and whether they are clearly worse.
-    pub given: Option<(f64, bool)>,
+    /// The same with the thresholds that were given.
+    pub given: Option<f64>,
     /// The same of a blend of the frames before and after, and whether that is clearly better.
     pub blend: (f64, bool),
 }
 
-/// A pair of thresholds, and what each row loses with it: squares of relative errors, as pictures are judged
+/// A threshold of both signs, and what each row loses with it: squares of relative errors, as pictures are judged
 /// by squares; absolute values prefer thresholds that are too large, with which few pixels err by much.
 struct Tried {
-    on: f64,
-    off: f64,
+    both: f64,
     of_rows: Vec<f64>,
 }
 
@@ -91,28 +88,24 @@ pub fn thresholds(
     if bench.places.iter().map(|(_, columns)| columns.len()).sum::<usize>() < FEWEST_PIXELS {
         return Ok(None);
     }
-    let of = |pairs: Vec<(f64, f64)>| -> Result<Vec<Tried>, NodeError> {
-        pairs.into_par_iter().map(|pair| bench.of(pair)).collect()
+    let of = |all: Vec<f64>| -> Result<Vec<Tried>, NodeError> {
+        let of = |both: f64| Ok(Tried { both, of_rows: bench.of((both, both))? });
+        all.into_par_iter().map(of).collect()
     };
-    let alike = (0..TRIED).map(|n| FIRST * libm::pow(STEP, f64::from(n)));
-    let mut tried = of(alike.map(|both| (both, both)).collect())?;
-    let both = best_of(&tried).on;
-    tried.extend(of(REFINED.iter().map(|by| (both * by, both * by)).collect())?);
+    let mut tried = of((0..TRIED).map(|n| FIRST * libm::pow(STEP, f64::from(n))).collect())?;
+    let both = best_of(&tried).both;
+    tried.extend(of(REFINED.iter().map(|by| both * by).collect())?);
     let best = best_of(&tried);
     let given = given.map(|pair| bench.of(pair)).transpose()?;
     let root = |squares: f64| libm::sqrt(squares / bench.held as f64);
     let blend = bench.blend()?;
-    let behind = |of_rows: &[f64]| clearly(&best.of_rows, of_rows);
-    let close: Vec<&Tried> = tried.iter().filter(|one| !behind(&one.of_rows)).collect();
-    let interval = |of: fn(&Tried) -> f64| {
-        let least = (of(best) / APART, of(best) * APART);
-        let wider = |(low, high): (f64, f64), value: f64| (f64::min(low, value), f64::max(high, value));
-        Estimate { value: of(best), ci95: close.iter().map(|one| of(one)).fold(least, wider) }
-    };
+    let close = tried.iter().filter(|one| !clearly(&best.of_rows, &one.of_rows)).map(|one| one.both);
+    let wider = |(low, high): (f64, f64), both: f64| (f64::min(low, both), f64::max(high, both));
+    let ci95 = close.fold((best.both / APART, best.both * APART), wider);
     Ok(Some(HeldOut {
-        thresholds: (interval(|one| one.on), interval(|one| one.off)),
+        threshold: Estimate { value: best.both, ci95 },
         error: root(best.sum()),
-        given: given.map(|given| (root(given.sum()), behind(&given.of_rows))),
+        given: given.map(|of_rows| root(of_rows.iter().sum())),
         blend: (root(blend.iter().sum()), clearly(&blend, &best.of_rows)),
     }))
 }
@@ -189,19 +182,8 @@ fn busiest(
     );
     let events = events.within(Arc::new(events.meta.within(late)), late);
     let grey = Grey::new(extent, &frames.meta, &Sensor::unknown("held out"))?;
-    let meta = FramesMeta {
-        extent,
-        colour: Colour::Mono,
-        times: grey.times(&frames.meta.times),
-        scale: frames.meta.scale,
-    };
-    let block = FrameBlock {
-        frames: 0..frames.len(),
-        rows: extent.rows(),
-        row_values: meta.row_values(),
-        dn: grey.read(&frames, Clipped::Mean)?,
-    };
-    Ok(Some((events, FrameSequence::in_memory(Arc::new(meta), block))))
+    let frames = grey.frames(&frames, Clipped::Mean)?;
+    Ok(Some((events, frames)))
 }
 
 /// Where pairs of thresholds are tried.
@@ -348,8 +330,8 @@ impl Bench<'_> {
     }
 
     /// What each row loses with a pair of thresholds, and the noise and prior that a solver then chooses.
-    fn of(&self, (on, off): (f64, f64)) -> Result<Tried, NodeError> {
-        let squares = self.with_problems((on, off), |problems, options, group| {
+    fn of(&self, pair: (f64, f64)) -> Result<Vec<f64>, NodeError> {
+        let squares = self.with_problems(pair, |problems, options, group| {
             let choice = estimate::choose(problems, None, &Choosing::USUAL, options, group);
             let options = MapOptions { prior: choice.prior, ..*options };
             let problems: Vec<MapProblem<'_>> =
@@ -360,7 +342,7 @@ impl Bench<'_> {
             };
             together(self.holds.iter().map(of))
         })?;
-        Ok(Tried { on, off, of_rows: self.by_row(&squares) })
+        Ok(self.by_row(&squares))
     }
 
     /// The same of a blend of the frames before and after.

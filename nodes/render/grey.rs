@@ -8,8 +8,8 @@
 //! description states of the noise of a value is that of the mixture too, which is less.
 
 use photocurrent_core::{
-    Colour, Context, Decl, EventStream, Extent, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node,
-    NodeError, PortMetas, Sensor,
+    Context, Decl, EventStream, Extent, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
+    Sensor,
 };
 use photocurrent_scene::grey::{Clipped, Grey};
 use schemars::JsonSchema;
@@ -57,8 +57,8 @@ fn plan_of(extent: Extent, frames: &FramesMeta, sensor: &Sensor) -> Result<(Grey
         ))
         .hint("leave render/grey out: each value is solved with the events of its own pixel"));
     }
-    let times = grey.times(&frames.times);
-    Ok((grey, FramesMeta { extent, colour: Colour::Mono, times, scale: frames.scale }))
+    let meta = grey.meta(frames);
+    Ok((grey, meta))
 }
 
 impl Node for RenderGrey {
@@ -95,13 +95,7 @@ in   = { events = "recording.events", frames = "grey", sensor = "sensor" }
     }
 
     fn run(&self, input: In, _: &Context) -> Result<Out, NodeError> {
-        let (grey, meta) = plan_of(input.events.meta.extent, &input.frames.meta, &input.sensor)?;
-        let block = FrameBlock {
-            frames: 0..input.frames.len(),
-            rows: meta.extent.rows(),
-            row_values: meta.row_values(),
-            dn: grey.read(&input.frames, Clipped::Mean)?,
-        };
-        Ok(Out { frames: FrameSequence::in_memory(Arc::new(meta), block) })
+        let (grey, _) = plan_of(input.events.meta.extent, &input.frames.meta, &input.sensor)?;
+        Ok(Out { frames: grey.frames(&input.frames, Clipped::Mean)? })
     }
 }

@@ -10,9 +10,10 @@
 //! ([`Clipped`]).
 
 use photocurrent_core::{
-    Colour, DataError, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp,
+    Colour, DataError, Exposure, Extent, FrameBlock, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp,
 };
 use photocurrent_sensor::pooling::block_weights;
+use std::sync::Arc;
 
 /// What a mean is of which a value is saturated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -164,6 +165,23 @@ impl Grey {
         Ok(all)
     }
 
+    /// What is known of the grey frames of these.
+    pub fn meta(&self, frames: &FramesMeta) -> FramesMeta {
+        let times = self.times(&frames.times);
+        FramesMeta { extent: self.extent, colour: Colour::Mono, times, scale: frames.scale }
+    }
+
+    /// The grey frames, in memory.
+    ///
+    /// # Errors
+    /// When the frames cannot be read.
+    pub fn frames(&self, frames: &FrameSequence, clipped: Clipped) -> Result<FrameSequence, DataError> {
+        let (meta, rows) = (self.meta(&frames.meta), self.extent.rows());
+        let (row_values, dn) = (meta.row_values(), self.read(frames, clipped)?);
+        let block = FrameBlock { frames: 0..frames.len(), rows, row_values, dn };
+        Ok(FrameSequence::in_memory(Arc::new(meta), block))
+    }
+
     fn of_pixel(&self, values: &[f32], row_values: usize, place: (u32, u32), clipped: Clipped) -> f32 {
         let mut sum = 0.0;
         for (n, of) in self.weights(place).iter().enumerate() {
@@ -182,8 +200,7 @@ impl Grey {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::{FrameBlock, testing};
-    use std::sync::Arc;
+    use photocurrent_core::testing;
 
     const EXTENT: Extent = Extent { width: 2, height: 1 };
 

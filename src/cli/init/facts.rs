@@ -483,8 +483,9 @@ fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
     };
     // What the change of the frames gives stands unless it is open by far: frames that are held out are
     // blurred, and do not show how sharp a solution is.
-    let is_better =
-        |held: &HeldOut| both.as_ref().is_none_or(|both| width(both) > FAR_WIDER * width(&held.thresholds));
+    let is_better = |held: &HeldOut| {
+        both.as_ref().is_none_or(|both| width(both) > FAR_WIDER * width(&(held.threshold, held.threshold)))
+    };
     let held = found.held_out.as_ref().filter(|held| is_better(held));
     let threshold = |name: &'static str, of: fn(&(Estimate, Estimate)) -> Estimate| {
         let stated = |Estimate { value, ci95: (low, high) }: Estimate, what: String| {
@@ -493,14 +494,14 @@ fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
         };
         match (held, both) {
             (Some(held), _) => {
-                let than = held.given.map_or(String::new(), |(error, _)| {
+                let than = held.given.map_or(String::new(), |error| {
                     format!("; with what the change of the frames gives, {:.1} %", 100.0 * error)
                 });
                 let error = 100.0 * held.error;
                 let what = format!(
                     "with this one frames that are held out are predicted best, within {error:.1} %{than}"
                 );
-                stated(of(&held.thresholds), what)
+                stated(held.threshold, what)
             }
             (None, Some(both)) => {
                 stated(of(&both), "this one explains the change of the frames by their events".to_owned())

@@ -6,6 +6,7 @@
 //! the same hue counts.
 
 use crate::image::Image;
+use crate::statistics::{MEDIAN_NORMAL, quantile};
 use rayon::prelude::*;
 
 /// A larger ratio is noise in the dark.
@@ -49,7 +50,7 @@ impl Noise {
     fn new(frames: &[Frame], floor: f64) -> Noise {
         let mut sorted: Vec<f32> = frames.iter().flat_map(|(mixture, _)| &mixture.values).copied().collect();
         sorted.sort_unstable_by(f32::total_cmp);
-        let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+        let at = |share: f64| quantile(&sorted, share);
         let edges: Vec<f32> = (1..LEVELS).map(|n| at(n as f64 / LEVELS as f64)).collect();
         let light = (0..LEVELS).map(|n| f64::from(at((n as f64 + 0.5) / LEVELS as f64))).collect();
         let level = |light: f32| edges.partition_point(|edge| *edge <= light);
@@ -73,7 +74,7 @@ impl Noise {
             let of = |of_values: f64, all: &mut Vec<f32>| median(all).map(|m| m / libm::sqrt(of_values));
             let sigma = |(changes, bends): (&mut Vec<f32>, &mut Vec<f32>)| {
                 let least = of(2.0, changes).into_iter().chain(of(6.0, bends)).reduce(f64::min);
-                f64::max(least.unwrap_or(0.0) / 0.6745, floor)
+                f64::max(least.unwrap_or(0.0) / MEDIAN_NORMAL, floor)
             };
             changes.iter_mut().zip(&mut bends).map(sigma).collect()
         };
@@ -96,6 +97,7 @@ impl Noise {
     }
 }
 
+/// The median, without a sort: there are as many as values of all frames.
 fn median(all: &mut [f32]) -> Option<f64> {
     let middle = all.len() / 2;
     (!all.is_empty()).then(|| f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1))
