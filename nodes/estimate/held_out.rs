@@ -62,8 +62,8 @@ pub struct HeldOut {
     pub blend: (f64, bool),
 }
 
-/// A threshold of both signs, and what each row loses with it: squares of relative errors, as pictures are judged
-/// by squares; absolute values prefer thresholds that are too large, with which few pixels err by much.
+/// A threshold of both signs, and what each row loses with it: squares of relative errors, as pictures are
+/// judged by squares; absolute values prefer thresholds that are too large, with which few pixels err by much.
 struct Tried {
     both: f64,
     of_rows: Vec<f64>,
