@@ -63,7 +63,7 @@ pub struct HeldOut {
 }
 
 /// A threshold of both signs, and what each row loses with it: squares of relative errors, as pictures are
-/// judged by squares; absolute values prefer thresholds that are too large, with which few pixels err by much.
+/// judged by squares; absolute values prefer too large thresholds, with which few pixels err by much.
 struct Tried {
     both: f64,
     of_rows: Vec<f64>,
