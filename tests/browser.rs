@@ -154,6 +154,19 @@ impl Browser {
         );
     }
 
+    /// Left, top, width, height [CSS pixel] of an element that is brought into view, once five pictures of the
+    /// page in turn have it at one place: a caption that wraps anew moves what stands below it.
+    fn settled(&mut self, selector: &str) -> [f64; 4] {
+        let place = self.js(&format!(
+            "(async () => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{ block: \
+             'center', behavior: 'instant' }}); let last = null, same = 0; while (same < 5) {{ await new \
+             Promise((done) => requestAnimationFrame(done)); const b = e.getBoundingClientRect(); const now = \
+             [b.left, b.top, b.width, b.height]; same = String(now) === String(last) ? same + 1 : 0; last = \
+             now; }} return last; }})()"
+        ));
+        [0, 1, 2, 3].map(|k| place[k].as_f64().expect("a number"))
+    }
+
     fn press(&mut self, x: f64, y: f64) {
         for kind in ["mousePressed", "mouseReleased"] {
             self.ask(
@@ -406,18 +419,17 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     // The caption is there before the picture is drawn.
     browser.wait(&format!("{most} === 0"));
     browser.js("document.querySelector('[data-mode=flicker]').click()");
+    let flickering = browser.js("document.querySelector('[data-part=caption]').textContent");
     let first = browser.js(&shown());
     browser.js("(() => { const s = document.querySelector('[data-part=left]'); s.value = 0; \
                 s.dispatchEvent(new Event('input')); })()");
     browser.wait(&format!("{} !== {first}", shown()));
+    // Flicker alone changes what is seen: the new picture is there when its caption is.
+    browser.wait(&format!("document.querySelector('[data-part=caption]').textContent !== {flickering}"));
     browser.js("document.querySelector('[data-mode=slider]').click()");
 
     // A press on the picture probes that pixel, and the values are those of every sequence.
-    browser.js("document.querySelector('[data-part=canvas]').scrollIntoView({ block: 'center' })");
-    let box_ = browser
-        .js("(() => { const b = document.querySelector('[data-part=canvas]').getBoundingClientRect(); \
-                    return [b.left, b.top, b.width, b.height]; })()");
-    let [left, top, width, height] = [0, 1, 2, 3].map(|k| box_[k].as_f64().expect("a number"));
+    let [left, top, width, height] = browser.settled("[data-part=canvas]");
     browser.press(left + width * 100.5 / 128.0, top + height * 30.5 / 96.0);
     browser.wait(
         "document.querySelector('[data-part=x]').value === '100' && \
