@@ -92,6 +92,14 @@ impl<'a> Request<'a> {
         self.events.map(|events| CoLocated::new(events, self.frames)).transpose()
     }
 
+    /// Pixels of the frames along a side of an event pixel.
+    ///
+    /// # Errors
+    /// When they are of other pixels.
+    pub(crate) fn ratio(&self) -> Result<u32, NodeError> {
+        Ok(self.lie()?.map_or(1, |lie| lie.ratio))
+    }
+
     /// Refuses frames with colours or of more pixels than the events, for methods that look at neighbours;
     /// `who` is the asker.
     ///

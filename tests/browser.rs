@@ -154,15 +154,15 @@ impl Browser {
         );
     }
 
-    /// Left, top, width, height [CSS pixel] of an element that is brought into view, once five pictures of the
-    /// page in turn have it at one place: a caption that wraps anew moves what stands below it.
+    /// Left, top, width, height [CSS pixel] of an element that is brought into view, once five pictures of
+    /// the page in turn have it at one place: a caption that wraps anew moves what stands below it.
     fn settled(&mut self, selector: &str) -> [f64; 4] {
         let place = self.js(&format!(
             "(async () => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{ block: \
              'center', behavior: 'instant' }}); let last = null, same = 0; while (same < 5) {{ await new \
-             Promise((done) => requestAnimationFrame(done)); const b = e.getBoundingClientRect(); const now = \
-             [b.left, b.top, b.width, b.height]; same = String(now) === String(last) ? same + 1 : 0; last = \
-             now; }} return last; }})()"
+             Promise((done) => requestAnimationFrame(done)); const b = e.getBoundingClientRect(); const \
+             now = [b.left, b.top, b.width, b.height]; same = String(now) === String(last) ? same + 1 : 0; \
+             last = now; }} return last; }})()"
         ));
         [0, 1, 2, 3].map(|k| place[k].as_f64().expect("a number"))
     }

@@ -13,9 +13,11 @@
 //! of theirs. A network that looks at frames or at windows that end at them has nothing to look at before the
 //! first and after the last one: such instants are left out and counted.
 //!
-//! Limits: grey frames of the events' pixels (three channels get three times the same; three that come back
-//! are averaged); one time for all rows; all events in memory, 16 bytes each. Sums of f32 depend on the
-//! processor: pictures agree between machines to about 1e-6, not to the last bit.
+//! Colour: frames of three channels need a network of three, red first. Grey frames are given three times to
+//! such a network, and what comes back is averaged. A mosaic is interpolated first (`render/demosaic`).
+//!
+//! Limits: frames of the events' pixels; one time for all rows; all events in memory, 16 bytes each. Sums of
+//! f32 depend on the processor: pictures agree between machines to about 1e-6, not to the last bit.
 
 pub mod layout;
 pub mod voxel;
@@ -30,8 +32,8 @@ use crate::score::lpips::Encoding;
 use layout::{FrameInput, Layout, Moment, Side, StateInput, VoxelInput};
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{
-    Context, Decl, EventStream, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError,
-    PortMetas, Sensor,
+    Colour, Context, Decl, EventStream, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node,
+    NodeError, PortMetas, Sensor,
 };
 use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use rayon::prelude::*;
@@ -40,6 +42,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use voxel::Timeline;
+
+/// Red, green and blue.
+const CHANNELS: usize = 3;
 
 /// Parameters of `baseline/onnx`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -54,7 +59,8 @@ pub struct Params {
     /// An ONNX Runtime library (version 1.24 or newer) that runs it; absent = the embedded backend.
     pub runtime: Option<InputPath>,
     /// Its inputs that are captured frames: `input` (the name), `take` (`"before"` or `"after"` the instant),
-    /// `channels` (1 to 3, each the grey frame; 1), `range` (values of black and white; `[0.0, 1.0]`).
+    /// `channels` (1 to 3, each the grey frame; 3 of frames in colour; 1), `range` (values of black and
+    /// white; `[0.0, 1.0]`).
     pub frames: Vec<FrameInput>,
     /// Its inputs that are voxel grids of events: `input`, `bins` (5), `window` (`"between"` the frames,
     /// `"before_to_instant"`, `"instant_to_after"`, `"exposures"` from the start of the one before to the end
@@ -163,7 +169,7 @@ impl BaselineOnnx {
 
     fn prepare(&self, request: &Request) -> Result<Planned, NodeError> {
         let params = &self.params;
-        request.need_plain(Self::WHO)?;
+        self.check_colour(request)?;
         if !params.voxels.is_empty() && request.events.is_none() {
             return Err(NodeError::usage("`voxels` asks for events, and nothing is connected to `events`")
                 .hint("connect the recording's events")
@@ -199,6 +205,22 @@ impl BaselineOnnx {
         let kept: Vec<usize> = moments.iter().map(|moment| moment.wanted).collect();
         let meta = FramesMeta { times: wanted.times.select(&kept), ..wanted };
         Ok(Planned { meta, left_out: all.len() - moments.len(), moments, intensity, rule })
+    }
+
+    /// Frames in colour, of the events' pixels, need a network of three channels.
+    fn check_colour(&self, request: &Request) -> Result<(), NodeError> {
+        if request.frames.colour != Colour::Rgb || request.ratio()? != 1 {
+            return request.need_plain(Self::WHO);
+        }
+        let other = self.params.frames.iter().find(|frame| frame.channels != CHANNELS as u32);
+        other.map_or(Ok(()), |frame| {
+            Err(NodeError::usage(format!(
+                "frames are in colour, and the network is shown {} of their channels in `{}`",
+                frame.channels, frame.input
+            ))
+            .hint("state `channels = 3` for a network that sees red, green and blue, or connect grey frames")
+            .param("frames"))
+        })
     }
 
     /// Halving puts pictures in the place of frames: they must be alike, and nothing else may depend on the
@@ -256,7 +278,7 @@ impl Node for BaselineOnnx {
         kind: "baseline/onnx",
         about: "Frames by a network of yours in an ONNX file, from captured frames and voxel grids of \
                 events.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -523,14 +545,15 @@ impl Work<'_> {
         let block = self.frames.read(l..l + 1, self.frames.rows())?;
         let (mut unknown, mut clipped) = (0, 0);
         let [low, high] = input.range;
-        let mut plane = Vec::with_capacity(width * height);
-        for y in 0..height {
+        let channels = captured.channels() as usize;
+        let mut planes = Vec::with_capacity(channels * width * height);
+        for (channel, y) in (0..channels).flat_map(|channel| (0..height).map(move |y| (channel, y))) {
             let y = u32::min(y as u32, captured.extent.height - 1);
             let exposure = captured.times.exposure(l, y);
             let row = block.row(l, y);
-            plane.extend((0..width).map(|x| {
-                let x = usize::min(x, row.len() - 1);
-                let share = self.intensity.of(row[x], exposure);
+            planes.extend((0..width).map(|x| {
+                let x = usize::min(x, captured.extent.width as usize - 1);
+                let share = self.intensity.of(row[channels * x + channel], exposure);
                 unknown += u64::from(share.is_nan());
                 clipped += u64::from(!(0.0..=1.0).contains(&share) && !share.is_nan());
                 let share = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) };
@@ -539,7 +562,8 @@ impl Work<'_> {
         }
         self.cx.count(unknown, "frame values are not known (NaN): the network sees black there");
         self.cx.count(clipped, "frame values lay below black or above white and were clipped");
-        let values = (0..input.channels).flat_map(|_| plane.iter().copied()).collect();
+        // A grey frame as often as the network has channels.
+        let values = planes.repeat(input.channels as usize / channels);
         Ok(Tensor { shape: vec![1, input.channels as usize, height, width], values })
     }
 
@@ -547,15 +571,19 @@ impl Work<'_> {
     fn develop(&self, picture: &Tensor, n: usize, out: &mut [f32]) -> Result<(), NodeError> {
         let (params, (width, height)) = (self.params(), self.size());
         let channels = picture.values.len() / (width * height).max(1);
+        let of_pixel = self.meta.channels() as usize;
         let fits = picture.shape.ends_with(&[height, width])
-            && matches!(channels, 1 | 3)
+            && (channels == CHANNELS || channels == of_pixel)
             && picture.values.len() == channels * width * height;
         if !fits {
             return Err(NodeError::input(format!(
                 "the output `{}` of the network has the shape {:?}",
                 params.output, picture.shape
             ))
-            .note(format!("expected [1, 1, {height}, {width}] or [1, 3, {height}, {width}]"))
+            .note(match of_pixel {
+                1 => format!("expected [1, 1, {height}, {width}] or [1, 3, {height}, {width}]"),
+                _ => format!("expected [1, 3, {height}, {width}], as frames are in colour"),
+            })
             .hint(
                 "name the output that is the picture, or state in `multiple` what width and height \
                        have to be divisible by",
@@ -566,16 +594,24 @@ impl Work<'_> {
         let plane = width * height;
         for (y, row) in out.chunks_exact_mut(self.meta.row_values()).enumerate() {
             let seconds = scale_seconds(self.meta.scale, self.meta.times.exposure(n, y as u32));
-            for (x, dn) in row.iter_mut().enumerate() {
+            for (x, pixel) in row.chunks_exact_mut(of_pixel).enumerate() {
                 let at = y * width + x;
-                // Light is averaged, not its encoding.
                 let light = |channel: usize| {
                     params
                         .encoding
                         .undone((f64::from(picture.values[channel * plane + at]) - black) / (white - black))
                 };
-                let mean = (0..channels).map(light).sum::<f64>() / channels as f64;
-                *dn = self.intensity.dn(mean, seconds);
+                match pixel {
+                    // Light is averaged, not its encoding.
+                    [grey] => {
+                        let mean = (0..channels).map(light).sum::<f64>() / channels as f64;
+                        *grey = self.intensity.dn(mean, seconds);
+                    }
+                    colours => colours
+                        .iter_mut()
+                        .enumerate()
+                        .for_each(|(channel, dn)| *dn = self.intensity.dn(light(channel), seconds)),
+                }
             }
         }
         Ok(())

@@ -12,14 +12,14 @@ use photocurrent_core::{
 use photocurrent_scene::activity::Activity;
 use photocurrent_scene::film::Fired;
 use photocurrent_scene::film::STEP_NS;
-use photocurrent_sensor::map::estimate;
+use photocurrent_sensor::map::estimate::{self, HoldOut};
 use photocurrent_sensor::map::{Hint, MapFrame, PixelEvent};
 use photocurrent_solve::co_located::CoLocated;
 use photocurrent_solve::row::{Recorded, RowSetting};
 use photocurrent_solve::row_solver::{RowSolver, Taken};
 use photocurrent_solve::settings::Settings;
 use photocurrent_solve::shares::Colours;
-use photocurrent_solve::{Model, SolveOptions, neighbours};
+use photocurrent_solve::{EVENT_RESIDUAL, Model, SolveOptions, neighbours};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -247,6 +247,35 @@ impl Again {
         self.rows.iter_mut().for_each(|row| row.setting.sigma_factor = factor);
     }
 
+    /// What every `pitch`-th pixel of every `pitch`-th row predicts of its frames that are held out by some
+    /// rules, their numbers and DN, and what `of_pixel` makes of that; `hints_of` gives hints that know only
+    /// the frames it is given.
+    pub(crate) fn predictions<T: Send>(
+        &mut self,
+        pitch: usize,
+        holds: &[HoldOut],
+        hints_of: impl Fn(&Row, usize, &[MapFrame], f64, &mut Vec<Hint>) + Sync,
+        of_pixel: impl Fn(&Row, usize, Vec<(usize, f64)>) -> T + Sync,
+    ) -> Vec<Vec<T>> {
+        let Again { model, rows, meta } = self;
+        let ask_pixel = |solver: &mut RowSolver, row: &mut Row, x: usize| {
+            let hinted = |hold: &HoldOut| {
+                let mut hints = Vec::new();
+                hints_of(row, x, &hold.kept(row.frames_of(x)), model.threshold(), &mut hints);
+                (*hold, hints)
+            };
+            let held: Vec<(HoldOut, Vec<Hint>)> = holds.iter().map(hinted).collect();
+            let Row { taken, setting, .. } = row;
+            let predicted = solver.with(taken, |solver| solver.predictions(model, setting, x, &held));
+            of_pixel(row, x, predicted)
+        };
+        let columns = 0..meta.extent.width as usize;
+        let ask_row = |solver: &mut RowSolver, row: &mut Row| -> Vec<T> {
+            columns.clone().step_by(pitch).map(|x| ask_pixel(solver, row, x)).collect()
+        };
+        rows.par_iter_mut().step_by(pitch).map_init(RowSolver::default, ask_row).collect()
+    }
+
     /// What `answer` says of pixels that are spread over the sensor, each with its hints.
     fn ask<L, T: Send>(
         &mut self,
@@ -277,16 +306,17 @@ impl Again {
 
     /// Solves every pixel with the hints that `hints_of` gives for a row and column, from what `of_row` says
     /// of the row; its last argument but one is how exactly a pixel knows its light by itself, natural-log
-    /// units. Standard deviations are found in the last round only.
+    /// units. Standard deviations are found in the last round only. With the tracks comes what each pixel
+    /// leaves of its events, root mean square, thresholds; 0 without events.
     pub(crate) fn solve<L>(
         &mut self,
         cx: &Context,
         is_last: bool,
         of_row: impl Fn(&Row) -> L + Sync,
         hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
-    ) -> Result<TrackBand, NodeError> {
+    ) -> Result<(TrackBand, Vec<f32>), NodeError> {
         let Again { model, meta, rows } = self;
-        let solve_row = |solver: &mut RowSolver, row: &mut Row| -> Result<TrackBand, NodeError> {
+        let solve_row = |solver: &mut RowSolver, row: &mut Row| -> Result<(TrackBand, Vec<f32>), NodeError> {
             let mut hints = vec![Vec::new(); meta.extent.width as usize];
             let known = of_row(row);
             for (x, hints) in hints.iter_mut().enumerate() {
@@ -294,12 +324,15 @@ impl Again {
             }
             row.setting.options.with_sigma = is_last && meta.has_sigma;
             let Row { row, taken, setting } = row;
-            let band = solver.with(taken, |solver| solver.solve(model, setting, meta, *row, Some(&hints)).0);
+            let (band, map) =
+                solver.with(taken, |solver| solver.solve(model, setting, meta, *row, Some(&hints)));
             cx.advance(1)?;
-            Ok(band)
+            let left = |rms: &f32| if rms.is_finite() { rms * setting.noise.event as f32 } else { 0.0 };
+            Ok((band.shrunk(), map.row(EVENT_RESIDUAL, *row).iter().map(left).collect()))
         };
-        let solved: Result<Vec<TrackBand>, NodeError> =
+        let solved: Result<Vec<(TrackBand, Vec<f32>)>, NodeError> =
             rows.par_iter_mut().map_init(RowSolver::default, solve_row).collect();
-        Ok(TrackBand::concat(solved?))
+        let (bands, left): (Vec<TrackBand>, Vec<Vec<f32>>) = solved?.into_iter().unzip();
+        Ok((TrackBand::concat(bands), left.concat()))
     }
 }

@@ -105,6 +105,15 @@ pub(super) fn solve(events: &EventStream, frames: &FrameSequence) -> TrackSet {
 
 /// Rms error of log light, every half millisecond from the first frame to the last.
 pub(super) fn error(tracks: &TrackSet, log: impl Fn(usize, usize, f64) -> f64) -> f64 {
+    error_in(0..EXTENT.width as usize, tracks, log)
+}
+
+/// The same of some columns.
+pub(super) fn error_in(
+    columns: std::ops::Range<usize>,
+    tracks: &TrackSet,
+    log: impl Fn(usize, usize, f64) -> f64,
+) -> f64 {
     let tracks = LogTracks::new(
         EXTENT,
         tracks.read(EXTENT.rows()).unwrap(),
@@ -112,7 +121,7 @@ pub(super) fn error(tracks: &TrackSet, log: impl Fn(usize, usize, f64) -> f64) -
     );
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 0..EXTENT.height as usize {
-        for x in 0..EXTENT.width as usize {
+        for x in columns.clone() {
             for n in 4..76 {
                 let t_ns = n * 500_000;
                 let off = tracks.at(x, y, t_ns).unwrap() - log(x, y, t_ns as f64 * 1e-6);

@@ -3,6 +3,7 @@
 
 mod again;
 mod caution;
+mod fallback;
 #[cfg(test)]
 mod fixtures;
 pub mod motion;

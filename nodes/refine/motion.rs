@@ -23,6 +23,7 @@ mod tests;
 
 use super::again::{Again, In, Out, Row, Solver};
 use super::caution::{Caution, take_care};
+use super::fallback::Fallback;
 use super::trust::{Posed, Trust, TrustParams};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_scene::film::LogTracks;
@@ -67,9 +68,21 @@ impl Neighbours<'_> {
         (caution, least): (&Caution, f64),
         hints: &mut Vec<Hint>,
     ) {
+        self.hints_with((row, row.frames_of(x)), x, threshold, (caution, least), hints);
+    }
+
+    /// The same to a pixel that knows only some of its frames.
+    fn hints_with(
+        &self,
+        (row, frames): (&Row, &[MapFrame]),
+        x: usize,
+        threshold: f64,
+        (caution, least): (&Caution, f64),
+        hints: &mut Vec<Hint>,
+    ) {
         let caution = f64::max(caution.at(x, row.row as usize), least);
         if caution.is_finite() {
-            self.ask(row, x, row.frames_of(x), threshold, hints);
+            self.ask(row, x, frames, threshold, hints);
         }
         take_care(hints, caution);
     }
@@ -88,6 +101,9 @@ impl Neighbours<'_> {
 /// this part of the square by which the two differ as a further variance.
 const DOUBT: f64 = 0.5;
 
+/// Blends of a smaller part of the light are not reported.
+const WORTH_A_NOTE: f64 = 1e-3;
+
 /// Parameters of `refine/motion`: its own, and those of `solve/map`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -96,6 +112,8 @@ pub struct Params {
     /// How often motion is found and tracks are solved.
     #[schemars(range(min = 1, max = 10))]
     pub rounds: u32,
+    /// Takes a blend of the frames before and after where that predicts frames clearly better.
+    pub fall_back: bool,
     /// How tracks are solved.
     #[serde(flatten)]
     pub solver: SolveOptions,
@@ -103,7 +121,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        Params { rounds: 3, solver: SolveOptions::default() }
+        Params { rounds: 3, fall_back: true, solver: SolveOptions::default() }
     }
 }
 
@@ -118,7 +136,7 @@ impl Node for RefineMotion {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the \
                 motion.",
-        revision: 18,
+        revision: 19,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -167,12 +185,33 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             let neighbours =
                 Neighbours { log: &log, flow: &flow, motion, doubt: DOUBT, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);
-            tracks = again.solve(
+            let is_last = round == self.params.rounds;
+            let left;
+            (tracks, left) = again.solve(
                 cx,
-                round == self.params.rounds,
+                is_last,
                 |_| (),
                 |(), row, x, threshold, hints| neighbours.hints(row, x, threshold, (&caution, 0.0), hints),
             )?;
+            if is_last && self.params.fall_back {
+                let hints =
+                    |row: &Row, x: usize, kept: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>| {
+                        neighbours.hints_with((row, kept), x, threshold, (&caution, 0.0), hints)
+                    };
+                let fallback = Fallback::judge(&mut again, (&flow, &left), hints);
+                drop(log);
+                if let Some(fallback) = fallback {
+                    tracks = fallback.apply(tracks, &sensor, again.meta.has_sigma);
+                    if fallback.part() > WORTH_A_NOTE {
+                        cx.note(format!(
+                            "{:.1} % of the light is a blend of the frames before and after, which predicts \
+                             frames that were held out clearly better than events do there: thresholds, \
+                             exposure or clocks may be wrong, or events were lost",
+                            1e2 * fallback.part()
+                        ));
+                    }
+                }
+            }
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })
     }

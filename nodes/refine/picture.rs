@@ -93,7 +93,7 @@ impl Node for RefinePicture {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture that explains the frames, and with what \
                 neighbouring pixels saw.",
-        revision: 15,
+        revision: 16,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -179,7 +179,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                     take_care(hints, caution.at(x, row.row as usize));
                 });
             }
-            tracks =
+            (tracks, _) =
                 again.solve(cx, round == self.params.rounds, of_row, |light, row, x, threshold, hints| {
                     let caution = caution.at(x, row.row as usize);
                     if caution.is_finite() {

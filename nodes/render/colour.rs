@@ -138,7 +138,7 @@ impl Node for RenderColour {
     const DECL: Decl = Decl {
         kind: "render/colour",
         about: "Gives grey pictures the hue of captured colour frames, carried along the motion.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -98,6 +98,16 @@ impl<M: SeriesMeta> SeriesBand<M> {
         self.offsets.push(self.t.len());
     }
 
+    /// Gives back what it has reserved beyond its pixels: up to as much again.
+    #[must_use]
+    pub fn shrunk(mut self) -> SeriesBand<M> {
+        self.offsets.shrink_to_fit();
+        self.t.shrink_to_fit();
+        self.photocurrent.shrink_to_fit();
+        self.sigma.shrink_to_fit();
+        self
+    }
+
     /// From columns in canonical order; `offsets` has one entry per pixel and a last one, `sigma` as many as
     /// `t` or none.
     ///
@@ -202,8 +212,16 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
     }
 
     fn concat(parts: Vec<SeriesBand<M>>) -> SeriesBand<M> {
+        let all: usize = parts.iter().map(|part| part.t.len()).sum();
         let mut parts = parts.into_iter();
         let mut whole = parts.next().expect("at least one band to join");
+        // Grown by doubling, it would take twice what it holds.
+        let more = all - whole.t.len();
+        whole.t.reserve_exact(more);
+        whole.photocurrent.reserve_exact(more);
+        if !whole.sigma.is_empty() {
+            whole.sigma.reserve_exact(more);
+        }
         for part in parts {
             let before = whole.t.len();
             whole.offsets.extend(part.offsets[1..].iter().map(|offset| offset + before));

@@ -30,12 +30,16 @@ use std::ops::Range;
 
 /// Pictures between two instants of the field.
 const STRIDE: usize = 4;
-/// Instants of the field that are worked out together.
+/// Instants of the field that are worked out together, at most.
 const TOGETHER: usize = 32;
+/// And so few that their pictures hold at most so many values.
+const TOGETHER_VALUES: usize = 60_000_000;
 /// Farthest picture from its instant that is compared.
 const REACH: usize = 6;
 /// Of a sensor of more pixels every second pixel of every second row is evaluated.
 const LARGE: usize = 20_000;
+/// The six numbers of the motion of all pixels are found from about so many places.
+const OF_ALL: usize = 16_384;
 /// A step that is smaller changes nothing, pixels per picture.
 const NO_STEP: f64 = 1e-4;
 
@@ -71,6 +75,19 @@ impl Lattice {
 
     fn len(&self) -> usize {
         self.columns * self.lines
+    }
+
+    /// Instants of the field whose pictures are held at once.
+    fn together(&self) -> usize {
+        let pictures = TOGETHER_VALUES / (self.width * self.height);
+        (pictures.saturating_sub(2 * REACH + 1) / STRIDE + 1).clamp(1, TOGETHER)
+    }
+
+    /// Every so manyth of `places` is [`OF_ALL`] of them, spread over rows and columns.
+    fn every(&self, places: usize) -> usize {
+        let every = usize::max(places / OF_ALL, 1);
+        // A divisor of the columns takes the same ones of every row.
+        every + usize::from(every > 1 && self.columns.is_multiple_of(every))
     }
 
     /// The pixel of a place.
@@ -109,8 +126,9 @@ impl Flow {
         let lattice = Lattice::new(width, height);
         let bins = count.div_ceil(STRIDE);
         let (mut fields, mut rivals) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
-        for first in (0..bins).step_by(TOGETHER) {
-            let bins = first..usize::min(first + TOGETHER, bins);
+        let together = lattice.together();
+        for first in (0..bins).step_by(together) {
+            let bins = first..usize::min(first + together, bins);
             let numbers = (bins.start * STRIDE).saturating_sub(REACH)
                 ..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
             let at_ns = |n: usize| start_ns + n as i64 * STEP_NS;
@@ -364,11 +382,13 @@ impl Estimator<'_> {
     /// Improves one affine motion of all places.
     fn affine(&self, pairs: &Pairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
         let Lattice { width, height, .. } = self.lattice;
+        let every = self.lattice.every(self.places.len());
+        let places = || self.places.iter().step_by(every);
         for _step in 0..steps {
             let mut a = [[0.0; 6]; 6];
             let mut b = [0.0; 6];
             pairs.each(|early, late, t0, t1| {
-                for &at in self.places {
+                for &at in places() {
                     let (x, y) = self.lattice.pixel(at);
                     let v = self.velocity_of(&p, x, y);
                     let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v)
@@ -388,7 +408,7 @@ impl Estimator<'_> {
                 }
             });
             for i in 0..6 {
-                a[i][i] += self.params.least_contrast * self.places.len() as f64;
+                a[i][i] += self.params.least_contrast * places().len() as f64;
                 for j in 0..i {
                     a[i][j] = a[j][i];
                 }

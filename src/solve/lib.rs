@@ -79,6 +79,6 @@ pub use options::{
 };
 pub use pixel::solve_pixel;
 pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
-pub use status::{PLANES, Report, map_meta};
+pub use status::{EVENT_RESIDUAL, PLANES, Report, map_meta};
 pub use subset::solve_pixels;
 pub use track::PixelTrack;

@@ -8,7 +8,7 @@ use crate::status::{PLANES, Status, map_meta, planes};
 use crate::track::PixelTrack;
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::map::estimate::Miss;
+use photocurrent_sensor::map::estimate::{HoldOut, Miss};
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
     Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, PixelEvent,
@@ -319,6 +319,20 @@ impl RowSolver {
             let problems: Vec<MapProblem<'_>> =
                 hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
             estimate::prediction_errors(&problems, &setting.options, group)
+        })
+    }
+
+    /// What a pixel's other measurements predict of its frames that are held out
+    /// ([`estimate::predictions`]).
+    pub fn predictions(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        x: usize,
+        held: &[(HoldOut, Vec<Hint>)],
+    ) -> Vec<(usize, f64)> {
+        self.with_known(model, setting, x, |problem, group| {
+            estimate::predictions(&problem, held, &setting.options, group)
         })
     }
 

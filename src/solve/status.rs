@@ -18,6 +18,8 @@ pub(crate) enum Status {
 pub const PLANES: [&str; 6] =
     ["status", "iterations", "cost", "event_residual", "frame_residual", "implausible"];
 
+/// Where `event_residual` stands among them.
+pub const EVENT_RESIDUAL: usize = 3;
 /// Where `implausible` stands among them.
 const IMPLAUSIBLE: usize = 5;
 

@@ -82,8 +82,12 @@ fn accumulate() -> Params {
 }
 
 fn run(params: Params) -> Result<(FrameSequence, Vec<String>), NodeError> {
+    run_on(frames(), params)
+}
+
+fn run_on(frames: FrameSequence, params: Params) -> Result<(FrameSequence, Vec<String>), NodeError> {
     let node = BaselineOnnx::build(params)?;
-    let input = In { frames: frames(), events: Some(events()), sensor: None, at: None };
+    let input = In { frames, events: Some(events()), sensor: None, at: None };
     let (out, notes) = testing::with_context(EXTENT.rows(), &["frames"], |cx| node.run(input, cx));
     Ok((out?.frames, notes))
 }
@@ -96,20 +100,57 @@ fn at(frames: &FrameSequence, ms: i64) -> impl Fn(usize, u32) -> f32 {
     move |x, y| block.row(n, y)[x]
 }
 
-#[test]
-fn halving_takes_the_nearest_of_the_pictures_between_the_frames() {
-    // A network that blends: twice halved, pictures stand at quarters of the way from 20 to 60 DN, at 1, 3,
-    // 5, 7 and 9 ms. Another time than 1/2 would give others.
+/// A network that blends pictures of three channels.
+fn blend_in_colour() -> Params {
     let frame = |input: &str, take| FrameInput { input: input.into(), take, channels: 3, range: [0.0, 1.0] };
-    let halves = |halvings| Params {
+    Params {
         network: network("stand_in_film.onnx"),
         frames: vec![frame("x0", Side::Before), frame("x1", Side::After)],
         voxels: Vec::new(),
         time: Some("time".into()),
         time_dimensions: 2,
-        halvings,
         ..blend()
-    };
+    }
+}
+
+/// Two frames in colour, of 20 and 60 DN; green is brighter by 2 DN and blue by 5, a column by 1 DN.
+fn frames_in_colour() -> FrameSequence {
+    let grey = frames();
+    let meta = FramesMeta { colour: Colour::Rgb, ..(*grey.meta).clone() };
+    let mut block = FrameBlock::zeros(0..2, meta.extent.rows(), meta.row_values());
+    let width = meta.row_values();
+    for (at, dn) in block.dn.iter_mut().enumerate() {
+        let (x, channel) = (at % width / 3, at % 3);
+        let frame = at / (width * EXTENT.height as usize);
+        *dn = [20.0, 60.0][frame] + x as f32 + [0.0, 2.0, 5.0][channel];
+    }
+    FrameSequence::in_memory(Arc::new(meta), block)
+}
+
+#[test]
+fn each_colour_of_frames_goes_through_a_network_of_three_channels() {
+    let (blended, _) = run_on(frames_in_colour(), Params { multiple: 8, ..blend_in_colour() }).unwrap();
+    assert_eq!(blended.meta.colour, Colour::Rgb);
+    let value = at(&blended, 3);
+    for (x, channel) in (0..6).flat_map(|x| (0..3).map(move |channel| (x, channel))) {
+        let expected = 30.0 + x as f32 + [0.0, 2.0, 5.0][channel];
+        let found = value(3 * x + channel, 2);
+        assert!((found - expected).abs() < 1e-3, "column {x}, channel {channel}: {found}");
+    }
+}
+
+#[test]
+fn frames_in_colour_and_a_network_of_one_channel_are_refused() {
+    let error = run_on(frames_in_colour(), blend()).err().unwrap();
+    assert_eq!(error.param.as_deref(), Some("frames"));
+    assert!(error.message.contains("frames are in colour"), "{}", error.message);
+}
+
+#[test]
+fn halving_takes_the_nearest_of_the_pictures_between_the_frames() {
+    // A network that blends: twice halved, pictures stand at quarters of the way from 20 to 60 DN, at 1, 3,
+    // 5, 7 and 9 ms. Another time than 1/2 would give others.
+    let halves = |halvings| Params { halvings, ..blend_in_colour() };
     let dn = |halvings, ms: i64| at(&run(halves(halvings)).unwrap().0, ms)(0, 0);
     for (ms, expected) in [(1, 20.0), (3, 30.0), (5, 40.0), (7, 50.0), (9, 60.0)] {
         assert!((dn(2, ms) - expected).abs() < 1e-4, "{ms} ms: {}", dn(2, ms));
@@ -124,7 +165,7 @@ fn halving_takes_the_nearest_of_the_pictures_between_the_frames() {
     );
     assert_eq!(refused(Params { output_range: [0.0, 2.0], ..halves(2) }).as_deref(), Some("halvings"));
     assert_eq!(
-        refused(Params { frames: vec![frame("x0", Side::Before)], ..halves(2) }).as_deref(),
+        refused(Params { frames: halves(2).frames[..1].to_vec(), ..halves(2) }).as_deref(),
         Some("halvings")
     );
 }

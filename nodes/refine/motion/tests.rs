@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::refine::fixtures::{
-    EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture,
+    EXTENT, GAIN, decibels, error, error_in, every_pixel_for_itself, record, sensor, solve, texture,
 };
 use crate::refine::trust::{Measured, Posed};
 use crate::solve::paper::SolvePaper;
+use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
 use photocurrent_scene::film::Fired;
 use photocurrent_sensor::map::{Hint, MapFrame};
@@ -191,4 +192,70 @@ fn held_tracks_are_refused() {
     let error = refused.err().unwrap();
     assert!(error.to_string().contains("log-linear"), "{error}");
     assert!(error.hint.is_some_and(|hint| hint.contains("solve/map")));
+}
+
+/// A texture that slides on the left, light that brightens and darkens slowly on the right.
+fn two_halves(x: usize, y: usize, ms: f64) -> f64 {
+    if x < 12 { texture(x, y, ms) } else { slow(x, y, ms) }
+}
+
+fn slow(x: usize, y: usize, ms: f64) -> f64 {
+    4.6 + 0.2 * libm::sin(0.08 * ms + 0.3 * x as f64) + 0.1 * libm::cos(0.5 * y as f64)
+}
+
+/// The same events, those of the right half turned into their opposite and three of each.
+fn spoiled(events: &EventStream) -> EventStream {
+    let band = events.read(EXTENT.rows()).unwrap();
+    let mut all = Vec::new();
+    for y in 0..EXTENT.height {
+        let row = band.row(y);
+        for k in 0..row.t.len() {
+            let is_right = row.x[k] >= 12;
+            let on = (row.on[k] == 1) != is_right;
+            all.extend((0..if is_right { 3 } else { 1 }).map(|n| Event {
+                x: row.x[k],
+                y: y as u16,
+                polarity: Polarity::from_bit(u8::from(on)),
+                t: row.t[k] + n * 400_000,
+                t_in: None,
+            }));
+        }
+    }
+    testing::stream(EXTENT, all)
+}
+
+fn refine_or_fall_back(
+    events: &EventStream,
+    frames: &FrameSequence,
+    fall_back: bool,
+) -> (TrackSet, Vec<String>) {
+    let node = RefineMotion::build(Params { fall_back, ..Params::default() }).unwrap();
+    let tracks = solve(events, frames);
+    let input = In { tracks, events: events.clone(), frames: frames.clone(), sensor: sensor() };
+    let (out, notes) = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx));
+    (out.unwrap().tracks, notes)
+}
+
+#[test]
+fn where_events_mislead_light_is_a_blend_of_frames_and_a_note_states_it() {
+    let (events, frames) = record(two_halves);
+    let events = spoiled(&events);
+    let (without, _) = refine_or_fall_back(&events, &frames, false);
+    let (with, notes) = refine_or_fall_back(&events, &frames, true);
+    let (before, after) = (error_in(12..24, &without, slow), error_in(12..24, &with, slow));
+    assert!(decibels(before, after) > 3.0, "{before} became {after}");
+    let (before, after) = (error_in(0..10, &without, texture), error_in(0..10, &with, texture));
+    assert!(decibels(before, after) > -0.1, "{before} became {after} where events are right");
+    assert!(notes.iter().any(|note| note.contains("is a blend of the frames before and after")), "{notes:?}");
+}
+
+#[test]
+fn where_events_are_right_nothing_falls_back() {
+    for light in [texture as fn(usize, usize, f64) -> f64, every_pixel_for_itself, slow] {
+        let (events, frames) = record(light);
+        let (without, _) = refine_or_fall_back(&events, &frames, false);
+        let (with, notes) = refine_or_fall_back(&events, &frames, true);
+        let (one, other) = (without.read(EXTENT.rows()).unwrap(), with.read(EXTENT.rows()).unwrap());
+        assert_eq!((one.t, one.photocurrent), (other.t, other.photocurrent), "{notes:?}");
+    }
 }

@@ -20,7 +20,7 @@ impl<'a> Path<'a> {
     }
 
     /// Where what stands at a place at one instant stands at another.
-    fn place(&self, (mut x, mut y): (f64, f64), from_ns: i64, to_ns: i64) -> (f64, f64) {
+    pub fn place(&self, (mut x, mut y): (f64, f64), from_ns: i64, to_ns: i64) -> (f64, f64) {
         let steps = ((to_ns - from_ns).unsigned_abs().div_ceil(STEP_NS as u64)).max(1);
         let step_ns = (to_ns - from_ns) as f64 / steps as f64;
         for n in 0..steps {

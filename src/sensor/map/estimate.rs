@@ -10,7 +10,7 @@ use super::frame_noise::NORMAL_MEDIAN;
 use super::group::MapGroup;
 use super::options::{Evidence, MapOptions, MapSolution, MapTask};
 use super::prior::{Local, Prior};
-use super::problem::{LoneEvents, MapFrame, MapProblem, Noise};
+use super::problem::{Hint, LoneEvents, MapFrame, MapProblem, Noise};
 use super::segment::collected_between;
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
@@ -281,6 +281,30 @@ pub fn prediction_errors_of(
     errors
 }
 
+/// What a problem's other measurements predict of its frames that are held out: their numbers and DN, of each
+/// of some rules with the hints that know nothing of those frames.
+pub fn predictions(
+    problem: &MapProblem<'_>,
+    held: &[(HoldOut, Vec<Hint>)],
+    options: &MapOptions,
+    group: &mut MapGroup,
+) -> Vec<(usize, f64)> {
+    let kept: Vec<Vec<MapFrame>> = held.iter().map(|(hold, _)| hold.kept(problem.frames)).collect();
+    let options = MapOptions { with_sigma: false, ..*options };
+    let tasks: Vec<MapTask<'_>> = held
+        .iter()
+        .zip(&kept)
+        .map(|((_, hints), frames)| MapTask { problem: MapProblem { frames, hints, ..*problem }, options })
+        .collect();
+    let mut predictions = Vec::new();
+    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
+        let of = |(l, frame): (usize, &MapFrame)| (l, predicted_dn(problem, frame, &solution));
+        predictions.extend(held[n].0.held(problem.frames).map(of));
+    });
+    predictions.sort_by_key(|(l, _)| *l);
+    predictions
+}
+
 /// How a frame that was held out is missed.
 #[derive(Clone, Copy, Debug)]
 pub struct Miss {
@@ -389,11 +413,15 @@ fn prediction_error(
     solution: &MapSolution<'_>,
 ) -> [f64; 2] {
     let of = |(_, frame): (usize, &MapFrame)| {
-        let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
-        let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
-        relative_error(problem, dark_dn, frame, predicted)
+        relative_error(problem, dark_dn, frame, predicted_dn(problem, frame, solution))
     };
     sums(hold.held(problem.frames).map(of))
+}
+
+/// What a solution predicts of a frame, DN.
+fn predicted_dn(problem: &MapProblem<'_>, frame: &MapFrame, solution: &MapSolution<'_>) -> f64 {
+    let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
+    problem.sensor.black_level_dn + problem.sensor.gain * light
 }
 
 /// The sums of some errors and of their squares.

@@ -1,0 +1,360 @@
+//! Where a blend of the frames before and after predicts frames better than tracks do.
+//!
+//! With a wrong description, or where events were lost, what a solution makes of events can be worse than to
+//! make nothing of them. So all pixels (of a large sensor every second or third, of as many rows) predict
+//! each of their frames but the first and the last from the others, as they are solved; and so do two blends:
+//! of the pixel's own values before and after, weighted by time, and of those to which the motion leads.
+//! What they miss, squared, is pooled over a neighbourhood; where a blend misses clearly less, and what it
+//! gains is more than the noise of the frames, light around that frame is that blend.
+//!
+//! Frames alone do not decide: an edge that passes often leaves frames that are alike, and a blend of two
+//! predicts a third, but nothing between. There the solution explains the events. A blend is taken only where
+//! it does not.
+//!
+//! Limits: a frame is predicted over twice the time that lies between two frames, over which a blend loses
+//! more than a solution does, so that a blend is taken too seldom rather than too often; the motion comes
+//! from tracks that know the frame.
+
+use super::again::{Again, Row};
+use super::trust::Posed;
+use photocurrent_core::handle::Band;
+use photocurrent_core::{Extent, TrackBand};
+use photocurrent_scene::flow::Flow;
+use photocurrent_scene::hue::Path;
+use photocurrent_scene::image::{Image, smooth};
+use photocurrent_sensor::map::estimate::{FEWEST_FRAMES, HoldOut};
+use photocurrent_sensor::map::{Hint, MapFrame};
+use rayon::prelude::*;
+
+/// Of a sensor of more pixels every second of every second row is tried, and of the largest every third.
+const LARGE: [usize; 2] = [20_000, 400_000];
+/// Standard deviation of the neighbourhood that decides, pixels.
+const NEIGHBOURHOOD: f64 = 2.0;
+/// A blend must miss less by this part of what the solution misses, squared, ...
+const CLEAR_GAIN: f64 = 0.3;
+/// ... and by more than so many variances of a frame value.
+const NOISE: f64 = 2.0;
+/// And what the solution leaves of events is more than so many thresholds, root mean square: an edge that
+/// passes often leaves frames that are alike, and a blend of them predicts the next, but not the events.
+const UNEXPLAINED: f64 = 0.2;
+/// Of fewer frames each is held out in turn, else one in three.
+const FEW_FRAMES: usize = 6;
+/// A squared relative error counts at most this.
+const LARGEST: f64 = 1.0;
+/// Added to the light that an error is relative to, as a part of the brightest.
+const DARK: f64 = 0.1;
+/// Knots of a blend lie at most so far apart, ns.
+const KNOTS_NS: i64 = 1_000_000;
+/// Log light stays within so much of the darkest that a frame shows above its black level.
+const LEAST: f64 = 1e-3;
+
+/// A blend.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Blend {
+    /// Of the pixel's own values.
+    Own,
+    /// Of the values to which the motion leads.
+    Moved,
+}
+
+/// The blends, in the order of weights.
+const BLENDS: [Blend; 2] = [Blend::Own, Blend::Moved];
+
+/// What a pixel's frame is missed by, squared, as parts of its light: by the solution and by each blend; and
+/// the variance of its value.
+#[derive(Clone, Copy)]
+struct Missed {
+    frame: usize,
+    solution: f64,
+    blends: [f64; 2],
+    noise: f64,
+}
+
+/// Frames as pictures of light, per ns, and when each row of them was exposed.
+struct Frames {
+    extent: Extent,
+    light: Vec<Image>,
+    /// The middle of each frame's exposure in each row, ns.
+    mid_ns: Vec<Vec<i64>>,
+    /// DN for a light of 1 over a second.
+    gain: f64,
+    /// What an error is relative to in addition to light.
+    dark: f64,
+    /// The least light that a blend may have.
+    least: f64,
+}
+
+/// Which blend predicts frames better, where.
+pub(super) struct Fallback<'a> {
+    frames: Frames,
+    path: Path<'a>,
+    /// Weights of both blends around each frame, of every pixel; empty where neither is better anywhere.
+    weights: Vec<[Vec<f32>; 2]>,
+}
+
+impl<'a> Fallback<'a> {
+    /// Tries all pixels; `left` is what each leaves of its events, thresholds, and `hints_of` gives hints
+    /// that know no more frames than it is given.
+    /// None where no frame can be held out, or the pixels of the sensor differ in their frames.
+    pub(crate) fn judge(
+        again: &mut Again,
+        (flow, left): (&'a Flow, &[f32]),
+        hints_of: impl Fn(&Row, usize, &[MapFrame], f64, &mut Vec<Hint>) + Sync,
+    ) -> Option<Fallback<'a>> {
+        let extent = again.meta.extent;
+        let (frames, path) = (Frames::new(again)?, Path::new(flow));
+        let count = frames.light.len();
+        let every = if count < FEW_FRAMES { count } else { 3 };
+        let holds: Vec<HoldOut> = (0..every).map(|first| HoldOut { every, first }).collect();
+        let pitch = 1 + LARGE.iter().filter(|large| extent.pixels() > **large).count();
+        let missed = again.predictions(pitch, &holds, hints_of, |row, x, predicted| {
+            let of = |(l, dn)| frames.missed((x, row.row as usize), &row.frames_of(x)[l], (l, dn), &path);
+            predicted.into_iter().map(of).collect()
+        });
+        let unexplained = smooth(left, extent.width as usize, extent.height as usize, NEIGHBOURHOOD);
+        let weights =
+            (0..count).into_par_iter().map(|l| choose((&missed, &unexplained), l, extent, pitch)).collect();
+        let mut fallback = Fallback { frames, path, weights };
+        fallback.settle();
+        Some(fallback)
+    }
+
+    /// Around the first and the last frame, which nobody predicts, as around the next.
+    fn settle(&mut self) {
+        let last = self.weights.len() - 1;
+        self.weights[0] = self.weights[1].clone();
+        self.weights[last] = self.weights[last - 1].clone();
+        if self.weights.iter().flatten().flatten().all(|weight| *weight == 0.0) {
+            self.weights.clear();
+        }
+    }
+
+    /// The part of all light, pixel by pixel and frame by frame, that is a blend.
+    pub(crate) fn part(&self) -> f64 {
+        let weights = self.weights.iter().flatten().flatten();
+        let sum: f64 = weights.map(|weight| f64::from(*weight)).sum();
+        sum / (self.frames.light.len() * self.frames.extent.pixels()) as f64
+    }
+
+    /// Tracks with the blends in them; standard deviations are wider by half of what both differ.
+    pub(crate) fn apply(&self, tracks: TrackBand, sensor: &Posed, with_sigma: bool) -> TrackBand {
+        if self.weights.is_empty() {
+            return tracks;
+        }
+        let width = self.frames.extent.width;
+        let row = |y: u32| {
+            let mut out = TrackBand::begin(y, width);
+            let mut knots = Vec::new();
+            for x in 0..width {
+                self.pixel(&tracks, (x, y), sensor, &mut knots);
+                let knots = knots.iter().copied();
+                if with_sigma {
+                    out.push_with_sigma(knots);
+                } else {
+                    out.push(knots.map(|(t, light, _)| (t, light)));
+                }
+            }
+            out.shrunk()
+        };
+        let rows: Vec<TrackBand> = tracks.rows().iter().into_par_iter().map(row).collect();
+        TrackBand::concat(rows)
+    }
+
+    /// The knots of a pixel: time, photocurrent, standard deviation of its logarithm.
+    fn pixel(&self, tracks: &TrackBand, (x, y): (u32, u32), sensor: &Posed, out: &mut Vec<(i64, f32, f32)>) {
+        let track = tracks.pixel(x, y);
+        let sigma = |k: usize| track.sigma.get(k).copied().unwrap_or(0.0);
+        out.clear();
+        let own = |k: usize| (track.t[k], track.photocurrent[k], sigma(k));
+        let at = (y * self.frames.extent.width + x) as usize;
+        let blended = self.weights.iter().any(|of_frame| of_frame.iter().any(|of_blend| of_blend[at] > 0.0));
+        if !blended || track.t.is_empty() {
+            out.extend((0..track.t.len()).map(own));
+            return;
+        }
+        let log = |k: usize| libm::log(f64::max(f64::from(track.photocurrent[k]), f64::MIN_POSITIVE));
+        let (x, y) = (x as usize, y as usize);
+        for k in 0..track.t.len() {
+            let (t, light, own_sigma) = own(k);
+            let correction = |t: i64, log: f64| self.correction((x, y), t, log, sensor);
+            match correction(t, log(k)) {
+                Some(by) => out.push(moved(t, log(k) + by, own_sigma, by)),
+                None => out.push((t, light, own_sigma)),
+            }
+            let Some(&next) = track.t.get(k + 1) else { break };
+            // A blend is not log-linear between the knots of the track.
+            let parts = (next - t).div_euclid(KNOTS_NS) + 1;
+            for n in 1..parts {
+                let share = n as f64 / parts as f64;
+                let (between, t) = (log(k) + share * (log(k + 1) - log(k)), t + (next - t) * n / parts);
+                let wide = own_sigma + share as f32 * (sigma(k + 1) - own_sigma);
+                out.extend(correction(t, between).map(|by| moved(t, between + by, wide, by)));
+            }
+        }
+    }
+
+    /// What is added to the logarithm of a pixel's light at an instant; nothing where no blend counts.
+    fn correction(&self, (x, y): (usize, usize), t_ns: i64, log: f64, sensor: &Posed) -> Option<f64> {
+        let (before, after, share) = self.frames.around(y, t_ns);
+        let at = y * self.frames.extent.width as usize + x;
+        let mut correction = None;
+        for (n, blend) in BLENDS.into_iter().enumerate() {
+            let of = |frame: usize| f64::from(self.weights[frame][n][at]);
+            let weight = (1.0 - share) * of(before) + share * of(after);
+            if weight > 0.0 {
+                let light = self.frames.blend(blend, (x, y), t_ns, (before, after), &self.path);
+                let light = f64::max(light - sensor.added, self.frames.least);
+                correction = Some(correction.unwrap_or(0.0) + weight * (libm::log(light) - log));
+            }
+        }
+        correction
+    }
+}
+
+/// A knot whose logarithm was moved: its standard deviation is wider by half of that.
+fn moved(t_ns: i64, log: f64, sigma: f32, by: f64) -> (i64, f32, f32) {
+    (t_ns, libm::exp(log) as f32, libm::hypot(f64::from(sigma), 0.5 * by) as f32)
+}
+
+impl Frames {
+    fn new(again: &Again) -> Option<Frames> {
+        let extent = again.meta.extent;
+        let number = again.sensor().model.number;
+        let count = again.rows.first()?.frames_of(0).len();
+        let all = |row: &Row| (0..extent.width as usize).all(|x| row.frames_of(x).len() == count);
+        if count < FEWEST_FRAMES || !again.rows.iter().all(all) {
+            return None;
+        }
+        let picture = |l: usize| {
+            let light = |frame: &MapFrame| {
+                let length_ns = (frame.end_ns - frame.start_ns) as f64;
+                ((frame.dn - number.black_level) / (number.gain * length_ns * 1e-9)) as f32
+            };
+            let row = |row: &'_ Row| -> Vec<f32> {
+                (0..extent.width as usize).map(|x| light(&row.frames_of(x)[l])).collect()
+            };
+            let values: Vec<f32> = again.rows.iter().flat_map(row).collect();
+            Image { width: extent.width as usize, height: extent.height as usize, values }
+        };
+        let light: Vec<Image> = (0..count).into_par_iter().map(picture).collect();
+        let mid = |row: &Row, l: usize| {
+            let frame = &row.frames_of(0)[l];
+            frame.start_ns + (frame.end_ns - frame.start_ns) / 2
+        };
+        let mid_ns = (0..count).map(|l| again.rows.iter().map(|row| mid(row, l)).collect()).collect();
+        let most = light.iter().flat_map(|image| &image.values).fold(0.0_f32, |most, v| f32::max(most, *v));
+        (most > 0.0).then(|| {
+            let most = f64::from(most);
+            Frames { extent, light, mid_ns, gain: number.gain, dark: DARK * most, least: LEAST * most }
+        })
+    }
+
+    /// The frames before and after an instant, and the share of the later one.
+    fn around(&self, y: usize, t_ns: i64) -> (usize, usize, f64) {
+        let after = self.mid_ns.partition_point(|rows| rows[y] <= t_ns);
+        let last = self.mid_ns.len() - 1;
+        if after == 0 || after > last {
+            let end = usize::min(after, last);
+            return (end, end, 0.0);
+        }
+        let (from, to) = (self.mid_ns[after - 1][y], self.mid_ns[after][y]);
+        (after - 1, after, (t_ns - from) as f64 / (to - from) as f64)
+    }
+
+    /// Light of a blend of two frames at an instant.
+    fn blend(
+        &self,
+        blend: Blend,
+        (x, y): (usize, usize),
+        t_ns: i64,
+        (before, after): (usize, usize),
+        path: &Path<'_>,
+    ) -> f64 {
+        let own = |frame: usize| f64::from(self.light[frame].values[y * self.extent.width as usize + x]);
+        let read = |frame: usize| match blend {
+            Blend::Own => own(frame),
+            Blend::Moved => {
+                let (x, y) = path.place((x as f64, y as f64), t_ns, self.mid_ns[frame][y]);
+                self.light[frame].sample(x, y).map_or_else(|| own(frame), |(light, ..)| light)
+            }
+        };
+        if before == after {
+            return read(before);
+        }
+        let (from, to) = (self.mid_ns[before][y], self.mid_ns[after][y]);
+        let share = (t_ns - from) as f64 / (to - from) as f64;
+        (1.0 - share) * read(before) + share * read(after)
+    }
+
+    /// What frame l of a pixel is missed by, of which the solution predicts `dn`.
+    fn missed(
+        &self,
+        (x, y): (usize, usize),
+        frame: &MapFrame,
+        (l, dn): (usize, f64),
+        path: &Path<'_>,
+    ) -> Missed {
+        let seen = f64::from(self.light[l].values[y * self.extent.width as usize + x]);
+        let per_dn = 1.0 / self.dn_per_light(frame);
+        let relative = |by: f64| {
+            let part = by / (f64::max(seen, 0.0) + self.dark);
+            f64::min(part * part, LARGEST)
+        };
+        let t_ns = self.mid_ns[l][y];
+        let of_blend = |blend: Blend| relative(self.blend(blend, (x, y), t_ns, (l - 1, l + 1), path) - seen);
+        Missed {
+            frame: l,
+            solution: relative((dn - frame.dn) * per_dn),
+            blends: BLENDS.map(of_blend),
+            noise: relative(frame.sigma_dn * per_dn),
+        }
+    }
+
+    /// DN of a frame for a light of 1.
+    fn dn_per_light(&self, frame: &MapFrame) -> f64 {
+        self.gain * (frame.end_ns - frame.start_ns) as f64 * 1e-9
+    }
+}
+
+/// The weights of both blends around frame l, of every pixel: 0 or 1, smooth between.
+fn choose(
+    (missed, unexplained): (&[Vec<Vec<Missed>>], &[f32]),
+    l: usize,
+    extent: Extent,
+    pitch: usize,
+) -> [Vec<f32>; 2] {
+    let (columns, lines) = (missed.first().map_or(0, Vec::len), missed.len());
+    let of = |value: &dyn Fn(&Missed) -> f64| -> Vec<f32> {
+        let here = |pixel: &Vec<Missed>| {
+            pixel.iter().find(|missed| missed.frame == l).map_or(0.0, |missed| value(missed) as f32)
+        };
+        let values: Vec<f32> = missed.iter().flatten().map(here).collect();
+        smooth(&values, columns, lines, NEIGHBOURHOOD / pitch as f64)
+    };
+    let solution = of(&|missed| missed.solution);
+    let noise = of(&|missed| missed.noise);
+    let blends = [of(&|missed| missed.blends[0]), of(&|missed| missed.blends[1])];
+    let better = |n: usize, at: usize| {
+        let (own, other) = (blends[n][at], blends[1 - n][at]);
+        let gain = solution[at] - own;
+        let clear = f32::max(CLEAR_GAIN as f32 * solution[at], NOISE as f32 * noise[at]);
+        let (x, y) = (at % columns * pitch, at / columns * pitch);
+        // The plain blend where both are alike.
+        gain > clear
+            && unexplained[y * extent.width as usize + x] > UNEXPLAINED as f32
+            && (own < other || (n == 0 && own == other))
+    };
+    [0, 1].map(|n| {
+        let chosen: Vec<f32> = (0..columns * lines).map(|at| f32::from(u8::from(better(n, at)))).collect();
+        if chosen.iter().all(|chosen| *chosen == 0.0) {
+            return vec![0.0; extent.pixels()];
+        }
+        let image = Image { width: columns, height: lines, values: smooth(&chosen, columns, lines, 1.0) };
+        let pixel = |at: usize| {
+            let (x, y) = (at % extent.width as usize, at / extent.width as usize);
+            let inside = |at: usize, count: usize| f64::min(at as f64 / pitch as f64, (count - 1) as f64);
+            image.sample(inside(x, columns), inside(y, lines)).map_or(0.0, |(weight, ..)| weight as f32)
+        };
+        (0..extent.pixels()).map(pixel).collect()
+    })
+}
