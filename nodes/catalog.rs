@@ -1,7 +1,8 @@
 //! The table of contents: every node kind, in the order in which data flows. Nothing else registers nodes.
 
 use crate::{
-    baseline, compensate, diagnose, estimate, read, refine, render, score, simulate, solve, split, write,
+    align, baseline, compensate, diagnose, estimate, read, refine, render, score, simulate, solve, split,
+    write,
 };
 use photocurrent_core::{Catalogue, Kind};
 
@@ -18,6 +19,7 @@ pub fn catalogue() -> Catalogue {
         // Data come in, or are made.
         Kind::of::<read::recording::ReadRecording>(),
         Kind::of::<read::sensor::ReadSensor>(),
+        Kind::of::<read::alignment::ReadAlignment>(),
         Kind::of::<simulate::scene::SimulateScene>(),
         Kind::of::<simulate::video::SimulateVideo>(),
         Kind::of::<simulate::photo::SimulatePhoto>(),
@@ -27,12 +29,14 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<split::time::SplitTime>(),
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
+        Kind::of::<align::recording::AlignRecording>(),
         Kind::of::<render::grey::RenderGrey>(),
         Kind::of::<solve::map::SolveMap>(),
         Kind::of::<solve::paper::SolvePaper>(),
         Kind::of::<refine::steered::RefineSteered>(),
         Kind::of::<refine::motion::RefineMotion>(),
         Kind::of::<refine::picture::RefinePicture>(),
+        Kind::of::<align::tracks::AlignTracks>(),
         // Photocurrent becomes frames.
         Kind::of::<render::rows::RenderRows>(),
         Kind::of::<render::demosaic::RenderDemosaic>(),

@@ -8,6 +8,7 @@
 
 #![warn(unreachable_pub)]
 
+pub mod align;
 pub mod baseline;
 pub mod catalog;
 mod command;

@@ -70,4 +70,5 @@ mod situations;
 mod support;
 mod tables;
 mod tidy;
+mod two_cameras;
 mod words;

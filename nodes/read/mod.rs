@@ -4,6 +4,7 @@
 //! extent, time span and which streams there are before any data are read; what a file does not have becomes
 //! an absent output with the reason.
 
+pub mod alignment;
 pub mod foreign;
 pub mod formats;
 pub mod recording;

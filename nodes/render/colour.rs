@@ -5,6 +5,10 @@
 //! picture is divided as the frames before and after state it at the places that the motion leads to
 //! ([`photocurrent_scene::hue`]). The mixture of what comes out is the grey picture.
 //!
+//! Of an event array on another grid (`align/recording`, `align/tracks`) the mixture is coarser than the
+//! frames. With its alignment connected, what the array does not resolve moves along as the hue does, of grey
+//! frames too; the mixture of what comes out is then the grey picture as the array sees it.
+//!
 //! Limits: hue of long exposures is blurred, while the mixture is sharp; what no frame shows has the hue of
 //! its neighbourhood. All pictures of a part of the recording are in memory at once.
 
@@ -12,9 +16,10 @@ use crate::sampling::scale_seconds;
 use crate::spans::check_steps;
 use photocurrent_core::{
     Between, Colour, Context, Decl, EventStream, FrameBlock, FrameScale, FrameSequence, FrameTimes,
-    FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet, TracksMeta,
+    FramesMeta, Grain, MapSet, Meta, Node, NodeError, PortMetas, Sensor, TrackSet, TracksMeta,
 };
 use photocurrent_scene::activity::Activity;
+use photocurrent_scene::alignment::Alignment;
 use photocurrent_scene::film::{Fired, LogTracks, STEP_NS};
 use photocurrent_scene::flow::{Flow, MotionParams};
 use photocurrent_scene::grey::Grey;
@@ -44,6 +49,9 @@ photocurrent_core::ports! {
         events: EventStream,
         /// What an event pixel sees of each colour, gains of the channels, black level, clock offset.
         sensor: Arc<Sensor>,
+        /// Places of the event pixels on the frames, where tracks and pictures were brought to the pixels of
+        /// the frames by `align/tracks`.
+        alignment: Option<MapSet>,
     }
 }
 
@@ -66,7 +74,7 @@ impl RenderColour {
         frames: &FramesMeta,
         captured: &FramesMeta,
         tracks: &TracksMeta,
-        sensor: &Sensor,
+        (sensor, is_aligned): (&Sensor, bool),
     ) -> Result<(Grey, FramesMeta), NodeError> {
         if frames.colour != Colour::Mono || tracks.colour != Colour::Mono {
             let found = if frames.colour == Colour::Mono { tracks.colour } else { frames.colour };
@@ -97,7 +105,14 @@ impl RenderColour {
             )));
         }
         let grey = Grey::new(frames.extent, captured, sensor)?;
-        if grey.values() == 1 || grey.is_behind_filters() {
+        if is_aligned && grey.ratio != 1 {
+            return Err(NodeError::usage(format!(
+                "tracks are {}, frames are {}: with an alignment both have the same pixels",
+                tracks.extent, captured.extent
+            ))
+            .hint("connect tracks of align/tracks"));
+        }
+        if (grey.values() == 1 && !is_aligned) || grey.is_behind_filters() {
             return Err(NodeError::usage(format!(
                 "the captured frames are {} with one colour on each event pixel: there is no mixture to \
                  divide",
@@ -193,18 +208,24 @@ sensor   = "sensor"
         check_steps(tracks.span, STEP_NS, "pictures", Self::DECL.kind)?;
         let sensor = inputs.sensor("sensor")?;
         sensor.need(sensor.frames.gain, "frames.gain", Self::DECL.kind)?;
-        let (_, meta) = Self::plan_of(frames, captured, tracks, sensor)?;
+        let is_aligned = inputs.has("alignment");
+        if is_aligned {
+            Alignment::check(inputs.map("alignment")?)?;
+        }
+        let (_, meta) = Self::plan_of(frames, captured, tracks, (sensor, is_aligned))?;
         Ok(vec![Meta::Frames(Arc::new(meta))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let own = &input.frames.meta;
-        let (grey, meta) = Self::plan_of(own, &input.captured.meta, &input.tracks.meta, &input.sensor)?;
+        let array = input.alignment.as_ref().map(Alignment::of).transpose()?;
+        let (grey, meta) =
+            Self::plan_of(own, &input.captured.meta, &input.tracks.meta, (&input.sensor, array.is_some()))?;
         cx.begin(input.frames.len() as u64, "pictures");
         let gain = input.sensor.need(input.sensor.frames.gain, "frames.gain", Self::DECL.kind)?;
         let (tracks, flow) = Self::motion(&input, cx)?;
         let path = Path::new(&flow);
-        let hues = Hues::new(grey, &input.captured, (&tracks, gain), &path)?;
+        let hues = Hues::new(grey, &input.captured, (&tracks, gain), &path, array.as_ref())?;
         let mut block = FrameBlock::zeros(0..input.frames.len(), meta.extent.rows(), meta.row_values());
         let pictures = block.dn.chunks_exact_mut(meta.extent.height as usize * meta.row_values());
         pictures.enumerate().collect::<Vec<_>>().into_par_iter().try_for_each(
@@ -285,6 +306,7 @@ mod tests {
             tracks: TrackSet::in_memory(Arc::new(tracks), band),
             events: testing::stream(EVENTS, Vec::new()),
             sensor: sensor(),
+            alignment: None,
         }
     }
 
@@ -313,7 +335,10 @@ mod tests {
     fn what_has_no_mixture_or_is_not_grey_is_refused() {
         let refused = |input: &In| {
             let In { frames, captured, tracks, sensor, .. } = input;
-            RenderColour::plan_of(&frames.meta, &captured.meta, &tracks.meta, sensor).err().unwrap().message
+            RenderColour::plan_of(&frames.meta, &captured.meta, &tracks.meta, (sensor, false))
+                .err()
+                .unwrap()
+                .message
         };
         let alone = "with one colour on each event pixel: there is no mixture to divide";
         assert!(

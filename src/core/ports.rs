@@ -10,7 +10,7 @@ use crate::error::NodeError;
 use crate::events::{EventStream, EventsMeta};
 use crate::frames::{FrameSequence, FramesMeta, Truth};
 use crate::light::{Light, LightMeta};
-use crate::map::MapSet;
+use crate::map::{MapMeta, MapSet};
 use crate::sensor::Sensor;
 use crate::table::Table;
 use crate::tracks::{TrackSet, TracksMeta};
@@ -227,6 +227,9 @@ impl PortMetas {
     meta_of!(
         /// The tracks at a port.
         tracks, Tracks, TracksMeta);
+    meta_of!(
+        /// The map at a port.
+        map, Map, MapMeta);
     meta_of!(
         /// The light at a port.
         light, Light, LightMeta);

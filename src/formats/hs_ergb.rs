@@ -20,6 +20,7 @@ use crate::npy::header::Kind;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
 use crate::pictures::{Defined, PictureFiles, names};
+use crate::places::Array;
 use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
 use crate::warped::Warped;
 use photocurrent_core::Extent;
@@ -168,6 +169,13 @@ impl HsErgb {
 }
 
 impl HsErgb {
+    /// The event array whose places were warped to the pictures; none where they are whole pixels.
+    pub(crate) fn array(&self) -> Option<Array> {
+        let warped = self.warped.as_ref()?;
+        let (extent, places) = warped.lattice.places(warped.extent());
+        Some(Array { extent, places, residual: warped.lattice.residual, files: self.archives.to_vec() })
+    }
+
     /// Counts what all event files hold; what cannot be read of them is reported by who reads the events.
     fn tally(&self, tally: &mut Tally) -> Result<(), FormatError> {
         for file in self.archives.iter() {

@@ -126,6 +126,50 @@ impl Lattice {
         (0..extent.pixels()).map(of).collect()
     }
 
+    /// The size of an array that covers all of the other grid, and the place of each of its pixels, row by row.
+    /// Events were seen in a part of it, where something moved; beyond that part places go on as at its border.
+    pub(crate) fn places(&self, other: Extent) -> (Extent, Vec<(f64, f64)>) {
+        let (left, top) = self.origin;
+        let (right, bottom) = (left + i64::from(self.size.width) - 1, top + i64::from(self.size.height) - 1);
+        let at = |(column, row): (i64, i64)| {
+            let (c, r) = (column.clamp(left, right), row.clamp(top, bottom));
+            let place = self.warp.place((c, r));
+            // The step at the border, of an array that is more than one wide.
+            let step = |beyond: i64, inner: (i64, i64)| {
+                let next = self.warp.place(inner);
+                let by = beyond.unsigned_abs() as f64;
+                ((place.0 - next.0) * by, (place.1 - next.1) * by)
+            };
+            let across = step(column - c, (if column < c { left + 1 } else { right - 1 }, r));
+            let down = step(row - r, (c, if row < r { top + 1 } else { bottom - 1 }));
+            (place.0 + across.0 + down.0, place.1 + across.1 + down.1)
+        };
+        // Corners of the other grid, by the step in the middle of the array.
+        let middle = ((left + right) / 2, (top + bottom) / 2);
+        let (here, next) = (at(middle), [at((middle.0 + 1, middle.1)), at((middle.0, middle.1 + 1))]);
+        let [(a, c), (b, d)] = next.map(|next| (next.0 - here.0, next.1 - here.1));
+        let determinant = a * d - b * c;
+        let cell = |x: f64, y: f64| {
+            let (x, y) = (x - here.0, y - here.1);
+            (middle.0 as f64 + (d * x - b * y) / determinant, middle.1 as f64 + (a * y - c * x) / determinant)
+        };
+        let (width, height) = (f64::from(other.width), f64::from(other.height));
+        let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)].map(|(x, y)| cell(x, y));
+        let range = |of: &dyn Fn(&(f64, f64)) -> f64, low: i64, high: i64| {
+            let margin = |cells: f64| (cells.ceil().max(0.0) as i64 + 1).min(i64::from(LARGEST));
+            let least = corners.iter().map(of).fold(f64::INFINITY, f64::min);
+            let most = corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
+            (low - margin(low as f64 - least), high + margin(most - high as f64))
+        };
+        let (columns, rows) = (range(&|cell| cell.0, left, right), range(&|cell| cell.1, top, bottom));
+        let size = Extent { width: (columns.1 - columns.0 + 1) as u32, height: (rows.1 - rows.0 + 1) as u32 };
+        let places = (rows.0..=rows.1)
+            .flat_map(|row| (columns.0..=columns.1).map(move |column| (column, row)))
+            .map(at)
+            .collect();
+        (size, places)
+    }
+
     fn inside(&self, cell: (i64, i64)) -> Option<(u32, u32)> {
         let (column, row) = (cell.0 - self.origin.0, cell.1 - self.origin.1);
         let (column, row) = (u32::try_from(column).ok()?, u32::try_from(row).ok()?);

@@ -79,6 +79,7 @@ mod npz;
 pub mod pairings;
 pub mod pictures;
 pub mod placed;
+pub mod places;
 mod recording;
 mod restamped;
 pub mod ros;

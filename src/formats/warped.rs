@@ -85,9 +85,9 @@ impl Warped {
         })
     }
 
-    /// Width of the frames.
-    pub(crate) fn width(&self) -> u32 {
-        self.extent.width
+    /// Size of the frames.
+    pub(crate) fn extent(&self) -> Extent {
+        self.extent
     }
 
     /// For people.

@@ -22,6 +22,7 @@
 #![warn(unreachable_pub)]
 
 pub mod activity;
+pub mod alignment;
 pub mod block;
 pub mod case;
 pub mod closed;

@@ -383,7 +383,7 @@ impl TableCursor {
                 spread.iter_mut().zip([t[k], x, y, p[k]]).for_each(|(to, value)| to.push(value));
                 self.rows_of.push(k);
             };
-            let (pixels, width) = (warped.pixels_of((x[k], y[k])), warped.width());
+            let (pixels, width) = (warped.pixels_of((x[k], y[k])), warped.extent().width);
             if pixels.is_empty() {
                 push(NONE, NONE);
             }

@@ -24,11 +24,12 @@ mod tests;
 
 pub use path::Path;
 
+use crate::alignment::{Alignment, Around};
 use crate::film::LogTracks;
 use crate::grey::{Clipped, Grey};
 use crate::image::{Image, smooth};
 use clean::MOST;
-use photocurrent_core::{DataError, FrameSequence, FrameTimes};
+use photocurrent_core::{DataError, Extent, FrameSequence, FrameTimes};
 use sharp::Exposed;
 use taps::Taps;
 
@@ -67,6 +68,9 @@ impl Hues {
     /// Of captured frames next to event pixels, whose mixture `tracks` hold and whose motion is `path`; the
     /// description's `gain` is that of the frames.
     ///
+    /// With an event array on another grid, from which the tracks were interpolated, ratios are those to the
+    /// mixture as that array gives it: what it does not resolve is in them, and moves along.
+    ///
     /// # Errors
     /// When the frames cannot be read.
     pub fn new(
@@ -74,6 +78,7 @@ impl Hues {
         frames: &FrameSequence,
         (tracks, gain): (&LogTracks, f64),
         path: &Path<'_>,
+        array: Option<&Alignment>,
     ) -> Result<Hues, DataError> {
         let meta = &frames.meta;
         let times = grey.times(&meta.times);
@@ -109,6 +114,10 @@ impl Hues {
             let mixture = image(&|x, y| grey.above(f64::from(mixture[(y * width + x) as usize])));
             raw.push((mixture, values));
         }
+        if let Some(array) = array {
+            let around = array.around(Extent { width, height });
+            raw.iter_mut().for_each(|(mixture, _)| *mixture = resolved(mixture, array, &around));
+        }
         let sum: f64 = raw.iter().flat_map(|(mixture, _)| &mixture.values).map(|u| f64::from(*u)).sum();
         let mean = sum / usize::max(raw.len() * pixels, 1) as f64;
         let dark = f64::max(DARK * mean, f64::MIN_POSITIVE);
@@ -118,7 +127,9 @@ impl Hues {
         let frame = |(frame, mut ratios): (usize, Vec<Image>)| {
             let exposed = Exposed { tracks, path, times: &times, frame };
             sharp::sharpen(&mut ratios, &exposed);
-            of_the_mixture(&mut ratios, weights);
+            if array.is_none() {
+                of_the_mixture(&mut ratios, weights);
+            }
             // As the tracks have it: sharp, at the middle of the exposure.
             let mut mixture = exposed.light(&exposed.middle());
             mixture.values.iter_mut().for_each(|light| *light *= gain as f32);
@@ -194,6 +205,16 @@ impl Hues {
             }
         }
     }
+}
+
+/// A picture as the pixels of an event array see it, interpolated between them; as it is where none is near.
+fn resolved(picture: &Image, array: &Alignment, around: &[Around]) -> Image {
+    let seen = array.to_events(picture);
+    let of = |(around, own): (&Around, &f32)| {
+        // A picture has 0 where nothing is known.
+        if around.is_known() && *own > 0.0 { around.of(&seen.values) } else { *own }
+    };
+    Image { values: around.iter().zip(&picture.values).map(of).collect(), ..*picture }
 }
 
 /// Scales the ratios of each pixel so that their weighted sum is the mixture.

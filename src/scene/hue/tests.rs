@@ -81,7 +81,7 @@ fn error(frames: &FrameSequence, velocity: [f64; 2], t_ns: i64) -> (f64, Vec<Ima
     let flow = Flow::uniform(size(), velocity.map(|v| v as f32), [0.0; 2]);
     let path = Path::new(&flow);
     let grey = Grey::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap();
-    let hues = Hues::new(grey, frames, (&tracks(), GAIN), &path).unwrap();
+    let hues = Hues::new(grey, frames, (&tracks(), GAIN), &path, None).unwrap();
     let values = pixels()
         .map(|(x, y)| {
             let (u, v) = at(x, y, t_ns);

@@ -1,0 +1,208 @@
+//! `align/recording`: frames as the pixels of the event array see them, and every event once.
+//!
+//! Events that were warped onto the pixels of another camera's frames are seen by several of them, or by none
+//! that lies at their place. On the event array's own grid each event pixel is one, and the frames are seen
+//! where it lies: there a recording is solved as one of a single sensor. `align/tracks` brings what was solved
+//! back to the pixels of the frames.
+//!
+//! Limits: frames of a global shutter; a mosaic goes through `render/demosaic` first; event pixels that share
+//! their pixel of the frames with a nearer one have no events.
+
+use photocurrent_core::events::Event;
+use photocurrent_core::{
+    Context, Decl, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameSequence, FramesMeta, Grain,
+    MapSet, Meta, Node, NodeError, PortMetas,
+};
+use photocurrent_scene::alignment::Alignment;
+use photocurrent_scene::image::Image;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `align/recording`: none.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// Events on the pixels of the frames.
+        events: EventStream,
+        /// Captured frames, grey or of three channels.
+        frames: FrameSequence,
+        /// Places of the event pixels on the frames: of `read/alignment`.
+        alignment: MapSet,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// The events on the event array's own pixels.
+        events: EventStream,
+        /// The frames as these see them.
+        frames: FrameSequence,
+    }
+}
+
+/// The node.
+pub struct AlignRecording;
+
+fn plan_of(
+    events: &EventsMeta,
+    frames: &FramesMeta,
+    array: Extent,
+) -> Result<(EventsMeta, FramesMeta), NodeError> {
+    if events.extent != frames.extent {
+        return Err(NodeError::usage(format!(
+            "events are {}, frames are {}: events that were warped onto the frames have their pixels",
+            events.extent, frames.extent
+        ))
+        .hint("leave align/recording out where both have their pixels side by side"));
+    }
+    if frames.colour.is_mosaic() {
+        return Err(NodeError::usage(format!("frames are {}", frames.colour))
+            .hint("put render/demosaic between: neighbours of a mosaic have other colours"));
+    }
+    if frames.times.row_time_ns != 0 {
+        return Err(NodeError::usage(format!(
+            "rows of the frames begin {} ns after each other, and rows of events lie across them",
+            frames.times.row_time_ns
+        ))
+        .hint("state `row_time = \"0 ns\"` at the reader if the shutter is global"));
+    }
+    let events = EventsMeta { extent: array, count_hint: None, ..events.clone() };
+    Ok((events, FramesMeta { extent: array, ..frames.clone() }))
+}
+
+/// Of each pixel of the frames the event pixel whose events are taken from it.
+fn takers(alignment: &Alignment, frames: Extent) -> Vec<Option<usize>> {
+    let around = alignment.around(frames);
+    let width = frames.width as usize;
+    // Of each event pixel the nearest of the pixels that it is nearest to.
+    let mut best: Vec<Option<(f32, usize)>> = vec![None; alignment.events.pixels()];
+    for (pixel, around) in around.iter().enumerate().filter(|(_, around)| around.is_known()) {
+        let at = around.nearest();
+        let apart =
+            libm::hypotf((pixel % width) as f32 - alignment.x[at], (pixel / width) as f32 - alignment.y[at]);
+        if best[at].is_none_or(|(least, _)| apart < least) {
+            best[at] = Some((apart, pixel));
+        }
+    }
+    let mut takers = vec![None; frames.pixels()];
+    for (at, best) in best.iter().enumerate() {
+        if let Some((_, pixel)) = best {
+            takers[*pixel] = Some(at);
+        }
+    }
+    takers
+}
+
+fn events_of(input: &In, alignment: &Alignment, cx: &Context) -> Result<EventBand, NodeError> {
+    let frames = input.events.meta.extent;
+    let takers = takers(alignment, frames);
+    let seen = (0..alignment.events.pixels()).filter(|at| alignment.is_seen(*at, frames)).count();
+    let taken = takers.iter().flatten().count();
+    cx.count(seen.saturating_sub(taken) as u64, "event pixels have no pixel of the frames, and no events");
+    let band = input.events.read(frames.rows())?;
+    let array = alignment.events.width as usize;
+    let mut all = Vec::new();
+    for y in frames.rows().iter() {
+        let row = band.row(y);
+        for k in 0..row.t.len() {
+            let Some(at) = takers[y as usize * frames.width as usize + usize::from(row.x[k])] else {
+                continue;
+            };
+            all.push(Event {
+                x: (at % array) as u16,
+                y: (at / array) as u16,
+                polarity: photocurrent_core::events::Polarity::from_bit(row.on[k]),
+                t: row.t[k],
+                t_in: row.t_in.map(|t_in| t_in[k]),
+            });
+        }
+    }
+    Ok(EventBand::from_events(alignment.events.rows(), all)?)
+}
+
+fn frames_of(
+    input: &In,
+    alignment: &Alignment,
+    meta: &FramesMeta,
+    cx: &Context,
+) -> Result<FrameBlock, NodeError> {
+    let own = &input.frames.meta;
+    let (channels, size) = (own.channels() as usize, (own.extent.width as usize, own.extent.height as usize));
+    let mut block = FrameBlock::zeros(0..input.frames.len(), meta.extent.rows(), meta.row_values());
+    let pictures = block.dn.chunks_exact_mut(meta.extent.pixels() * channels);
+    pictures.enumerate().collect::<Vec<_>>().into_par_iter().try_for_each(
+        |(l, picture)| -> Result<(), NodeError> {
+            let dn = input.frames.read(l..l + 1, own.extent.rows())?.dn;
+            for channel in 0..channels {
+                let values = dn.iter().skip(channel).step_by(channels).copied().collect();
+                let seen = alignment.to_events(&Image { width: size.0, height: size.1, values });
+                picture
+                    .iter_mut()
+                    .skip(channel)
+                    .step_by(channels)
+                    .zip(seen.values)
+                    .for_each(|(to, dn)| *to = dn);
+            }
+            cx.advance(1)
+        },
+    )?;
+    Ok(block)
+}
+
+impl Node for AlignRecording {
+    const DECL: Decl = Decl {
+        kind: "align/recording",
+        about: "Frames as the event array sees them, and every event once, on the array's own pixels.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &["Tulyakov et al., Time Lens, CVPR 2021: two cameras behind a beam splitter"],
+        example: r#"
+[nodes.alignment]
+kind   = "read/alignment"
+params = { path = "sequence" }
+
+[nodes.array]
+kind = "align/recording"
+in   = { events = "recording.events", frames = "recording.frames", alignment = "alignment" }
+
+[nodes.solve]
+kind = "solve/map"
+in   = { events = "array.events", frames = "array.frames", sensor = "sensor" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(_: Params) -> Result<Self, NodeError> {
+        Ok(AlignRecording)
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let map = inputs.map("alignment")?;
+        Alignment::check(map)?;
+        let (events, frames) = plan_of(inputs.events("events")?, inputs.frames("frames")?, map.extent)?;
+        Ok(vec![Meta::Events(Arc::new(events)), Meta::Frames(Arc::new(frames))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let alignment = Alignment::of(&input.alignment)?;
+        let (events, frames) = plan_of(&input.events.meta, &input.frames.meta, alignment.events)?;
+        cx.begin(input.frames.len() as u64, "frames");
+        let band = events_of(&input, &alignment, cx)?;
+        let block = frames_of(&input, &alignment, &frames, cx)?;
+        Ok(Out {
+            events: EventStream::in_memory(Arc::new(events), band),
+            frames: FrameSequence::in_memory(Arc::new(frames), block),
+        })
+    }
+}

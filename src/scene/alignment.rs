@@ -1,0 +1,299 @@
+//! Where the pixels of an event array lie on frames of another camera.
+//!
+//! Each event pixel has a place on the frames, in pixels: by a calibration, or recovered from events that were
+//! warped there. Frames are seen by the event pixels as means over what each covers; what was solved on the
+//! event array goes back to the frames' pixels between the four event pixels around each, bilinear.
+//!
+//! Limits: places are a smooth map that turns by less than a right angle and does not fold; beyond the event
+//! array a pixel has the value of the nearest event pixel, as far as one pitch, and none further out.
+
+use crate::image::Image;
+use photocurrent_core::{Extent, MapMeta, MapSet, NodeError};
+use rayon::prelude::*;
+
+/// Names of the two planes of a map of places: column and row on the frames, pixels.
+pub const PLANES: [&str; 2] = ["x [px]", "y [px]"];
+
+/// A pixel covers so many samples along either side.
+const SAMPLES: usize = 3;
+/// Steps of the inverse, at most.
+const STEPS: usize = 30;
+/// The inverse has been found to this, event pixels.
+const FOUND: f64 = 1e-4;
+
+/// Places of the pixels of an event array on frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Alignment {
+    /// Size of the event array.
+    pub events: Extent,
+    /// Column of each event pixel's place, row by row, pixels of the frames.
+    pub x: Vec<f32>,
+    /// Row of it.
+    pub y: Vec<f32>,
+}
+
+/// The event pixels around a pixel of the frames, and what each counts; all 0 where there is none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Around {
+    /// Numbers of the event pixels, row by row.
+    pub at: [usize; 4],
+    /// They sum to 1.
+    pub weights: [f32; 4],
+}
+
+impl Alignment {
+    /// Of a map with the planes [`PLANES`].
+    ///
+    /// # Errors
+    /// When the map cannot be read, or holds a number that is no place.
+    pub fn of(map: &MapSet) -> Result<Alignment, NodeError> {
+        Alignment::check(&map.meta)?;
+        let (events, band) = (map.meta.extent, map.read(map.meta.extent.rows())?);
+        let plane = |plane: usize| -> Vec<f32> {
+            events.rows().iter().flat_map(|row| band.row(plane, row).to_vec()).collect()
+        };
+        let alignment = Alignment { events, x: plane(0), y: plane(1) };
+        if alignment.x.iter().chain(&alignment.y).any(|place| !place.is_finite()) {
+            return Err(NodeError::input("the map has event pixels without a place (NaN or infinite)")
+                .hint("connect the output of read/alignment"));
+        }
+        Ok(alignment)
+    }
+
+    /// Refuses a map that is none of places.
+    ///
+    /// # Errors
+    /// When its planes have other names, or it has less than two rows or columns.
+    pub fn check(map: &MapMeta) -> Result<(), NodeError> {
+        if map.planes != PLANES {
+            return Err(NodeError::usage(format!(
+                "the map has the planes {}, and an alignment has {}",
+                map.planes.join(", "),
+                PLANES.join(", ")
+            ))
+            .hint("connect the output of read/alignment"));
+        }
+        if map.extent.width < 2 || map.extent.height < 2 {
+            return Err(NodeError::usage(format!("an event array of {} has no lattice", map.extent)));
+        }
+        Ok(())
+    }
+
+    /// What its map is.
+    pub fn meta(events: Extent) -> MapMeta {
+        MapMeta { extent: events, planes: PLANES.map(String::from).to_vec() }
+    }
+
+    fn place(&self, column: usize, row: usize) -> (f64, f64) {
+        let at = row * self.events.width as usize + column;
+        (f64::from(self.x[at]), f64::from(self.y[at]))
+    }
+
+    /// The place of a fraction of a column and row, bilinear; beyond the array it goes on as at its border.
+    pub fn place_at(&self, column: f64, row: f64) -> (f64, f64) {
+        let cell = |at: f64, count: u32| {
+            let cell = (at.max(0.0) as usize).min(count.saturating_sub(2) as usize);
+            (cell, at - cell as f64)
+        };
+        let ((i, s), (j, t)) = (cell(column, self.events.width), cell(row, self.events.height));
+        let (a, b) = (self.place(i, j), self.place(i + 1, j));
+        let (c, d) = (self.place(i, j + 1), self.place(i + 1, j + 1));
+        let mix = |a: f64, b: f64, c: f64, d: f64| {
+            (1.0 - t) * ((1.0 - s) * a + s * b) + t * ((1.0 - s) * c + s * d)
+        };
+        (mix(a.0, b.0, c.0, d.0), mix(a.1, b.1, c.1, d.1))
+    }
+
+    /// Steps from one event pixel to the next in columns and in rows, in the middle of the array.
+    fn basis(&self) -> [(f64, f64); 2] {
+        let (column, row) = (self.events.width as f64 / 2.0, self.events.height as f64 / 2.0);
+        let (at, right, below) =
+            (self.place_at(column, row), self.place_at(column + 1.0, row), self.place_at(column, row + 1.0));
+        [(right.0 - at.0, right.1 - at.1), (below.0 - at.0, below.1 - at.1)]
+    }
+
+    /// Distance of event pixels in the middle of the array along columns and rows, pixels of the frames.
+    pub fn pitch(&self) -> [f64; 2] {
+        self.basis().map(|(x, y)| libm::hypot(x, y))
+    }
+
+    /// The fractions of a column and row whose place this is; none where the inverse does not converge.
+    pub fn inverse(&self, place: (f64, f64), from: (f64, f64)) -> Option<(f64, f64)> {
+        let (mut column, mut row) = from;
+        for _ in 0..STEPS {
+            let at = self.place_at(column, row);
+            let (off_x, off_y) = (place.0 - at.0, place.1 - at.1);
+            // Jacobian by differences over a pixel, which is exact within a cell.
+            let right = self.place_at(column + 0.5, row);
+            let left = self.place_at(column - 0.5, row);
+            let below = self.place_at(column, row + 0.5);
+            let above = self.place_at(column, row - 0.5);
+            let (a, b) = (right.0 - left.0, below.0 - above.0);
+            let (c, d) = (right.1 - left.1, below.1 - above.1);
+            let determinant = a * d - b * c;
+            if determinant.abs() < 1e-9 {
+                return None;
+            }
+            let step = ((d * off_x - b * off_y) / determinant, (a * off_y - c * off_x) / determinant);
+            (column, row) = (column + step.0, row + step.1);
+            if !(column.is_finite() && row.is_finite()) {
+                return None;
+            }
+            if step.0.abs() < FOUND && step.1.abs() < FOUND {
+                return Some((column, row));
+            }
+        }
+        None
+    }
+
+    /// The event pixels around each pixel of frames of a size, row by row.
+    pub fn around(&self, frames: Extent) -> Vec<Around> {
+        let none = Around { at: [0; 4], weights: [0.0; 4] };
+        let (columns, lines) = (self.events.width as usize, self.events.height as usize);
+        let middle = (columns as f64 / 2.0, lines as f64 / 2.0);
+        let of_line = |y: usize| {
+            let mut last = middle;
+            let of = |x: usize| {
+                let place = (x as f64, y as f64);
+                let Some(found) = self.inverse(place, last).or_else(|| self.inverse(place, middle)) else {
+                    return none;
+                };
+                last = found;
+                let inside = |at: f64, count: usize| (-1.0..=count as f64).contains(&at);
+                if !inside(found.0, columns) || !inside(found.1, lines) {
+                    return none;
+                }
+                let cell = |at: f64, count: usize| {
+                    let at = at.clamp(0.0, (count - 1) as f64);
+                    let cell = usize::min(at as usize, count.saturating_sub(2));
+                    (cell, (at - cell as f64) as f32)
+                };
+                let ((i, s), (j, t)) = (cell(found.0, columns), cell(found.1, lines));
+                let at = j * columns + i;
+                Around {
+                    at: [at, at + 1, at + columns, at + columns + 1],
+                    weights: [(1.0 - t) * (1.0 - s), (1.0 - t) * s, t * (1.0 - s), t * s],
+                }
+            };
+            (0..frames.width as usize).map(of).collect::<Vec<Around>>()
+        };
+        let lines: Vec<Vec<Around>> = (0..frames.height as usize).into_par_iter().map(of_line).collect();
+        lines.concat()
+    }
+
+    /// Whether an event pixel's place lies on frames of a size.
+    pub fn is_seen(&self, at: usize, frames: Extent) -> bool {
+        let inside = |place: f32, count: u32| (-0.5..=count as f32 - 0.5).contains(&place);
+        inside(self.x[at], frames.width) && inside(self.y[at], frames.height)
+    }
+
+    /// A picture of the frames as the event pixels see it: means over what each covers, at its place. What
+    /// lies beyond the frames is as at their border.
+    pub fn to_events(&self, picture: &Image) -> Image {
+        let basis = self.basis();
+        let (columns, lines) = (self.events.width as usize, self.events.height as usize);
+        let (most_x, most_y) = ((picture.width - 1) as f64, (picture.height - 1) as f64);
+        let read = |at: usize| {
+            let (x, y) = (f64::from(self.x[at]), f64::from(self.y[at]));
+            let mut sum = 0.0;
+            for (n, m) in (0..SAMPLES).flat_map(|n| (0..SAMPLES).map(move |m| (n, m))) {
+                // Pixels of the frames are means over a pixel already: what is wider is sampled.
+                let share = |n: usize| (n as f64 + 0.5) / SAMPLES as f64 - 0.5;
+                let (u, v) = (self.wider(0) * share(n), self.wider(1) * share(m));
+                let (x, y) = (x + u * basis[0].0 + v * basis[1].0, y + u * basis[0].1 + v * basis[1].1);
+                let (x, y) = (x.clamp(0.0, most_x), y.clamp(0.0, most_y));
+                sum += picture.sample(x, y).map_or(0.0, |(value, ..)| value);
+            }
+            (sum / (SAMPLES * SAMPLES) as f64) as f32
+        };
+        let values = (0..columns * lines).into_par_iter().map(read).collect();
+        Image { width: columns, height: lines, values }
+    }
+
+    /// What part of its pitch an event pixel covers beyond a pixel of the frames: 0 where that is as large.
+    fn wider(&self, axis: usize) -> f64 {
+        let pitch = self.pitch()[axis];
+        f64::max(pitch * pitch - 1.0, 0.0).sqrt() / f64::max(pitch, f64::MIN_POSITIVE)
+    }
+}
+
+impl Around {
+    /// The value of a pixel of the frames, of values of the event pixels.
+    pub fn of(&self, values: &[f32]) -> f32 {
+        self.at.iter().zip(self.weights).map(|(at, weight)| weight * values[*at]).sum()
+    }
+
+    /// Has it event pixels?
+    pub fn is_known(&self) -> bool {
+        self.weights.iter().any(|weight| *weight > 0.0)
+    }
+
+    /// The one of them that counts most.
+    pub fn nearest(&self) -> usize {
+        let first = (self.at[0], self.weights[0]);
+        let pairs = self.at.into_iter().zip(self.weights);
+        pairs.fold(first, |best, one| if one.1 > best.1 { one } else { best }).0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EVENTS: Extent = Extent { width: 40, height: 30 };
+
+    /// A pitch of 1.2, turned by 3 degrees, bent a little.
+    fn bent() -> Alignment {
+        let place = |at: usize| {
+            let (c, r) = ((at % 40) as f64, (at / 40) as f64);
+            (1.2 * c - 0.06 * r + 0.002 * c * r + 2.3, 1.2 * r + 0.06 * c - 0.001 * c * c + 1.7)
+        };
+        let all: Vec<(f64, f64)> = (0..EVENTS.pixels()).map(place).collect();
+        Alignment {
+            events: EVENTS,
+            x: all.iter().map(|place| place.0 as f32).collect(),
+            y: all.iter().map(|place| place.1 as f32).collect(),
+        }
+    }
+
+    #[test]
+    fn the_inverse_of_a_place_is_its_pixel() {
+        let alignment = bent();
+        for (column, row) in [(0.0, 0.0), (12.3, 20.8), (38.9, 28.5), (5.5, 0.2)] {
+            let place = alignment.place_at(column, row);
+            let found = alignment.inverse(place, (20.0, 15.0)).expect("it converges");
+            assert!((found.0 - column).abs() < 1e-3 && (found.1 - row).abs() < 1e-3, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_plane_goes_to_the_event_pixels_and_back_unchanged() {
+        let (alignment, frames) = (bent(), Extent { width: 46, height: 36 });
+        let plane = |x: f64, y: f64| 3.0 + 0.4 * x - 0.7 * y;
+        let values =
+            (0..frames.pixels()).map(|at| plane((at % 46) as f64, (at / 46) as f64) as f32).collect();
+        let picture = Image { width: 46, height: 36, values };
+        let seen = alignment.to_events(&picture);
+        for (at, value) in seen.values.iter().enumerate() {
+            let (x, y) = (f64::from(alignment.x[at]), f64::from(alignment.y[at]));
+            if (1.0..44.0).contains(&x) && (1.0..34.0).contains(&y) {
+                assert!((f64::from(*value) - plane(x, y)).abs() < 1e-3, "{at}");
+            }
+        }
+        for (at, around) in alignment.around(frames).iter().enumerate() {
+            let (x, y) = ((at % 46) as f64, (at / 46) as f64);
+            if (6.0..40.0).contains(&x) && (6.0..28.0).contains(&y) {
+                let sum: f32 = around.weights.iter().sum();
+                assert!((sum - 1.0).abs() < 1e-5);
+                // Places between are bilinear, and the map bends little within a cell.
+                assert!((f64::from(around.of(&seen.values)) - plane(x, y)).abs() < 5e-3, "{x} {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn far_beyond_the_array_nothing_is_known() {
+        let around = bent().around(Extent { width: 80, height: 60 });
+        assert!(!around[79].is_known() && !around[59 * 80].is_known() && around[20 * 80 + 20].is_known());
+    }
+}
