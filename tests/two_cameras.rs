@@ -236,6 +236,7 @@ fn events_of_another_camera_predict_pictures_in_colour_as_well_as_those_of_the_s
     let figures = format!(
         "aligned {aligned:.2?}, warped {warped:.2?}, by pixels {by_pixels:.2?}, repeated {repeated:.2?} dB"
     );
+    println!("{figures}");
     for n in [0, 1] {
         assert!(warped[n] > aligned[n] - 1.0, "{figures}");
         assert!(aligned[n] > repeated[n] + 6.0, "{figures}");

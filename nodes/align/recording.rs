@@ -1,9 +1,9 @@
 //! `align/recording`: frames as the pixels of the event array see them, and every event once.
 //!
-//! Events that were warped onto the pixels of another camera's frames are seen by several of them, or by none
-//! that lies at their place. On the event array's own grid each event pixel is one, and the frames are seen
-//! where it lies: there a recording is solved as one of a single sensor. `align/tracks` brings what was solved
-//! back to the pixels of the frames.
+//! Events that were warped onto the pixels of another camera's frames are seen by several of them, or by
+//! none that lies at their place. On the event array's own grid each event pixel is one, and the frames are
+//! seen where it lies: there a recording is solved as one of a single sensor. `align/tracks` brings what was
+//! solved back to the pixels of the frames.
 //!
 //! Limits: frames of a global shutter; a mosaic goes through `render/demosaic` first; event pixels that share
 //! their pixel of the frames with a nearer one have no events.
@@ -204,5 +204,63 @@ in   = { events = "array.events", frames = "array.frames", sensor = "sensor" }
             events: EventStream::in_memory(Arc::new(events), band),
             frames: FrameSequence::in_memory(Arc::new(frames), block),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::testing::{alignment, shifted};
+    use photocurrent_core::{Colour, Exposure, testing};
+
+    const EXTENT: Extent = Extent { width: 12, height: 9 };
+
+    fn input(alignment: MapSet) -> In {
+        let exposures = vec![Exposure::new(0, 1_000_000), Exposure::new(9_000_000, 10_000_000)];
+        let frames = testing::captured(EXTENT, exposures, 0, |l, x, y| (10 * l as u32 + x + 3 * y) as f32);
+        In { events: testing::events(EXTENT.width, EXTENT.height), frames, alignment }
+    }
+
+    fn run(input: In) -> Out {
+        testing::with_context(EXTENT.rows(), &["events", "frames"], |cx| AlignRecording.run(input, cx))
+            .0
+            .unwrap()
+    }
+
+    #[test]
+    fn arrays_that_lie_pixel_on_pixel_stay_as_they_are() {
+        let given = input(alignment(EXTENT, &shifted(0.0)));
+        let (events, frames) = (given.events.clone(), given.frames.clone());
+        let out = run(given);
+        assert_eq!(out.events.read(EXTENT.rows()).unwrap(), events.read(EXTENT.rows()).unwrap());
+        let (seen, own) =
+            (out.frames.read_rows(EXTENT.rows()).unwrap(), frames.read_rows(EXTENT.rows()).unwrap());
+        assert!(seen.dn.iter().zip(&own.dn).all(|(seen, own)| (seen - own).abs() < 1e-4));
+    }
+
+    #[test]
+    fn an_array_between_the_pixels_sees_their_means_and_each_event_once() {
+        let out = run(input(alignment(EXTENT, &shifted(0.5))));
+        // A plane between four pixels.
+        let frames = out.frames.read_rows(EXTENT.rows()).unwrap();
+        assert!((frames.row(0, 2)[4] - (4.5 + 7.5)).abs() < 1e-4, "{}", frames.row(0, 2)[4]);
+        let all = testing::events(EXTENT.width, EXTENT.height).read(EXTENT.rows()).unwrap().t.len();
+        assert!(out.events.read(EXTENT.rows()).unwrap().t.len() <= all);
+    }
+
+    #[test]
+    fn what_cannot_be_aligned_is_refused_with_its_reason() {
+        let given = input(alignment(EXTENT, &shifted(0.0)));
+        let (events, frames) = (&given.events.meta, &given.frames.meta);
+        let message = |frames: FramesMeta| plan_of(events, &frames, EXTENT).err().unwrap().message;
+        let mosaic = FramesMeta { colour: Colour::named("bayer_rggb").unwrap(), ..(**frames).clone() };
+        assert!(message(mosaic).starts_with("frames are"));
+        let mut rolling = (**frames).clone();
+        rolling.times.row_time_ns = 5_000;
+        assert!(message(rolling).contains("5000 ns after each other"));
+        let larger = FramesMeta { extent: Extent { width: 24, height: 18 }, ..(**frames).clone() };
+        assert!(message(larger).contains("events are 12 x 9, frames are 24 x 18"));
+        let map = photocurrent_core::MapMeta { extent: EXTENT, planes: vec!["cost".into()] };
+        assert!(Alignment::check(&map).unwrap_err().message.contains("the planes cost"));
     }
 }

@@ -1,7 +1,7 @@
 //! `align/tracks`: tracks of the event array as tracks of the frames' pixels.
 //!
-//! Between the four event pixels around a pixel the logarithm of light is bilinear; its knots are those of the
-//! nearest one. What the frames show finer than that is `render/colour`'s, with the same alignment.
+//! Between the four event pixels around a pixel the logarithm of light is bilinear; its knots are those of
+//! the nearest one. What the frames show finer than that is `render/colour`'s, with the same alignment.
 //!
 //! Limits: beyond the event array a pixel has the track of the nearest event pixel as far as one pitch, and
 //! none further out.
@@ -145,5 +145,57 @@ in   = { tracks = "back.tracks", sensor = "sensor" }
             meta.extent.rows().iter().into_par_iter().map(row).collect();
 
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(meta), TrackBand::concat(rows?)) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::testing::{alignment, shifted};
+    use photocurrent_core::{Exposure, Extent, TimeSpan, testing};
+
+    const EXTENT: Extent = Extent { width: 6, height: 5 };
+
+    fn run(by: f64) -> TrackBand {
+        let meta = TracksMeta {
+            extent: EXTENT,
+            span: TimeSpan::new(0, 10),
+            nominal_exposure_ns: 1,
+            between: Between::LogLinear,
+            colour: Colour::Mono,
+            has_sigma: true,
+            count_hint: None,
+        };
+        let mut band = TrackBand::begin(0, EXTENT.width);
+        // Log light is a plane over the array, and rises by 1 in time.
+        let log = |at: usize, t: f64| 0.3 * (at % 6) as f64 - 0.2 * (at / 6) as f64 + 0.1 * t;
+        for at in 0..EXTENT.pixels() {
+            band.push_with_sigma([0, 10].map(|t| (t, libm::exp(log(at, t as f64)) as f32, 0.05)));
+        }
+        let input = In {
+            tracks: TrackSet::in_memory(Arc::new(meta), band),
+            frames: testing::captured(EXTENT, vec![Exposure::new(0, 5)], 0, |_, _, _| 1.0),
+            alignment: alignment(EXTENT, &shifted(by)),
+        };
+        let (out, _) = testing::with_context(EXTENT.rows(), &["tracks"], |cx| AlignTracks.run(input, cx));
+        out.unwrap().tracks.read(EXTENT.rows()).unwrap()
+    }
+
+    #[test]
+    fn log_light_between_event_pixels_is_bilinear() {
+        for by in [0.0, 0.3] {
+            let band = run(by);
+            let track = band.pixel(3, 2);
+            // The array lies right of and below the pixels: pixel 3 is 3 - by columns in.
+            let expected = 0.3 * (3.0 - by) - 0.2 * (2.0 - by);
+            assert!((libm::log(track.photocurrent[0].into()) - expected).abs() < 1e-5, "{by}");
+            assert!((libm::log(track.photocurrent[1].into()) - expected - 1.0).abs() < 1e-5, "{by}");
+            assert_eq!((track.t, track.sigma), (&[0, 10][..], &[0.05, 0.05][..]));
+        }
+    }
+
+    #[test]
+    fn pixels_that_no_event_pixel_is_near_have_no_track() {
+        assert!(run(4.0).pixel(0, 0).t.is_empty());
     }
 }

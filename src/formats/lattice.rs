@@ -126,8 +126,9 @@ impl Lattice {
         (0..extent.pixels()).map(of).collect()
     }
 
-    /// The size of an array that covers all of the other grid, and the place of each of its pixels, row by row.
-    /// Events were seen in a part of it, where something moved; beyond that part places go on as at its border.
+    /// The size of an array that covers all of the other grid, and the place of each of its pixels, row by
+    /// row. Events were seen in a part of it, where something moved; beyond that part places go on as at its
+    /// border.
     pub(crate) fn places(&self, other: Extent) -> (Extent, Vec<(f64, f64)>) {
         let (left, top) = self.origin;
         let (right, bottom) = (left + i64::from(self.size.width) - 1, top + i64::from(self.size.height) - 1);

@@ -7,6 +7,7 @@
 use crate::lattice::Lattice;
 use photocurrent_core::Extent;
 use std::collections::{HashMap, HashSet};
+use std::path::PathBuf;
 
 /// Places are held in this many parts of a pixel.
 const FINE: f64 = 4096.0;
@@ -20,6 +21,19 @@ pub(crate) fn fine(stored: f64, scale: u32) -> i64 {
 
 fn pixels((x, y): (i64, i64)) -> (f64, f64) {
     (x as f64 / FINE, y as f64 / FINE)
+}
+
+/// An event array next to frames of another camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Columns and rows of the array.
+    pub extent: Extent,
+    /// Column and row on the frames of each of its pixels, row by row, pixels.
+    pub places: Vec<(f64, f64)>,
+    /// What the places of events lie off these, root mean square, pixels of the frames.
+    pub residual: f64,
+    /// The files that state it.
+    pub files: Vec<PathBuf>,
 }
 
 /// Which pixels of the frames have the events of a place.
@@ -137,6 +151,26 @@ mod tests {
         // Of the inner ones each has exactly one, and none has two.
         let mut inner = (5..40 * 70).filter(|n| n / 70 >= 5 && (5..60).contains(&(n % 70)));
         assert!(inner.all(|n| owners[n] == 1) && owners.iter().all(|count| *count <= 1));
+    }
+
+    #[test]
+    fn places_cover_the_frames_also_where_nothing_moved() {
+        // Events in a part of the array alone.
+        let extent = Extent { width: 70, height: 46 };
+        let part = (20..45).flat_map(|column| (10..30).map(move |row| place(column, row))).collect();
+        let warped = Warped::of(&part, extent).expect("a lattice");
+        assert_eq!(warped.lattice.size, Extent { width: 25, height: 20 });
+        let (size, places) = warped.lattice.places(extent);
+        let at = |column: usize, row: usize| places[row * size.width as usize + column];
+        let last = (size.width as usize - 1, size.height as usize - 1);
+        let corners = [at(0, 0), at(last.0, 0), at(0, last.1), at(last.0, last.1)];
+        assert!(corners[0].0 < 0.0 && corners[0].1 < 0.0, "{corners:?}");
+        assert!(corners[3].0 > 69.0 && corners[3].1 > 45.0, "{corners:?}");
+        // Each is the place of a pixel of the array, whole columns and rows away.
+        let (x, y) = places[0];
+        let (x, y) = (x - 0.8, y + 0.3);
+        let (row, column) = ((y - 0.02 / 1.0 * x) / (1.2 * 1.0004), (x + 0.02 * y) / (1.2 * 1.0004));
+        assert!((row - row.round()).abs() < 0.1 && (column - column.round()).abs() < 0.1, "{row} {column}");
     }
 
     #[test]

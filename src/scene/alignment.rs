@@ -1,8 +1,8 @@
 //! Where the pixels of an event array lie on frames of another camera.
 //!
-//! Each event pixel has a place on the frames, in pixels: by a calibration, or recovered from events that were
-//! warped there. Frames are seen by the event pixels as means over what each covers; what was solved on the
-//! event array goes back to the frames' pixels between the four event pixels around each, bilinear.
+//! Each event pixel has a place on the frames, in pixels: by a calibration, or recovered from events that
+//! were warped there. Frames are seen by the event pixels as means over what each covers; what was solved on
+//! the event array goes back to the frames' pixels between the four event pixels around each, bilinear.
 //!
 //! Limits: places are a smooth map that turns by less than a right angle and does not fold; beyond the event
 //! array a pixel has the value of the nearest event pixel, as far as one pitch, and none further out.

@@ -13,6 +13,7 @@ use photocurrent_core::{FramesMeta, TimeSpan};
 use photocurrent_formats::arrange::{self, Arranged, EVENTS_BUDGET, arrange};
 use photocurrent_formats::hazard::{self, Limits};
 use photocurrent_formats::placed::PartOf;
+use photocurrent_formats::places;
 use photocurrent_formats::survey::{Most, survey};
 use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
 use photocurrent_nodes::estimate::held_out::HeldOut;
@@ -50,6 +51,8 @@ pub struct Facts {
     pub window: Option<Window>,
     /// Frames per second that are rendered.
     pub rate_hz: f64,
+    /// Were events warped from an array of their own onto the frames?
+    pub is_warped: bool,
     /// Is there a description in the file?
     pub sensor_text: Option<String>,
     /// What calibration and bias files say, a line each.
@@ -102,7 +105,12 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         (Some(part), Some(short)) => Some(Window { why: format!("{}; {}", part.why, short.why), ..short }),
         (part, short) => short.or(part),
     };
+    // Only such sequences have places with fractions, and only a global shutter has one time for all rows.
+    let is_warped = draft.parts.format.id == "hs_ergb"
+        && frames.times.row_time_ns == 0
+        && places::of_sequence(draft.all.path.path()).is_ok_and(|array| array.is_some());
     Ok(Facts {
+        is_warped,
         format: draft.parts.format,
         all: draft.all,
         inputs,

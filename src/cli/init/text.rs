@@ -79,12 +79,14 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
         }
     }
     let wiring = Wiring { recording, sensor: sensor_port, rate_hz: rendered_hz(facts) };
-    if facts.frames.colour == Colour::Rgb {
-        mixture(&mut text, &wiring, facts.frames.times.len());
+    let is_colour = facts.frames.colour == Colour::Rgb;
+    if is_colour || facts.is_warped {
+        let array = facts.is_warped.then(|| path(all.path.path()));
+        mixture(&mut text, &wiring, (facts.frames.times.len(), is_colour), array);
     } else {
         alone(&mut text, &wiring);
     }
-    compared(&mut text, &wiring, if facts.frames.colour == Colour::Rgb { "colour" } else { "render" });
+    compared(&mut text, &wiring, if is_colour || facts.is_warped { "colour" } else { "render" });
     text
 }
 
@@ -103,7 +105,7 @@ impl Wiring<'_> {
     }
 }
 
-/// Pictures in colour are in memory all at once: so many values of them at most, four bytes each.
+/// Pictures of `render/colour` are in memory all at once: so many values of them at most, four bytes each.
 const MOST_VALUES: f64 = 2.5e8;
 /// Tracks are refined along the motion from so many frames on: with fewer, no frame can judge it.
 const JUDGED_FRAMES: usize = 4;
@@ -111,7 +113,7 @@ const JUDGED_FRAMES: usize = 4;
 /// The rate of the pictures: in colour no more of them than memory holds.
 fn rendered_hz(facts: &Facts) -> f64 {
     let (frames, mut rate_hz) = (&facts.frames, facts.rate_hz);
-    if frames.colour != Colour::Rgb {
+    if frames.colour != Colour::Rgb && !facts.is_warped {
         return rate_hz;
     }
     let seconds = frames.times.span(frames.extent.height).map_or(0.0, |span| span.length_ns() as f64 * 1e-9);
@@ -144,42 +146,52 @@ params = {{ {sampling} }}
     );
 }
 
-/// The mixture of the colours solved, which is what events see, and divided by the hue of the frames.
-fn mixture(text: &mut String, wiring: &Wiring<'_>, frames: usize) {
+/// The mixture of the colours solved, which is what events see, and divided by the hue of the frames; on the
+/// event array's own pixels where events were warped to the frames of the sequence `array`.
+fn mixture(
+    text: &mut String,
+    wiring: &Wiring<'_>,
+    (frames, is_colour): (usize, bool),
+    array: Option<String>,
+) {
     let Wiring { recording, sensor, .. } = wiring;
-    let _ = write!(
-        text,
-        r#"
-# An event pixel sees the mixture of its colours: the photocurrent of that, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
-[nodes.grey]
-kind = "render/grey"
-in   = {{ frames = "{recording}.frames", events = "{recording}.events", sensor = "{sensor}" }}
-
-[nodes.solve]
-kind   = "solve/map"
-in     = {{ events = "{recording}.events", frames = "grey.frames", sensor = "{sensor}" }}
-params = {{ front_end = "ideal" }}
-"#
-    );
-    let tracks = if frames >= JUDGED_FRAMES {
+    let is_array = array.is_some();
+    let seen = match array {
+        Some(path) => {
+            of_the_array(text, recording, &path);
+            "array"
+        }
+        None => recording,
+    };
+    let solved = if is_colour { "grey" } else { seen };
+    if is_colour {
         let _ = write!(
             text,
             r#"
-# Solved again with what neighbouring pixels see before and after, where that predicts frames better.
-[nodes.refine]
-kind   = "refine/motion"
-in     = {{ tracks = "solve.tracks", events = "{recording}.events", frames = "grey.frames", sensor = "{sensor}" }}
-params = {{ front_end = "ideal" }}
+# An event pixel sees the mixture of its colours.
+[nodes.grey]
+kind = "render/grey"
+in   = {{ frames = "{seen}.frames", events = "{seen}.events", sensor = "{sensor}" }}
 "#
         );
-        "refine.tracks"
-    } else {
-        "solve.tracks"
-    };
+    }
+    let mut tracks = solved_tracks(text, (seen, solved, sensor), frames);
+    if is_array {
+        let _ = write!(
+            text,
+            r#"
+# Back to the pixels of the frames.
+[nodes.back]
+kind = "align/tracks"
+in   = {{ tracks = "{tracks}", frames = "{recording}.frames", alignment = "alignment" }}
+"#
+        );
+        tracks = "back.tracks";
+    }
     let _ = write!(
         text,
         r#"
-# Sharp frames without rolling shutter, and their colours.
+# Sharp frames without rolling shutter, {what}.
 [nodes.render]
 kind   = "render/rows"
 in     = {{ tracks = "{tracks}", sensor = "{sensor}" }}
@@ -194,9 +206,61 @@ captured = "{recording}.frames"
 tracks   = "{tracks}"
 events   = "{recording}.events"
 sensor   = "{sensor}"
-"#,
+{alignment}"#,
+        what = if is_colour { "and their colours" } else { "and what the event array does not resolve" },
         sampling = wiring.sampling(),
+        alignment = if is_array { "alignment = \"alignment\"\n" } else { "" },
     );
+}
+
+/// The nodes that bring a recording onto the event array's own pixels.
+fn of_the_array(text: &mut String, recording: &str, path: &str) {
+    let _ = write!(
+        text,
+        r#"
+# Events were warped onto the frames: solved on the pixels of their own array, each once, with the frames as these see them.
+[nodes.alignment]
+kind   = "read/alignment"
+params = {{ path = {path} }}
+
+[nodes.array]
+kind = "align/recording"
+in   = {{ events = "{recording}.events", frames = "{recording}.frames", alignment = "alignment" }}
+"#
+    );
+}
+
+/// The nodes that solve events of `seen` with the frames of `solved`, refined where frames can judge that;
+/// the port of their tracks.
+fn solved_tracks(
+    text: &mut String,
+    (seen, solved, sensor): (&str, &str, &str),
+    frames: usize,
+) -> &'static str {
+    let _ = write!(
+        text,
+        r#"
+# The photocurrent of every pixel, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
+[nodes.solve]
+kind   = "solve/map"
+in     = {{ events = "{seen}.events", frames = "{solved}.frames", sensor = "{sensor}" }}
+params = {{ front_end = "ideal" }}
+"#
+    );
+    if frames < JUDGED_FRAMES {
+        return "solve.tracks";
+    }
+    let _ = write!(
+        text,
+        r#"
+# Solved again with what neighbouring pixels see before and after, where that predicts frames better.
+[nodes.refine]
+kind   = "refine/motion"
+in     = {{ tracks = "solve.tracks", events = "{seen}.events", frames = "{solved}.frames", sensor = "{sensor}" }}
+params = {{ front_end = "ideal" }}
+"#
+    );
+    "refine.tracks"
 }
 
 /// What the frames of `node` are compared with, and the files that are written.
