@@ -194,7 +194,7 @@ kind = "render/rows"
 in = {{ tracks = {tracks:?}, sensor = "sensor", at = "split.held" }}
 [nodes.colour]
 kind = "render/colour"
-in = {{ frames = "render.frames", captured = "split.kept", tracks = {tracks:?}, events = "recording.events", sensor = "sensor"{alignment} }}
+in = {{ frames = "render.frames", captured = "split.kept", tracks = {tracks:?}, events = {events:?}, sensor = "sensor"{alignment} }}
 [nodes.repeat]
 kind = "baseline/repeat"
 in = {{ frames = "split.kept", sensor = "sensor", at = "split.held" }}

@@ -20,15 +20,29 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Parameters of `align/recording`: none.
+/// Parameters of `align/recording`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Params {}
+pub struct Params {
+    /// On whose pixels the events are: `"frames"` (they were warped there) or `"array"`. Absent = on those of
+    /// the one whose size they have, and the frames' where both have it.
+    pub events: Option<Pixels>,
+}
+
+/// Whose pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Pixels {
+    /// Those of the frames.
+    Frames,
+    /// Those of the event array.
+    Array,
+}
 
 photocurrent_core::ports! {
     /// Inputs.
     pub struct In {
-        /// Events on the pixels of the frames.
+        /// Events on the pixels of the frames, or of the event array.
         events: EventStream,
         /// Captured frames, grey or of three channels.
         frames: FrameSequence,
@@ -48,19 +62,32 @@ photocurrent_core::ports! {
 }
 
 /// The node.
-pub struct AlignRecording;
+pub struct AlignRecording {
+    params: Params,
+}
 
+/// Whose pixels the events have, and what comes out.
 fn plan_of(
+    stated: Option<Pixels>,
     events: &EventsMeta,
     frames: &FramesMeta,
     array: Extent,
-) -> Result<(EventsMeta, FramesMeta), NodeError> {
-    if events.extent != frames.extent {
-        return Err(NodeError::usage(format!(
-            "events are {}, frames are {}: events that were warped onto the frames have their pixels",
+) -> Result<(Pixels, EventsMeta, FramesMeta), NodeError> {
+    let is_of = |pixels: &Pixels| match pixels {
+        Pixels::Frames => events.extent == frames.extent,
+        Pixels::Array => events.extent == array,
+    };
+    let found = [Pixels::Frames, Pixels::Array].into_iter().find(is_of);
+    let pixels = stated.filter(is_of).or(if stated.is_none() { found } else { None }).ok_or_else(|| {
+        NodeError::usage(format!(
+            "events are {}, frames are {}, the event array is {array}: they have the size of one of these",
             events.extent, frames.extent
         ))
-        .hint("leave align/recording out where both have their pixels side by side"));
+        .hint("connect the alignment of this recording, and its events and frames whole")
+    })?;
+    if pixels == Pixels::Frames && events.has_step {
+        return Err(NodeError::usage("events have compensated steps, of which each is one pixel's")
+            .hint("put compensate/readout behind align/recording"));
     }
     if frames.colour.is_mosaic() {
         return Err(NodeError::usage(format!("frames are {}", frames.colour))
@@ -74,7 +101,7 @@ fn plan_of(
         .hint("state `row_time = \"0 ns\"` at the reader if the shutter is global"));
     }
     let events = EventsMeta { extent: array, count_hint: None, ..events.clone() };
-    Ok((events, FramesMeta { extent: array, ..frames.clone() }))
+    Ok((pixels, events, FramesMeta { extent: array, ..frames.clone() }))
 }
 
 /// Of each pixel of the frames the event pixel whose events are taken from it.
@@ -183,22 +210,27 @@ in   = { events = "array.events", frames = "array.frames", sensor = "sensor" }
     type In = In;
     type Out = Out;
 
-    fn build(_: Params) -> Result<Self, NodeError> {
-        Ok(AlignRecording)
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(AlignRecording { params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let map = inputs.map("alignment")?;
         Alignment::check(map)?;
-        let (events, frames) = plan_of(inputs.events("events")?, inputs.frames("frames")?, map.extent)?;
+        let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
+        let (_, events, frames) = plan_of(self.params.events, events, frames, map.extent)?;
         Ok(vec![Meta::Events(Arc::new(events)), Meta::Frames(Arc::new(frames))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let alignment = Alignment::of(&input.alignment)?;
-        let (events, frames) = plan_of(&input.events.meta, &input.frames.meta, alignment.events)?;
+        let (pixels, events, frames) =
+            plan_of(self.params.events, &input.events.meta, &input.frames.meta, alignment.events)?;
         cx.begin(input.frames.len() as u64, "frames");
-        let band = events_of(&input, &alignment, cx)?;
+        let band = match pixels {
+            Pixels::Frames => events_of(&input, &alignment, cx)?,
+            Pixels::Array => input.events.read(events.extent.rows())?,
+        };
         let block = frames_of(&input, &alignment, &frames, cx)?;
         Ok(Out {
             events: EventStream::in_memory(Arc::new(events), band),
@@ -222,9 +254,11 @@ mod tests {
     }
 
     fn run(input: In) -> Out {
-        testing::with_context(EXTENT.rows(), &["events", "frames"], |cx| AlignRecording.run(input, cx))
-            .0
-            .unwrap()
+        testing::with_context(EXTENT.rows(), &["events", "frames"], |cx| {
+            AlignRecording { params: Params::default() }.run(input, cx)
+        })
+        .0
+        .unwrap()
     }
 
     #[test]
@@ -249,10 +283,25 @@ mod tests {
     }
 
     #[test]
+    fn events_of_the_arrays_own_pixels_stay_and_the_frames_are_brought_to_them() {
+        let given = input(alignment(EXTENT, &shifted(0.5)));
+        let events = given.events.clone();
+        let node = AlignRecording { params: Params { events: Some(Pixels::Array) } };
+        let (out, _) = testing::with_context(EXTENT.rows(), &["events", "frames"], |cx| node.run(given, cx));
+        let out = out.unwrap();
+        assert_eq!(out.events.read(EXTENT.rows()).unwrap(), events.read(EXTENT.rows()).unwrap());
+        let frames = out.frames.read_rows(EXTENT.rows()).unwrap();
+        assert!((frames.row(1, 2)[4] - (10.0 + 4.5 + 7.5)).abs() < 1e-4);
+    }
+
+    #[test]
     fn what_cannot_be_aligned_is_refused_with_its_reason() {
         let given = input(alignment(EXTENT, &shifted(0.0)));
         let (events, frames) = (&given.events.meta, &given.frames.meta);
-        let message = |frames: FramesMeta| plan_of(events, &frames, EXTENT).err().unwrap().message;
+        let message = |frames: FramesMeta| {
+            let array = Extent { width: 10, height: 8 };
+            plan_of(None, events, &frames, array).err().unwrap().message
+        };
         let mosaic = FramesMeta { colour: Colour::named("bayer_rggb").unwrap(), ..(**frames).clone() };
         assert!(message(mosaic).starts_with("frames are"));
         let mut rolling = (**frames).clone();

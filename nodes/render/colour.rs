@@ -45,7 +45,8 @@ photocurrent_core::ports! {
         captured: FrameSequence,
         /// Grey tracks, of which the motion is estimated: of `solve/map` or a refinement.
         tracks: TrackSet,
-        /// Events: where they are, something may move.
+        /// Events, on the pixels of the grey pictures or of the array of `alignment`: where they are,
+        /// something may move.
         events: EventStream,
         /// What an event pixel sees of each colour, gains of the channels, black level, clock offset.
         sensor: Arc<Sensor>,
@@ -130,15 +131,20 @@ impl RenderColour {
     }
 
     /// The tracks as functions of time, and their motion.
-    fn motion(input: &In, cx: &Context) -> Result<(LogTracks, Flow), NodeError> {
+    fn motion(input: &In, array: Option<&Alignment>, cx: &Context) -> Result<(LogTracks, Flow), NodeError> {
         let tracks = &input.tracks.meta;
         let (extent, span) = (tracks.extent, (tracks.span.start.0, tracks.span.end.0));
         let shift_ns = clock_offset(&input.sensor)?.offset_ns;
-        let band = input.events.read(extent.rows())?;
-        let places = extent.rows().iter().flat_map(|y| {
+        let events = input.events.meta.extent;
+        let band = input.events.read(events.rows())?;
+        let place = |x: u16, y: u32| match array.filter(|_| events != extent) {
+            Some(array) => array.nearest(y as usize * events.width as usize + usize::from(x), extent),
+            None => Some((usize::from(x), y as usize)),
+        };
+        let places = events.rows().iter().flat_map(|y| {
             let row = band.row(y);
-            let at = |(x, t): (&u16, &i64)| (usize::from(*x), y as usize, t - shift_ns);
-            row.x.iter().zip(row.t).map(at).collect::<Vec<_>>()
+            let at = |(x, t): (&u16, &i64)| place(*x, y).map(|(x, y)| (x, y, t - shift_ns));
+            row.x.iter().zip(row.t).filter_map(at).collect::<Vec<_>>()
         });
         let activity = Activity::new(extent, span, places);
         let fired = Arc::new(Fired::new((0..extent.pixels()).map(|_| Vec::new())));
@@ -198,10 +204,11 @@ sensor   = "sensor"
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (frames, captured) = (inputs.frames("frames")?, inputs.frames("captured")?);
         let tracks = inputs.tracks("tracks")?;
-        if inputs.events("events")?.extent != frames.extent {
+        let events = inputs.events("events")?.extent;
+        let is_of_array = inputs.has("alignment") && inputs.map("alignment")?.extent == events;
+        if events != frames.extent && !is_of_array {
             return Err(NodeError::usage(format!(
-                "events are {}, the grey frames are {}",
-                inputs.events("events")?.extent,
+                "events are {events}, the grey frames are {}",
                 frames.extent
             )));
         }
@@ -223,7 +230,7 @@ sensor   = "sensor"
             Self::plan_of(own, &input.captured.meta, &input.tracks.meta, (&input.sensor, array.is_some()))?;
         cx.begin(input.frames.len() as u64, "pictures");
         let gain = input.sensor.need(input.sensor.frames.gain, "frames.gain", Self::DECL.kind)?;
-        let (tracks, flow) = Self::motion(&input, cx)?;
+        let (tracks, flow) = Self::motion(&input, array.as_ref(), cx)?;
         let path = Path::new(&flow);
         let hues = Hues::new(grey, &input.captured, (&tracks, gain), &path, array.as_ref())?;
         let mut block = FrameBlock::zeros(0..input.frames.len(), meta.extent.rows(), meta.row_values());

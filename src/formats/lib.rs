@@ -80,6 +80,7 @@ pub mod pairings;
 pub mod pictures;
 pub mod placed;
 pub mod places;
+mod projection;
 mod recording;
 mod restamped;
 pub mod ros;

@@ -181,9 +181,15 @@ impl Alignment {
         lines.concat()
     }
 
+    /// The pixel of frames of a size at which an event pixel's place lies; none beyond them.
+    pub fn nearest(&self, at: usize, frames: Extent) -> Option<(usize, usize)> {
+        let whole = |place: f32| (place + 0.5).floor() as usize;
+        self.is_seen(at, frames).then(|| (whole(self.x[at]), whole(self.y[at])))
+    }
+
     /// Whether an event pixel's place lies on frames of a size.
     pub fn is_seen(&self, at: usize, frames: Extent) -> bool {
-        let inside = |place: f32, count: u32| (-0.5..=count as f32 - 0.5).contains(&place);
+        let inside = |place: f32, count: u32| (-0.5..count as f32 - 0.5).contains(&place);
         inside(self.x[at], frames.width) && inside(self.y[at], frames.height)
     }
 
