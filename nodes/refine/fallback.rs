@@ -45,7 +45,7 @@ const LARGEST: f64 = 1.0;
 const DARK: f64 = 0.1;
 /// Knots of a blend lie at most so far apart, ns.
 const KNOTS_NS: i64 = 1_000_000;
-/// Log light stays within so much of the darkest that a frame shows above its black level.
+/// A blend is no darker than this part of the brightest light that a frame shows.
 const LEAST: f64 = 1e-3;
 
 /// A blend.
@@ -70,7 +70,7 @@ struct Missed {
     noise: f64,
 }
 
-/// Frames as pictures of light, per ns, and when each row of them was exposed.
+/// Frames as pictures of light, photocurrent with what effects add, and when each row of them was exposed.
 struct Frames {
     extent: Extent,
     light: Vec<Image>,
@@ -94,8 +94,8 @@ pub(super) struct Fallback<'a> {
 
 impl<'a> Fallback<'a> {
     /// Tries all pixels; `left` is what each leaves of its events, thresholds, and `hints_of` gives hints
-    /// that know no more frames than it is given.
-    /// None where no frame can be held out, or the pixels of the sensor differ in their frames.
+    /// that know no more frames than it is given. None where no frame can be held out, or the pixels of the
+    /// sensor differ in their frames.
     pub(crate) fn judge(
         again: &mut Again,
         (flow, left): (&'a Flow, &[f32]),

@@ -13,6 +13,8 @@
 //! whole is tried on pixels without one frame in three: they must predict those frames better with what
 //! neighbours say than without, region by region, or it is left away there ([`Caution`]).
 //!
+//! Where even so events mislead, light is a blend of the frames before and after ([`Fallback`]).
+//!
 //! Limits: with fewer than four frames nothing can be tried, and tracks stay as they are; it needs the whole
 //! sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after
 //! the other. Light that changes without moving is what it must reject, not what it can use.
