@@ -122,7 +122,7 @@ fn frames() -> Frames {
 }
 
 /// An npy array of whole numbers.
-fn npy<T: Copy>(kind: &str, values: &[T], bytes: impl Fn(T) -> Vec<u8>) -> Vec<u8> {
+pub fn npy<T: Copy>(kind: &str, values: &[T], bytes: impl Fn(T) -> Vec<u8>) -> Vec<u8> {
     let head = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({},), }}", values.len());
     let padded = format!("{head:<117}\n");
     b"\x93NUMPY\x01\x00\x76\x00"
@@ -257,4 +257,46 @@ pub fn score(folder: &Path, zero_s: f64) -> f64 {
         }
     }
     10.0 * libm::log10(255.0 * 255.0 * count / square)
+}
+
+/// A picture as PNG with 8 bits: grey, or red, green and blue.
+pub fn png(width: usize, height: usize, codes: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    let is_grey = codes.len() == width * height;
+    encoder.set_color(if is_grey { png::ColorType::Grayscale } else { png::ColorType::Rgb });
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().unwrap().write_image_data(codes).unwrap();
+    bytes
+}
+
+/// An event of HS-ERGB: us, its place in 32nds of a pixel, ON.
+pub type Placed = (i64, i64, i64, bool);
+
+/// Writes a folder as HS-ERGB lays sequences out: pictures of a size with their stamps in us, and the events.
+pub fn hs_ergb(folder: &Path, (width, height): (usize, usize), frames: &[(i64, Vec<u8>)], events: &[Placed]) {
+    for name in ["images", "events"] {
+        std::fs::create_dir_all(folder.join(name)).unwrap();
+    }
+    let mut stamps = String::new();
+    for (l, (t, codes)) in frames.iter().enumerate() {
+        std::fs::write(folder.join(format!("images/{l:06}.png")), png(width, height, codes)).unwrap();
+        stamps += &format!("{t}\n");
+        // File n lies between pictures n and n + 1; what comes before the first picture stands in the first.
+        let from = if l == 0 { i64::MIN } else { *t };
+        let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
+        let part: Vec<&Placed> = events.iter().filter(|event| (from..to).contains(&event.0)).collect();
+        let column = |of: &dyn Fn(&Placed) -> i64| {
+            let values: Vec<i64> = part.iter().map(|event| of(event)).collect();
+            npy("<i8", &values, |value| value.to_le_bytes().to_vec())
+        };
+        let bytes = zip(&[
+            ("x.npy", column(&|event| event.1)),
+            ("y.npy", column(&|event| event.2)),
+            ("t.npy", column(&|event| event.0)),
+            ("p.npy", column(&|event| i64::from(event.3))),
+        ]);
+        std::fs::write(folder.join(format!("events/{l:06}.npz")), bytes).unwrap();
+    }
+    std::fs::write(folder.join("images/timestamp.txt"), stamps).unwrap();
 }

@@ -6,7 +6,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use crate::disc::zip;
+use crate::disc::{self, Placed};
 use crate::support::{Bench, root};
 use photocurrent_formats::ros::testing::{
     BagWriter, Packing, Wire, compressed_image, db3, event_array, image,
@@ -102,20 +102,9 @@ fn read(path: &Path) -> Scene {
     }
 }
 
-/// A picture as PNG: grey, or red, green and blue.
-fn png(codes: &[u8]) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, WIDTH as u32, HEIGHT as u32);
-    let is_grey = codes.len() == WIDTH * HEIGHT;
-    encoder.set_color(if is_grey { png::ColorType::Grayscale } else { png::ColorType::Rgb });
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.write_header().unwrap().write_image_data(codes).unwrap();
-    bytes
-}
-
 fn write_png(path: &Path, codes: &[u8]) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
-    fs::write(path, png(codes)).unwrap();
+    fs::write(path, disc::png(WIDTH, HEIGHT, codes)).unwrap();
 }
 
 /// PSNR against the truth nearest in time, between the first and the last frame but one, with a peak of 250.
@@ -327,7 +316,12 @@ fn a_bag_of_ros_with_compressed_pictures() {
         bag.message(
             images,
             t * 1000,
-            &compressed_image(Wire::Ros1, t * 1000, "mono8; png compressed ", &png(codes)),
+            &compressed_image(
+                Wire::Ros1,
+                t * 1000,
+                "mono8; png compressed ",
+                &disc::png(WIDTH, HEIGHT, codes),
+            ),
         );
     }
     fs::write(bench.path("clip.bag"), bag.finish().unwrap()).unwrap();
@@ -379,44 +373,15 @@ fn an_aedat_3_file() {
     two_commands(&bench, &["clip.aedat"], &[]);
 }
 
-/// A column of 8-byte integers as NumPy writes it.
-fn npy(values: &[i64]) -> Vec<u8> {
-    let head = format!("{{'descr': '<i8', 'fortran_order': False, 'shape': ({},), }}", values.len());
-    let padded = format!("{head:<117}\n");
-    let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-    b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(bytes).collect()
-}
-
-/// An event with its place in 32nds of a pixel.
-type Placed = (i64, i64, i64, bool);
-
 /// A sequence with these events, in shades of grey or of a colour: green and blue as parts of red.
 fn hs_ergb(bench: &Bench, events: &[Placed], hue: Option<[f64; 2]>) {
-    let frames = &scene().frames;
-    let mut stamps = String::new();
-    for (l, (t, codes)) in frames.iter().enumerate() {
-        let in_colour = |[green, blue]: [f64; 2]| -> Vec<u8> {
-            let part = |code: &u8, part: f64| (f64::from(*code) * part).round() as u8;
-            codes.iter().flat_map(|code| [*code, part(code, green), part(code, blue)]).collect()
-        };
-        write_png(&bench.path(&format!("clip/images/{l:06}.png")), &hue.map_or(codes.clone(), in_colour));
-        writeln!(stamps, "{t}").unwrap();
-        // File n lies between pictures n and n + 1; what comes before the first picture stands in the first.
-        let from = if l == 0 { i64::MIN } else { *t };
-        let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
-        let part: Vec<_> = events.iter().filter(|event| (from..to).contains(&event.0)).collect();
-        let column =
-            |of: &dyn Fn(&Placed) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
-        let bytes = zip(&[
-            ("x.npy", column(&|event| event.1)),
-            ("y.npy", column(&|event| event.2)),
-            ("t.npy", column(&|event| event.0)),
-            ("p.npy", column(&|event| i64::from(event.3))),
-        ]);
-        fs::create_dir_all(bench.path("clip/events")).unwrap();
-        fs::write(bench.path(&format!("clip/events/{l:06}.npz")), bytes).unwrap();
-    }
-    bench.write("clip/images/timestamp.txt", &stamps);
+    let in_colour = |codes: &[u8], [green, blue]: [f64; 2]| -> Vec<u8> {
+        let part = |code: &u8, part: f64| (f64::from(*code) * part).round() as u8;
+        codes.iter().flat_map(|code| [*code, part(code, green), part(code, blue)]).collect()
+    };
+    let shown = |(t, codes): &(i64, Vec<u8>)| (*t, hue.map_or(codes.clone(), |hue| in_colour(codes, hue)));
+    let frames: Vec<(i64, Vec<u8>)> = scene().frames.iter().map(shown).collect();
+    disc::hs_ergb(&bench.path("clip"), (WIDTH, HEIGHT), &frames, events);
 }
 
 #[test]

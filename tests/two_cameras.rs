@@ -7,13 +7,11 @@
 
 #![allow(clippy::unwrap_used)]
 
-use crate::disc::zip;
+use crate::disc::{self, Placed};
 use crate::support::{Bench, root};
 use photocurrent_sensor::forward::{LOG_STEP, LinearLight, Noiseless, Pixel, simulate_events};
 use photocurrent_sensor::front_end::FrontEnd;
-use std::fmt::Write as _;
 use std::fs;
-use std::path::Path;
 
 const WIDTH: usize = 96;
 const HEIGHT: usize = 72;
@@ -21,9 +19,6 @@ const FRAMES: i64 = 17;
 const PERIOD_US: i64 = 6_667;
 const EXPOSURE_US: i64 = 1_000;
 const THRESHOLD: f64 = 0.2;
-
-/// An event: us, its place in 32nds of a pixel, ON.
-type Event = (i64, i64, i64, bool);
 
 /// Red, green and blue light of a place at an instant, of 1: a bluish ground, before which a reddish disc
 /// with a pattern of its own passes.
@@ -39,7 +34,7 @@ fn light(x: f64, y: f64, ms: f64) -> [f64; 3] {
 }
 
 /// Events of an array whose pixel (column, row) sees the place that `place` gives, each with that place.
-fn events(columns: i64, rows: i64, place: impl Fn(i64, i64) -> (f64, f64)) -> Vec<Event> {
+fn events(columns: i64, rows: i64, place: impl Fn(i64, i64) -> (f64, f64)) -> Vec<Placed> {
     let pixel = Pixel {
         front_end: FrontEnd { tau_0_s: 10e-6, alpha_s: 1e-9 },
         threshold_on: THRESHOLD,
@@ -87,44 +82,10 @@ fn picture(start_us: i64) -> Vec<u8> {
     codes
 }
 
-fn write_png(path: &Path, codes: &[u8]) {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, WIDTH as u32, HEIGHT as u32);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.write_header().unwrap().write_image_data(codes).unwrap();
-    fs::create_dir_all(path.parent().unwrap()).unwrap();
-    fs::write(path, bytes).unwrap();
-}
-
-fn npy(values: &[i64]) -> Vec<u8> {
-    let head = format!("{{'descr': '<i8', 'fortran_order': False, 'shape': ({},), }}", values.len());
-    let padded = format!("{head:<117}\n");
-    let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-    b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(bytes).collect()
-}
-
-/// Writes a sequence as HS-ERGB lays it out.
-fn sequence(bench: &Bench, name: &str, events: &[Event]) {
-    let mut stamps = String::new();
-    for l in 0..FRAMES {
-        let start = l * PERIOD_US;
-        write_png(&bench.path(&format!("{name}/images/{l:06}.png")), &picture(start));
-        writeln!(stamps, "{start}").unwrap();
-        let end = if l + 1 < FRAMES { start + PERIOD_US } else { i64::MAX };
-        let part: Vec<&Event> = events.iter().filter(|event| (start..end).contains(&event.0)).collect();
-        let column =
-            |of: &dyn Fn(&Event) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
-        let bytes = zip(&[
-            ("x.npy", column(&|event| event.1)),
-            ("y.npy", column(&|event| event.2)),
-            ("t.npy", column(&|event| event.0)),
-            ("p.npy", column(&|event| i64::from(event.3))),
-        ]);
-        fs::create_dir_all(bench.path(&format!("{name}/events"))).unwrap();
-        fs::write(bench.path(&format!("{name}/events/{l:06}.npz")), bytes).unwrap();
-    }
-    bench.write(&format!("{name}/images/timestamp.txt"), &stamps);
+/// Writes a sequence of all pictures.
+fn sequence(bench: &Bench, name: &str, events: &[Placed]) {
+    let frames: Vec<(i64, Vec<u8>)> = (0..FRAMES).map(|l| (l * PERIOD_US, picture(l * PERIOD_US))).collect();
+    disc::hs_ergb(&bench.path(name), (WIDTH, HEIGHT), &frames, events);
 }
 
 /// How events of another array come to the pixels of the pictures.
@@ -237,6 +198,7 @@ fn events_of_another_camera_predict_pictures_in_colour_as_well_as_those_of_the_s
         "aligned {aligned:.2?}, warped {warped:.2?}, by pixels {by_pixels:.2?}, repeated {repeated:.2?} dB"
     );
     println!("{figures}");
+    // A decibel is what another geometry may cost; repetition shows that there is something to predict.
     for n in [0, 1] {
         assert!(warped[n] > aligned[n] - 1.0, "{figures}");
         assert!(aligned[n] > repeated[n] + 6.0, "{figures}");

@@ -12,8 +12,8 @@
 //! it does not.
 //!
 //! Limits: a frame is predicted over twice the time that lies between two frames, over which a blend loses
-//! more than a solution does, so that a blend is taken too seldom rather than too often; the motion comes
-//! from tracks that know the frame.
+//! more than a solution does, so that a blend is taken too seldom rather than too often; a saturated value
+//! enters a blend as it is; the motion comes from tracks that were solved with the frame.
 
 use super::again::{Again, Row};
 use super::trust::Posed;
@@ -22,6 +22,7 @@ use photocurrent_core::{Extent, TrackBand};
 use photocurrent_scene::flow::Flow;
 use photocurrent_scene::hue::Path;
 use photocurrent_scene::image::{Image, smooth};
+use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::map::estimate::{FEWEST_FRAMES, HoldOut};
 use photocurrent_sensor::map::{Hint, MapFrame};
 use rayon::prelude::*;
@@ -76,8 +77,7 @@ struct Frames {
     light: Vec<Image>,
     /// The middle of each frame's exposure in each row, ns.
     mid_ns: Vec<Vec<i64>>,
-    /// DN for a light of 1 over a second.
-    gain: f64,
+    number: DigitalNumber,
     /// What an error is relative to in addition to light.
     dark: f64,
     /// The least light that a blend may have.
@@ -226,10 +226,7 @@ impl Frames {
             return None;
         }
         let picture = |l: usize| {
-            let light = |frame: &MapFrame| {
-                let length_ns = (frame.end_ns - frame.start_ns) as f64;
-                ((frame.dn - number.black_level) / (number.gain * length_ns * 1e-9)) as f32
-            };
+            let light = |frame: &MapFrame| (number.integral(frame.dn) / seconds(frame)) as f32;
             let row = |row: &'_ Row| -> Vec<f32> {
                 (0..extent.width as usize).map(|x| light(&row.frames_of(x)[l])).collect()
             };
@@ -245,7 +242,7 @@ impl Frames {
         let most = light.iter().flat_map(|image| &image.values).fold(0.0_f32, |most, v| f32::max(most, *v));
         (most > 0.0).then(|| {
             let most = f64::from(most);
-            Frames { extent, light, mid_ns, gain: number.gain, dark: DARK * most, least: LEAST * most }
+            Frames { extent, light, mid_ns, number, dark: DARK * most, least: LEAST * most }
         })
     }
 
@@ -295,7 +292,7 @@ impl Frames {
         path: &Path<'_>,
     ) -> Missed {
         let seen = f64::from(self.light[l].values[y * self.extent.width as usize + x]);
-        let per_dn = 1.0 / self.dn_per_light(frame);
+        let light = |dn: f64| self.number.integral(dn) / seconds(frame);
         let relative = |by: f64| {
             let part = by / (f64::max(seen, 0.0) + self.dark);
             f64::min(part * part, LARGEST)
@@ -304,16 +301,16 @@ impl Frames {
         let of_blend = |blend: Blend| relative(self.blend(blend, (x, y), t_ns, (l - 1, l + 1), path) - seen);
         Missed {
             frame: l,
-            solution: relative((dn - frame.dn) * per_dn),
+            solution: relative(light(dn) - light(frame.dn)),
             blends: BLENDS.map(of_blend),
-            noise: relative(frame.sigma_dn * per_dn),
+            noise: relative(light(frame.dn + frame.sigma_dn) - light(frame.dn)),
         }
     }
+}
 
-    /// DN of a frame for a light of 1.
-    fn dn_per_light(&self, frame: &MapFrame) -> f64 {
-        self.gain * (frame.end_ns - frame.start_ns) as f64 * 1e-9
-    }
+/// Length of an exposure, s.
+fn seconds(frame: &MapFrame) -> f64 {
+    (frame.end_ns - frame.start_ns) as f64 * 1e-9
 }
 
 /// The weights of both blends around frame l, of every pixel: 0 or 1, smooth between.

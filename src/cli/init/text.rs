@@ -124,18 +124,27 @@ fn rendered_hz(facts: &Facts) -> f64 {
     rate_hz
 }
 
-/// Every value of a frame solved by itself.
-fn alone(text: &mut String, wiring: &Wiring<'_>) {
-    let Wiring { recording, sensor, .. } = wiring;
+/// The node that solves events with frames.
+fn solve(text: &mut String, events: &str, frames: &str, sensor: &str) {
     let _ = write!(
         text,
         r#"
 # The photocurrent of every pixel, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
 [nodes.solve]
 kind   = "solve/map"
-in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor}" }}
+in     = {{ events = "{events}", frames = "{frames}", sensor = "{sensor}" }}
 params = {{ front_end = "ideal" }}
+"#
+    );
+}
 
+/// Every value of a frame solved by itself.
+fn alone(text: &mut String, wiring: &Wiring<'_>) {
+    let Wiring { recording, sensor, .. } = wiring;
+    solve(text, &format!("{recording}.events"), &format!("{recording}.frames"), sensor);
+    let _ = write!(
+        text,
+        r#"
 # Sharp frames without rolling shutter.
 [nodes.render]
 kind   = "render/rows"
@@ -237,16 +246,7 @@ fn solved_tracks(
     (seen, solved, sensor): (&str, &str, &str),
     frames: usize,
 ) -> &'static str {
-    let _ = write!(
-        text,
-        r#"
-# The photocurrent of every pixel, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
-[nodes.solve]
-kind   = "solve/map"
-in     = {{ events = "{seen}.events", frames = "{solved}.frames", sensor = "{sensor}" }}
-params = {{ front_end = "ideal" }}
-"#
-    );
+    solve(text, &format!("{seen}.events"), &format!("{solved}.frames"), sensor);
     if frames < JUDGED_FRAMES {
         return "solve.tracks";
     }
