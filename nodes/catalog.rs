@@ -66,6 +66,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<estimate::row_time::EstimateRowTime>(),
         Kind::of::<estimate::thresholds::EstimateThresholds>(),
         Kind::of::<estimate::exposure::EstimateExposure>(),
+        Kind::of::<estimate::alignment::EstimateAlignment>(),
         // What the description leaves out.
         Kind::of::<diagnose::integrity::DiagnoseIntegrity>(),
         Kind::of::<diagnose::target::DiagnoseTarget>(),

@@ -446,7 +446,7 @@ fn a_sequence_of_hs_ergb_whose_events_were_warped_has_no_pixel_without_them() {
     assert!(seen.stdout.contains("with a pitch of 1.16"), "{} {}", seen.stdout, seen.stderr);
     two_commands(&bench, &["clip"], &KNOWN);
     let manifest = fs::read_to_string(bench.path("my.toml")).unwrap();
-    for kind in ["read/alignment", "align/recording", "align/tracks", "render/colour"] {
+    for kind in ["read/alignment", "estimate/alignment", "align/tracks", "render/colour"] {
         assert!(manifest.contains(kind), "{manifest}");
     }
 }

@@ -67,7 +67,10 @@ pub struct AlignRecording {
 }
 
 /// Whose pixels the events have, and what comes out.
-fn plan_of(
+///
+/// # Errors
+/// When sizes do not meet, or these events or frames cannot be brought to the array.
+pub(crate) fn plan_of(
     stated: Option<Pixels>,
     events: &EventsMeta,
     frames: &FramesMeta,
@@ -127,13 +130,21 @@ fn takers(alignment: &Alignment, frames: Extent) -> Vec<Option<usize>> {
     takers
 }
 
-fn events_of(input: &In, alignment: &Alignment, cx: &Context) -> Result<EventBand, NodeError> {
-    let frames = input.events.meta.extent;
+/// Every event that was warped onto the pixels of the frames once, on the event array's own.
+///
+/// # Errors
+/// When events cannot be read.
+pub(crate) fn on_array(
+    events: &EventStream,
+    alignment: &Alignment,
+    cx: &Context,
+) -> Result<EventBand, NodeError> {
+    let frames = events.meta.extent;
     let takers = takers(alignment, frames);
     let seen = (0..alignment.events.pixels()).filter(|at| alignment.is_seen(*at, frames)).count();
     let taken = takers.iter().flatten().count();
     cx.count(seen.saturating_sub(taken) as u64, "event pixels have no pixel of the frames, and no events");
-    let band = input.events.read(frames.rows())?;
+    let band = events.read(frames.rows())?;
     let array = alignment.events.width as usize;
     let mut all = Vec::new();
     for y in frames.rows().iter() {
@@ -154,19 +165,23 @@ fn events_of(input: &In, alignment: &Alignment, cx: &Context) -> Result<EventBan
     Ok(EventBand::from_events(alignment.events.rows(), all)?)
 }
 
-fn frames_of(
-    input: &In,
+/// Frames as the event pixels see them: those of `meta`. `done` is called after each.
+///
+/// # Errors
+/// When frames cannot be read, or the run is stopped.
+pub(crate) fn frames_on_array(
+    frames: &FrameSequence,
     alignment: &Alignment,
     meta: &FramesMeta,
-    cx: &Context,
+    done: &(dyn Fn() -> Result<(), NodeError> + Sync),
 ) -> Result<FrameBlock, NodeError> {
-    let own = &input.frames.meta;
+    let own = &frames.meta;
     let (channels, size) = (own.channels() as usize, (own.extent.width as usize, own.extent.height as usize));
-    let mut block = FrameBlock::zeros(0..input.frames.len(), meta.extent.rows(), meta.row_values());
+    let mut block = FrameBlock::zeros(0..frames.len(), meta.extent.rows(), meta.row_values());
     let pictures = block.dn.chunks_exact_mut(meta.extent.pixels() * channels);
     pictures.enumerate().collect::<Vec<_>>().into_par_iter().try_for_each(
         |(l, picture)| -> Result<(), NodeError> {
-            let dn = input.frames.read(l..l + 1, own.extent.rows())?.dn;
+            let dn = frames.read(l..l + 1, own.extent.rows())?.dn;
             for channel in 0..channels {
                 let values = dn.iter().skip(channel).step_by(channels).copied().collect();
                 let seen = alignment.to_events(&Image { width: size.0, height: size.1, values });
@@ -177,7 +192,7 @@ fn frames_of(
                     .zip(seen.values)
                     .for_each(|(to, dn)| *to = dn);
             }
-            cx.advance(1)
+            done()
         },
     )?;
     Ok(block)
@@ -228,10 +243,10 @@ in   = { events = "array.events", frames = "array.frames", sensor = "sensor" }
             plan_of(self.params.events, &input.events.meta, &input.frames.meta, alignment.events)?;
         cx.begin(input.frames.len() as u64, "frames");
         let band = match pixels {
-            Pixels::Frames => events_of(&input, &alignment, cx)?,
+            Pixels::Frames => on_array(&input.events, &alignment, cx)?,
             Pixels::Array => input.events.read(events.extent.rows())?,
         };
-        let block = frames_of(&input, &alignment, &frames, cx)?;
+        let block = frames_on_array(&input.frames, &alignment, &frames, &|| cx.advance(1))?;
         Ok(Out {
             events: EventStream::in_memory(Arc::new(events), band),
             frames: FrameSequence::in_memory(Arc::new(frames), block),

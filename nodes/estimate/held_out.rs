@@ -1,55 +1,70 @@
-//! Contrast thresholds with which frames that are held out are predicted best.
+//! Contrast thresholds, exposure and offset of the clocks with which frames that are held out are predicted
+//! best.
 //!
 //! What the change between two frames counts in events ([`photocurrent_sensor::estimate::thresholds`]) needs
 //! many bright places that change one way between frames. Where there are few, thresholds come out anywhere.
 //! So pixels all over the array are solved without some of their frames (one in three, or of a few frames
 //! each that is not an end in turn), with one threshold after the other, and with the noise and prior that
-//! the solver chooses for each: the one that predicts those frames best is what a solution needs.
-//! A blend of the neighbouring frames is compared on the same frames: where that is better, a picture gains
-//! nothing from events.
+//! the solver chooses for each: the one that predicts those frames best is what a solution needs. Lengths of
+//! the exposure, where it is not recorded, and offsets, where none is known, are tried in the same way, and
+//! taken where they are better by far than what was given. A blend of the neighbouring frames is compared on
+//! the same frames: where that is better, a picture gains nothing from events.
+//!
+//! An offset that correlation states stands: frames that are held out are blurred, and those of a disc that
+//! moves one way preferred an offset of a millisecond to the right one, which cost 2.5 dB of sharp pictures.
 //!
 //! Limits: both signs have the same threshold, as frames do not show which of the two is off (a pixel that
 //! darkens is slower); an ideal front end, so that what a slow pixel leaves out of its events is in the
-//! thresholds; a grid, refined once; the interval is that of the values that are not clearly worse. Frames
-//! are blurred, so that sharpness does not count.
+//! thresholds, and its delay in the offset; one after the other on grids, each refined once; intervals are
+//! those of the values that are not clearly worse.
+
+mod bench;
 
 use super::Estimate;
-use photocurrent_core::quantity::Duration;
-use photocurrent_core::{EventStream, FrameBlock, FrameSequence, NodeError, Sensor, TimeSpan};
-use photocurrent_scene::grey::{Clipped, Grey};
-use photocurrent_sensor::map::estimate::{self, Choosing, FEWEST_FRAMES, HoldOut};
-use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem};
-use photocurrent_solve::co_located::CoLocated;
-use photocurrent_solve::row::{Recorded, RowData};
-use photocurrent_solve::settings::{Sample, Unexplained, events_in_company};
-use photocurrent_solve::shares::Colours;
-use photocurrent_solve::{FrontEndModel, Model, SolveOptions};
+use bench::{Bench, Described};
+use photocurrent_core::{EventStream, FrameSequence, NodeError};
 use rayon::prelude::*;
-use std::sync::Arc;
 
-/// Frames that take part: at most so many in a row, those with most events.
-const MOST_FRAMES: usize = 25;
-/// Frames that are further apart, in usual periods, have a pause between them.
-const PAUSE: i64 = 4;
-/// Of fewer frames each is held out in turn.
-const FEW_FRAMES: usize = 10;
-/// Rows that take part, each the busiest of as many bands, and pixels of each.
-const ROWS: u32 = 24;
-const PIXELS: usize = 16;
-/// Fewer pixels decide nothing.
-const FEWEST_PIXELS: usize = 48;
+pub(crate) use bench::run;
+
 /// The thresholds that are tried first, alike for both signs, natural-log units: each 1.3 times the last.
 const FIRST: f64 = 0.06;
 const STEP: f64 = 1.3;
 const TRIED: i32 = 12;
 /// Steps around the best of those.
 const REFINED: [f64; 4] = [0.82, 0.91, 1.1, 1.21];
+/// With other exposures and offsets thresholds change by about so much.
+const NEAR: [f64; 3] = [0.8, 1.0, 1.25];
+/// Lengths of the exposure that are tried, in periods.
+const LENGTHS: [f64; 6] = [0.03, 0.1, 0.25, 0.45, 0.7, 0.97];
+/// Offsets that are tried around what was given, in periods.
+const OFFSETS: [f64; 6] = [-0.25, -0.12, -0.05, 0.05, 0.12, 0.25];
+/// And around the best of those.
+const CLOSER: [f64; 2] = [-0.03, 0.03];
 /// The interval reaches at least by this factor beyond what is best: rows of one recording err together.
 const APART: f64 = 1.3;
-/// A threshold is clearly worse by so many standard errors.
+/// An exposure or an offset is taken where it leaves less than this part of the squares of errors: the
+/// exposure of HS-ERGB's balloon leaves 0.67 of what half the period leaves (`photocurrent init`), an offset
+/// of 4 ms in 20 less than 0.2 of what none leaves (`cargo test held_out`).
+const FAR_BETTER: f64 = 0.8;
+/// One description is clearly worse than another by so many standard errors.
 const CLEAR: f64 = 2.0;
 
-/// Thresholds, and how well frames that are held out are predicted with them.
+/// What is known before.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Given {
+    /// How late events are against frames, ns; none = not known, and tried.
+    pub late_ns: Option<f64>,
+    /// The pair of thresholds that is compared.
+    pub thresholds: Option<(f64, f64)>,
+    /// Where the exposure is not recorded: the instant of it that stays when its length changes, 0 its start,
+    /// 1 its end.
+    pub anchor: Option<f64>,
+    /// The length that is compared then, ns; none = that of the frames.
+    pub length_ns: Option<i64>,
+}
+
+/// Thresholds, exposure and offset, and how well frames that are held out are predicted with them.
 #[derive(Clone, Debug)]
 pub struct HeldOut {
     /// The threshold of both signs, natural-log units.
@@ -60,54 +75,17 @@ pub struct HeldOut {
     pub given: Option<f64>,
     /// The same of a blend of the frames before and after, and whether that is clearly better.
     pub blend: (f64, bool),
+    /// Length of the exposure, ns, where it is better by far than that of the frames.
+    pub exposure_ns: Option<Estimate>,
+    /// How late events are, ns, where none was given and it is better by far than 0.
+    pub late_ns: Option<Estimate>,
 }
 
-/// A threshold of both signs, and what each row loses with it: squares of relative errors, as pictures are
-/// judged by squares; absolute values prefer too large thresholds, with which few pixels err by much.
+/// A description, and what each row loses with it.
+#[derive(Clone, Debug)]
 struct Tried {
-    both: f64,
+    described: Described,
     of_rows: Vec<f64>,
-}
-
-/// Of events that lag the frames by `late_ns`; `given` is the pair that is compared. None where too little
-/// moves, or there are fewer than four frames.
-///
-/// # Errors
-/// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
-pub fn thresholds(
-    events: &EventStream,
-    frames: &FrameSequence,
-    late_ns: f64,
-    given: Option<(f64, f64)>,
-) -> Result<Option<HeldOut>, NodeError> {
-    if frames.len() < FEWEST_FRAMES {
-        return Ok(None);
-    }
-    let Some((events, frames)) = busiest(events, frames, late_ns)? else { return Ok(None) };
-    let bench = Bench::new(&events, &frames, late_ns)?;
-    if bench.places.iter().map(|(_, columns)| columns.len()).sum::<usize>() < FEWEST_PIXELS {
-        return Ok(None);
-    }
-    let of = |all: Vec<f64>| -> Result<Vec<Tried>, NodeError> {
-        let of = |both: f64| Ok(Tried { both, of_rows: bench.of((both, both))? });
-        all.into_par_iter().map(of).collect()
-    };
-    let mut tried = of((0..TRIED).map(|n| FIRST * libm::pow(STEP, f64::from(n))).collect())?;
-    let both = best_of(&tried).both;
-    tried.extend(of(REFINED.iter().map(|by| both * by).collect())?);
-    let best = best_of(&tried);
-    let given = given.map(|pair| bench.of(pair)).transpose()?;
-    let root = |squares: f64| libm::sqrt(squares / bench.held as f64);
-    let blend = bench.blend()?;
-    let close = tried.iter().filter(|one| !clearly(&best.of_rows, &one.of_rows)).map(|one| one.both);
-    let wider = |(low, high): (f64, f64), both: f64| (f64::min(low, both), f64::max(high, both));
-    let ci95 = close.fold((best.both / APART, best.both * APART), wider);
-    Ok(Some(HeldOut {
-        threshold: Estimate { value: best.both, ci95 },
-        error: root(best.sum()),
-        given: given.map(|of_rows| root(of_rows.iter().sum())),
-        blend: (root(blend.iter().sum()), clearly(&blend, &best.of_rows)),
-    }))
 }
 
 impl Tried {
@@ -116,253 +94,165 @@ impl Tried {
     }
 }
 
-fn best_of(tried: &[Tried]) -> &Tried {
-    let first = &tried[0];
-    tried.iter().fold(first, |best, one| if one.sum() < best.sum() { one } else { best })
+/// What was tried, all of it.
+struct Search<'a> {
+    bench: &'a Bench,
+    all: Vec<Tried>,
+}
+
+impl Search<'_> {
+    /// Tries descriptions, and gives the best of them and of `best`.
+    fn best(&mut self, best: Option<Tried>, all: Vec<Described>) -> Result<Tried, NodeError> {
+        let of = |described: Described| Ok(Tried { of_rows: self.bench.losses(&described)?, described });
+        let tried: Vec<Tried> = all.into_par_iter().map(of).collect::<Result<_, NodeError>>()?;
+        let first = best.unwrap_or_else(|| tried[0].clone());
+        let best =
+            tried.iter().fold(first, |best, one| if one.sum() < best.sum() { one.clone() } else { best });
+        self.all.extend(tried);
+        Ok(best)
+    }
+
+    /// The best threshold of both signs for what else is described.
+    fn threshold(&mut self, described: Described) -> Result<Tried, NodeError> {
+        let both = |both: f64| Described { pair: (both, both), ..described };
+        let coarse = (0..TRIED).map(|n| both(FIRST * libm::pow(STEP, f64::from(n)))).collect();
+        let best = self.best(None, coarse)?;
+        self.refined(best)
+    }
+
+    fn refined(&mut self, best: Tried) -> Result<Tried, NodeError> {
+        let around = REFINED.iter().map(|by| scaled(&best.described, *by)).collect();
+        self.best(Some(best), around)
+    }
+
+    /// Takes another length of the exposure where it is better by far.
+    fn length(&mut self, best: &mut Tried) -> Result<bool, NodeError> {
+        let period_ns = self.bench.period_ns();
+        let length = |share: &f64| Some((share * period_ns) as i64);
+        let near = |length_ns| NEAR.map(|by| Described { length_ns, ..scaled(&best.described, by) });
+        let longer = self.best(Some(best.clone()), LENGTHS.iter().map(length).flat_map(near).collect())?;
+        Ok(taken(best, longer))
+    }
+
+    /// Takes another offset where it is better by far.
+    fn offset(&mut self, best: &mut Tried) -> Result<bool, NodeError> {
+        let period_ns = self.bench.period_ns();
+        let at =
+            |late_ns: f64, from: &Tried| NEAR.map(|by| Described { late_ns, ..scaled(&from.described, by) });
+        let around = |from: &Tried, all: &[f64]| -> Vec<Described> {
+            all.iter().flat_map(|by| at(from.described.late_ns + by * period_ns, from)).collect()
+        };
+        let late = self.best(Some(best.clone()), around(best, &OFFSETS))?;
+        let closer = around(&late, &CLOSER);
+        let late = self.best(Some(late), closer)?;
+        Ok(taken(best, late))
+    }
+
+    /// The range of what is not clearly worse than the best, of a number of each description.
+    fn interval(&self, best: &Tried, of: impl Fn(&Described) -> f64) -> (f64, f64) {
+        let close = self.all.iter().filter(|one| !clearly(&best.of_rows, &one.of_rows));
+        let value = of(&best.described);
+        close
+            .map(|one| of(&one.described))
+            .fold((value, value), |(low, high), one| (low.min(one), high.max(one)))
+    }
+}
+
+/// Takes what is better by far.
+fn taken(best: &mut Tried, other: Tried) -> bool {
+    let is_better = other.sum() < FAR_BETTER * best.sum() && clearly(&other.of_rows, &best.of_rows);
+    if is_better {
+        *best = other;
+    }
+    is_better
+}
+
+fn scaled(described: &Described, by: f64) -> Described {
+    let (on, off) = described.pair;
+    Described { pair: (by * on, by * off), ..*described }
+}
+
+/// What predicts frames that are held out best. None where too little moves, or there are fewer than four
+/// frames.
+///
+/// # Errors
+/// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
+pub fn chosen(
+    events: &EventStream,
+    frames: &FrameSequence,
+    given: &Given,
+) -> Result<Option<HeldOut>, NodeError> {
+    let anchor = given.anchor.unwrap_or(0.5);
+    let late_ns = given.late_ns.unwrap_or(0.0);
+    let Some(bench) = Bench::new(events, frames, late_ns, anchor)? else { return Ok(None) };
+    let start = Described { pair: (FIRST, FIRST), late_ns, length_ns: given.length_ns };
+    let mut search = Search { bench: &bench, all: Vec::new() };
+    let first = search.threshold(start)?;
+    let mut best = first.clone();
+    // With a wrong offset no length is right.
+    let length = given.anchor.is_some();
+    let is_longer = length && search.length(&mut best)?;
+    let is_shifted = given.late_ns.is_none() && search.offset(&mut best)?;
+    if length && is_shifted {
+        search.length(&mut best)?;
+    }
+    if is_longer || is_shifted {
+        best = search.refined(best)?;
+    }
+    let pair = |pair| Described { pair, ..best.described };
+    let compared = given.thresholds.map(|thresholds| bench.losses(&pair(thresholds))).transpose()?;
+    let root = |squares: f64| libm::sqrt(squares / bench.held as f64);
+    let blend = bench.blend(&start)?;
+    let (low, high) = search.interval(&best, |described| described.pair.0);
+    let both = best.described.pair.0;
+    let exposure = |described: &Described| described.length_ns.map(|length_ns| length_ns as f64);
+    let is_longer = best.described.length_ns != given.length_ns;
+    let exposure_ns = exposure(&best.described).filter(|_| is_longer).map(|value| {
+        let ci95 = search.interval(&best, |described| exposure(described).unwrap_or(value));
+        Estimate { value, ci95 }
+    });
+    let late_ns = (best.described.late_ns != late_ns).then(|| Estimate {
+        value: best.described.late_ns,
+        ci95: search.interval(&best, |described| described.late_ns),
+    });
+    Ok(Some(HeldOut {
+        threshold: Estimate { value: both, ci95: (low.min(both / APART), high.max(both * APART)) },
+        error: root(best.sum()),
+        given: compared.map(|of_rows| root(of_rows.iter().sum())),
+        blend: (root(blend.iter().sum()), clearly(&blend, &best.of_rows)),
+        exposure_ns,
+        late_ns,
+    }))
+}
+
+/// What each row of pixels loses with frames of each of several sequences, with the threshold that predicts
+/// the held-out ones of that sequence best; `late_ns` as for [`chosen`]. None where too little moves.
+///
+/// # Errors
+/// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
+pub(crate) fn compared(
+    events: &EventStream,
+    sequences: &[FrameSequence],
+    late_ns: f64,
+) -> Result<Option<Vec<Vec<f64>>>, NodeError> {
+    let mut all = Vec::new();
+    let mut places: Option<Vec<(u32, Vec<usize>)>> = None;
+    for frames in sequences {
+        let Some(mut bench) = Bench::new(events, frames, late_ns, 0.5)? else { return Ok(None) };
+        // The same pixels of each sequence.
+        bench.places = places.get_or_insert(bench.places).clone();
+        let start = Described { pair: (FIRST, FIRST), late_ns, length_ns: None };
+        all.push(Search { bench: &bench, all: Vec::new() }.threshold(start)?.of_rows);
+    }
+    Ok(Some(all))
 }
 
 /// Does `worse` lose clearly more, row by row, than `better`?
-fn clearly(better: &[f64], worse: &[f64]) -> bool {
+pub(crate) fn clearly(better: &[f64], worse: &[f64]) -> bool {
     let count = better.len() as f64;
     let apart: Vec<f64> = worse.iter().zip(better).map(|(worse, better)| worse - better).collect();
     let mean = apart.iter().sum::<f64>() / count;
     let square = apart.iter().map(|apart| (apart - mean) * (apart - mean)).sum::<f64>();
     let error = libm::sqrt(square / f64::max(count - 1.0, 1.0) / count);
     mean > CLEAR * error
-}
-
-/// Sums of the errors of each problem.
-fn together(all: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
-    let add = |mut sums: Vec<f64>, more: Vec<f64>| {
-        sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
-        sums
-    };
-    all.reduce(add).unwrap_or_default()
-}
-
-/// The frames in a row, without a pause among them, that have most events, in grey, and the events of their
-/// time; none where fewer than four lie so.
-fn busiest(
-    events: &EventStream,
-    frames: &FrameSequence,
-    late_ns: f64,
-) -> Result<Option<(EventStream, FrameSequence)>, NodeError> {
-    let (extent, height) = (events.meta.extent, frames.meta.extent.height);
-    let mids: Vec<i64> = frames.meta.times.exposures.iter().map(|exposure| exposure.mid().0).collect();
-    let mut counts = vec![0_u64; frames.len()];
-    for band in extent.rows().bands(64) {
-        let read = events.read(band)?;
-        for y in band.iter() {
-            for t in read.row(y).t {
-                let after = mids.partition_point(|mid| *mid <= t - late_ns as i64);
-                counts[usize::min(after, mids.len() - 1)] += 1;
-            }
-        }
-    }
-    let mut periods: Vec<i64> = mids.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    periods.sort_unstable();
-    let pause = PAUSE.saturating_mul(periods.get(periods.len() / 2).copied().unwrap_or(0));
-    // From each frame on as many as lie without a pause.
-    let mut last = mids.len() - 1;
-    let mut of_first: Vec<(u64, std::ops::Range<usize>)> = Vec::new();
-    for first in (0..mids.len()).rev() {
-        if mids.get(first + 1).is_some_and(|next| next - mids[first] > pause) {
-            last = first;
-        }
-        let run = first..usize::min(last + 1, first + MOST_FRAMES);
-        of_first.push((counts[first + 1..run.end.max(first + 1)].iter().sum(), run));
-    }
-    let long_enough = of_first.into_iter().filter(|(_, run)| run.len() >= FEWEST_FRAMES);
-    let Some((_, run)) = long_enough.max_by_key(|(count, _)| *count) else { return Ok(None) };
-    let frames = frames.select(run.collect());
-    let span = frames.meta.times.span(height).unwrap_or(TimeSpan::new(0, 0));
-    let late = TimeSpan::new(
-        span.start.0.saturating_add(late_ns as i64),
-        span.end.0.saturating_add(late_ns as i64).saturating_add(1),
-    );
-    let events = events.within(Arc::new(events.meta.within(late)), late);
-    let grey = Grey::new(extent, &frames.meta, &Sensor::unknown("held out"))?;
-    let frames = grey.frames(&frames, Clipped::Mean)?;
-    Ok(Some((events, frames)))
-}
-
-/// Where pairs of thresholds are tried.
-struct Bench<'a> {
-    events: &'a EventStream,
-    frames: &'a FrameSequence,
-    values: FrameBlock,
-    late_ns: f64,
-    options: SolveOptions,
-    /// Rows and their columns.
-    places: Vec<(u32, Vec<usize>)>,
-    /// What frames differ by without an event, DN.
-    frame_dn: f64,
-    /// Which frames are held out, one after the other.
-    holds: Vec<HoldOut>,
-    /// Frame values that are held out, all in all.
-    held: usize,
-}
-
-impl Bench<'_> {
-    fn new<'a>(
-        events: &'a EventStream,
-        frames: &'a FrameSequence,
-        late_ns: f64,
-    ) -> Result<Bench<'a>, NodeError> {
-        let options =
-            SolveOptions { front_end: FrontEndModel::Ideal, sigma: false, ..SolveOptions::default() };
-        let values = frames.read_rows(frames.rows())?;
-        let count = frames.len();
-        let holds = if count < FEW_FRAMES {
-            (1..count - 1).map(|first| HoldOut { every: count, first }).collect()
-        } else {
-            vec![HoldOut::USUAL]
-        };
-        let mut bench = Bench {
-            events,
-            frames,
-            values,
-            late_ns,
-            options,
-            places: Vec::new(),
-            frame_dn: 0.0,
-            holds,
-            held: 0,
-        };
-        let rows = frames.meta.extent.rows();
-        let mut unexplained = Unexplained::default();
-        let places = bench.with_rows((0.25, 0.25), |data, _, take| {
-            let mut places = Vec::new();
-            for band in rows.bands(rows.len().div_ceil(ROWS as usize) as u32) {
-                let mut busiest: (usize, u32, Vec<usize>) = (0, band.start, Vec::new());
-                for row in band.iter() {
-                    take(data, row)?;
-                    let mut active: Vec<(usize, usize)> = (0..data.width())
-                        .map(|x| (events_in_company(data, x), x))
-                        .filter(|(count, x)| *count > 0 && data.frames_of(*x).len() >= FEWEST_FRAMES)
-                        .collect();
-                    (0..data.width()).for_each(|x| unexplained.add(data, x));
-                    let all = active.iter().map(|(count, _)| count).sum();
-                    if all > busiest.0 {
-                        active.sort_unstable();
-                        let taken = usize::min(active.len(), PIXELS);
-                        let spread = |n: usize| active[(2 * n + 1) * active.len() / (2 * taken)].1;
-                        busiest = (all, row, (0..taken).map(spread).collect());
-                    }
-                }
-                if !busiest.2.is_empty() {
-                    places.push((busiest.1, busiest.2));
-                }
-            }
-            Ok(places)
-        })?;
-        bench.places = places;
-        bench.frame_dn = unexplained.frame_dn();
-        bench.held = bench.with_problems((0.25, 0.25), |problems, _, _| {
-            let of = |hold: &HoldOut| problems.iter().map(|p| hold.held(p.frames).count()).sum::<usize>();
-            bench.holds.iter().map(of).sum()
-        })?;
-        Ok(bench)
-    }
-
-    /// The description of a pair of thresholds.
-    fn sensor(&self, (on, off): (f64, f64)) -> Sensor {
-        let mut sensor = Sensor::unknown("held out");
-        (sensor.comparator.threshold_on, sensor.comparator.threshold_off) = (Some(on), Some(off));
-        sensor.readout.refractory = Some(Duration::new(100_000));
-        let exposure_s = self.frames.meta.times.nominal_exposure_ns().unwrap_or(1) as f64 * 1e-9;
-        sensor.frames.gain = Some(1.0 / exposure_s);
-        sensor.frames.black_level_dn = Some(0.0);
-        let offset = serde_json::json!({ "offset": Duration::new(self.late_ns as i64).to_string() });
-        if let serde_json::Value::Object(offset) = offset {
-            sensor.effects.insert("clock_offset".to_owned(), offset);
-        }
-        sensor
-    }
-
-    /// What `work` makes of the rows: it gets memory for one, the model, and how to take one in.
-    fn with_rows<T>(
-        &self,
-        pair: (f64, f64),
-        work: impl FnOnce(
-            &mut RowData,
-            &Model,
-            &mut dyn FnMut(&mut RowData, u32) -> Result<(), NodeError>,
-        ) -> Result<T, NodeError>,
-    ) -> Result<T, NodeError> {
-        let (sensor, rows) = (self.sensor(pair), self.frames.meta.extent.rows());
-        let model = Model::of_map(&self.options, &sensor, &self.events.meta)?;
-        let meta = self.options.tracks_meta(&self.events.meta, &self.frames.meta)?;
-        let colours = Colours::new(CoLocated::new(&self.events.meta, &self.frames.meta)?, &sensor)?;
-        let events = colours.lie.read(self.events, rows)?;
-        let recorded = Recorded {
-            meta: &meta,
-            times: &self.frames.meta.times,
-            colours: &colours,
-            rows,
-            events: &events,
-            frames: &self.values,
-        };
-        let mut take = |data: &mut RowData, row: u32| data.take(&model, &recorded, row, 0.0);
-        work(&mut RowData::default(), &model, &mut take)
-    }
-
-    /// What `work` makes of the problems of the places, in their order.
-    fn with_problems<T>(
-        &self,
-        pair: (f64, f64),
-        work: impl FnOnce(&[MapProblem<'_>], &MapOptions, &mut MapGroup) -> T,
-    ) -> Result<T, NodeError> {
-        let meta = self.options.tracks_meta(&self.events.meta, &self.frames.meta)?;
-        let mut sample = Sample::new(&self.options, (meta.span.start.0, meta.span.end.0));
-        self.with_rows(pair, |data, model, take| {
-            for (row, columns) in &self.places {
-                take(data, *row)?;
-                columns.iter().for_each(|x| sample.push(data, *x));
-            }
-            sample.add_noise(self.frame_dn);
-            let options = sample.options;
-            let all = 0..sample.len();
-            Ok(sample.with_problems(model, all, None, &mut MapGroup::default(), |problems, group| {
-                work(problems, &options, group)
-            }))
-        })
-    }
-
-    /// What each row loses with a pair of thresholds, and the noise and prior that a solver then chooses.
-    fn of(&self, pair: (f64, f64)) -> Result<Vec<f64>, NodeError> {
-        let squares = self.with_problems(pair, |problems, options, group| {
-            let choice = estimate::choose(problems, None, &Choosing::USUAL, options, group);
-            let options = MapOptions { prior: choice.prior, ..*options };
-            let problems: Vec<MapProblem<'_>> =
-                problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
-            let of = |hold: &HoldOut| {
-                let [_, squares] = estimate::prediction_errors_of(*hold, &problems, &options, group);
-                squares
-            };
-            together(self.holds.iter().map(of))
-        })?;
-        Ok(self.by_row(&squares))
-    }
-
-    /// The same of a blend of the frames before and after.
-    fn blend(&self) -> Result<Vec<f64>, NodeError> {
-        let errors = self.with_problems((0.25, 0.25), |problems, _, _| {
-            together(self.holds.iter().map(|hold| {
-                let [_, squares] = estimate::blend_errors(*hold, problems);
-                squares
-            }))
-        })?;
-        Ok(self.by_row(&errors))
-    }
-
-    fn by_row(&self, errors: &[f64]) -> Vec<f64> {
-        let mut rest = errors;
-        let of = |(_, columns): &(u32, Vec<usize>)| {
-            let (own, others) = rest.split_at(columns.len());
-            rest = others;
-            own.iter().sum()
-        };
-        self.places.iter().map(of).collect()
-    }
 }

@@ -6,11 +6,13 @@
 //! - [`thresholds`]: the log change of an ON and of an OFF event.
 //! - [`held_out`]: the same by frames that are held out, for `photocurrent init`.
 //! - [`exposure`]: the length of the exposure that blurred the frames.
+//! - [`alignment`]: how far places of the event pixels on the frames miss.
 //!
 //! All look at some frames and at the busiest pixels of every band of rows ([`panel()`]) and call one
 //! function of [`photocurrent_sensor::estimate`]. A value that the scene does not show is "not measured" in
 //! the table, never a guess.
 
+pub mod alignment;
 pub mod exposure;
 pub mod held_out;
 pub mod offset;
@@ -67,7 +69,8 @@ pub struct Proposals {
     pub offset_ns: Option<Estimate>,
     /// Contrast thresholds, natural-log units.
     pub thresholds: Option<(Estimate, Estimate)>,
-    /// Those with which frames that are held out are predicted best, where that can be tried.
+    /// Those with which frames that are held out are predicted best, and exposure and offset, where that can
+    /// be tried.
     pub held_out: Option<held_out::HeldOut>,
     /// Length of the exposure, ns.
     pub exposure_ns: Option<Estimate>,
@@ -82,11 +85,16 @@ impl In {
     }
 }
 
-/// Estimates everything that can be estimated at once.
+/// Estimates everything that can be estimated at once. Where the exposure is not recorded, `anchor` is the
+/// instant of it that stays when its length changes: 0 its start, 1 its end.
 ///
 /// # Errors
 /// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
-pub fn proposals(events: &EventStream, frames: &FrameSequence) -> Result<Proposals, NodeError> {
+pub fn proposals(
+    events: &EventStream,
+    frames: &FrameSequence,
+    anchor: Option<f64>,
+) -> Result<Proposals, NodeError> {
     let panel = panel(events, frames, None, &Settings { by_row: true, ..Settings::default() })?;
     let offset_ns = estimate::offset(&panel).map(|shift| shift.ns);
     let late = offset_ns.unwrap_or(exactly(0.0));
@@ -94,7 +102,10 @@ pub fn proposals(events: &EventStream, frames: &FrameSequence) -> Result<Proposa
     let exposure = exposure::of(&panel, thresholds.map(|(on, off)| (on.value, off.value)), &late);
     let exposure_unclear = exposure.as_ref().err().cloned();
     let given = thresholds.map(|(on, off)| (on.value, off.value)).filter(|(on, off)| on.min(*off) > 0.0);
-    let held_out = held_out::thresholds(events, frames, late.value, given)?;
+    let length_ns = anchor.and(exposure.as_ref().ok()).map(|exposure| exposure.value as i64);
+    let given =
+        held_out::Given { late_ns: offset_ns.map(|late| late.value), thresholds: given, anchor, length_ns };
+    let held_out = held_out::chosen(events, frames, &given)?;
     Ok(Proposals { offset_ns, thresholds, held_out, exposure_ns: exposure.ok(), exposure_unclear })
 }
 

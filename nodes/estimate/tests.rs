@@ -14,8 +14,8 @@ const FRAMES: i64 = 10;
 const THRESHOLD: f64 = 0.15;
 
 /// Logarithm of the light: waves that drift.
-fn log_light(speed: f64, x: u32, y: u32, t_ns: i64) -> f64 {
-    let (x, y) = (f64::from(x) - speed * t_ns as f64 * 1e-9, f64::from(y));
+fn log_light(speed: f64, x: f64, y: f64, t_ns: i64) -> f64 {
+    let x = x - speed * t_ns as f64 * 1e-9;
     0.5 * libm::sin(0.41 * x + 0.23 * y)
         + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0)
         + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
@@ -24,11 +24,22 @@ fn log_light(speed: f64, x: u32, y: u32, t_ns: i64) -> f64 {
 /// Crossings of whole thresholds, stamped `late_ns` later, and frames of `black` and the light's value in the
 /// middle of short exposures.
 fn recording(speed: f64, late_ns: i64, black: f32) -> (EventStream, FrameSequence) {
+    recorded(|x, y, t_ns| log_light(speed, x, y, t_ns), late_ns, black, (0.0, 0.0))
+}
+
+/// The same of any light, by place and time; frames see it `moved` pixels right and down of where events do.
+fn recorded(
+    log_light: impl Fn(f64, f64, i64) -> f64,
+    late_ns: i64,
+    black: f32,
+    moved: (f64, f64),
+) -> (EventStream, FrameSequence) {
     let mut events = Vec::new();
     for (x, y) in (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))) {
-        let mut level = libm::floor(log_light(speed, x, y, 0) / THRESHOLD);
+        let light = |t_ns: i64| log_light(f64::from(x), f64::from(y), t_ns);
+        let mut level = libm::floor(light(0) / THRESHOLD);
         for t in (0..(FRAMES + 1) * PERIOD_NS).step_by(100_000) {
-            let now = log_light(speed, x, y, t) / THRESHOLD;
+            let now = light(t) / THRESHOLD;
             let event = |polarity| Event { x: x as u16, y: y as u16, polarity, t: t + late_ns, t_in: None };
             while now >= level + 1.0 {
                 level += 1.0;
@@ -44,7 +55,8 @@ fn recording(speed: f64, late_ns: i64, black: f32) -> (EventStream, FrameSequenc
         (0..FRAMES).map(|l| Exposure::new(10_000_000 + l * PERIOD_NS, 10_500_000 + l * PERIOD_NS)).collect();
     let mids: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
     let frames = testing::captured(EXTENT, exposures, 0, |frame, x, y| {
-        black + 300.0 * libm::exp(log_light(speed, x, y, mids[frame])) as f32
+        let (x, y) = (f64::from(x) - moved.0, f64::from(y) - moved.1);
+        black + 300.0 * libm::exp(log_light(x, y, mids[frame])) as f32
     });
     (testing::stream(EXTENT, events), frames)
 }
@@ -243,6 +255,10 @@ fn streams_that_do_not_fit_are_refused_while_planning() {
     );
 }
 
+fn given(late_ns: f64, thresholds: Option<(f64, f64)>) -> held_out::Given {
+    held_out::Given { late_ns: Some(late_ns), thresholds, ..held_out::Given::default() }
+}
+
 #[test]
 fn frames_that_are_held_out_choose_the_thresholds() {
     let (events, frames) = recording(250.0, 3_000_000, 0.0);
@@ -255,18 +271,21 @@ fn frames_that_are_held_out_choose_the_thresholds() {
         );
     };
     // A pair that is far off is clearly worse; a blend too.
-    let found = held_out::thresholds(&events, &frames, 3e6, Some((0.4, 0.4))).unwrap().unwrap();
+    let found = held_out::chosen(&events, &frames, &given(3e6, Some((0.4, 0.4)))).unwrap().unwrap();
     near(&found);
     assert!(found.given.is_some_and(|error| error > 2.0 * found.error), "{found:?}");
     assert!(!found.blend.1 && found.blend.0 > 2.0 * found.error, "{found:?}");
     // Of five frames each of the three between is held out in turn.
-    let few = held_out::thresholds(&events, &frames.select((0..5).collect()), 3e6, None).unwrap().unwrap();
+    let few =
+        held_out::chosen(&events, &frames.select((0..5).collect()), &given(3e6, None)).unwrap().unwrap();
     near(&few);
     assert!(few.given.is_none());
     // Three cannot be judged, and neither can what does not move.
-    assert!(held_out::thresholds(&events, &frames.select((0..3).collect()), 3e6, None).unwrap().is_none());
+    assert!(
+        held_out::chosen(&events, &frames.select((0..3).collect()), &given(3e6, None)).unwrap().is_none()
+    );
     let (still, frames) = recording(0.0, 0, 0.0);
-    assert!(held_out::thresholds(&still, &frames, 0.0, None).unwrap().is_none());
+    assert!(held_out::chosen(&still, &frames, &given(0.0, None)).unwrap().is_none());
 }
 
 #[test]
@@ -274,6 +293,70 @@ fn events_of_another_scene_are_worse_than_a_blend() {
     let (_, frames) = recording(40.0, 0, 0.0);
     // What moves the other way, and faster.
     let (others, _) = recording(-400.0, 0, 0.0);
-    let found = held_out::thresholds(&others, &frames, 0.0, None).unwrap().unwrap();
+    let found = held_out::chosen(&others, &frames, &given(0.0, None)).unwrap().unwrap();
     assert!(found.blend.1 && found.blend.0 < found.error, "{found:?}");
+}
+
+/// Waves that turn around the middle of the array: light moves every way.
+fn turning(x: f64, y: f64, t_ns: i64) -> f64 {
+    let (sine, cosine) = libm::sincos(9.0 * t_ns as f64 * 1e-9);
+    let (x, y) = (x - 19.5, y - 15.5);
+    log_light(0.0, cosine * x + sine * y, cosine * y - sine * x, 0)
+}
+
+/// Places that `estimate/alignment` gives for the pixels of the array, less the pixels; its table; its note.
+fn aligned(events: &EventStream, frames: &FrameSequence) -> (Vec<(f32, f32)>, Vec<f64>, String) {
+    let node = alignment::EstimateAlignment::build(alignment::Params::default()).unwrap();
+    let (events, frames) = (events.clone(), frames.clone());
+    let input = alignment::In { events, frames, alignment: None, sensor: None };
+    let (out, notes) =
+        testing::with_context(EXTENT.rows(), &["alignment", "events", "frames", "estimates"], |cx| {
+            node.run(input, cx)
+        });
+    let out = out.unwrap();
+    let band = out.alignment.read(EXTENT.rows()).unwrap();
+    let places = (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y)));
+    let off =
+        |(x, y): (u32, u32)| (band.row(0, y)[x as usize] - x as f32, band.row(1, y)[x as usize] - y as f32);
+    let Column::Numbers(values) = &out.estimates.columns()[1].1 else { panic!("no numbers") };
+    (places.map(off).collect(), values.clone(), notes[0].clone())
+}
+
+#[test]
+fn a_shift_of_a_fraction_of_a_pixel_is_found_and_applied() {
+    let (events, frames) = recorded(turning, 2_000_000, 0.0, (1.3, -0.6));
+    let (off, values, note) = aligned(&events, &frames);
+    assert!((values[0] - 1.3).abs() < 0.15 && (values[1] + 0.6).abs() < 0.15, "{values:?} {note}");
+    assert!(note.contains("places moved by"), "{note}");
+    assert!(off.iter().all(|(x, y)| (x - 1.3).abs() < 0.5 && (y + 0.6).abs() < 0.5), "{:?}", off[0]);
+}
+
+#[test]
+fn an_alignment_that_is_right_or_that_nothing_shows_stays() {
+    for (events, frames) in [recorded(turning, 2_000_000, 0.0, (0.0, 0.0)), recording(0.0, 0, 0.0)] {
+        let (off, values, note) = aligned(&events, &frames);
+        assert!(off.iter().all(|off| *off == (0.0, 0.0)), "{values:?} {note}");
+        assert!(note.contains("stays"), "{note}");
+    }
+}
+
+#[test]
+fn frames_that_are_held_out_choose_offset_and_exposure() {
+    // Exposed for 9 ms around the middle, stated as 1 ms; events 4 ms late, which nobody knows.
+    let (speed, late_ns, length_ns) = (500.0, 4_000_000, 9_000_000);
+    let (events, sharp) = recording(speed, late_ns, 0.0);
+    let mids: Vec<i64> = sharp.meta.times.exposures.iter().map(|exposure| exposure.mid().0).collect();
+    let stated = mids.iter().map(|mid| Exposure::new(mid - 500_000, mid + 500_000)).collect();
+    let frames = testing::captured(EXTENT, stated, 0, |frame, x, y| {
+        let at = |n: i64| mids[frame] + (2 * n - 17) * length_ns / 36;
+        let light = |n: i64| libm::exp(log_light(speed, f64::from(x), f64::from(y), at(n)));
+        (300.0 * (0..18).map(light).sum::<f64>() / 18.0) as f32
+    });
+    let given = held_out::Given { anchor: Some(0.5), ..held_out::Given::default() };
+    let found = held_out::chosen(&events, &frames, &given).unwrap().unwrap();
+    let late = found.late_ns.expect("clearly better");
+    assert!((late.value - late_ns as f64).abs() < 2e6, "{found:?}");
+    let exposure = found.exposure_ns.expect("clearly better");
+    assert!((exposure.value - length_ns as f64).abs() < 4e6 && exposure.holds(exposure.value), "{found:?}");
+    assert!(libm::log(found.threshold.value / THRESHOLD).abs() < 0.4, "{found:?}");
 }

@@ -8,7 +8,7 @@
 //! what is nearer or farther than that is seen elsewhere.
 
 use photocurrent_core::quantity::InputPath;
-use photocurrent_core::{Context, Decl, FileRef, Grain, MapBand, MapSet, Meta, Node, NodeError, PortMetas};
+use photocurrent_core::{Context, Decl, FileRef, Grain, MapSet, Meta, Node, NodeError, PortMetas};
 use photocurrent_formats::places::{self, Array};
 use photocurrent_scene::alignment::Alignment;
 use schemars::JsonSchema;
@@ -114,20 +114,15 @@ params = { path = "sequence" }
 
     fn run(&self, _: In, cx: &Context) -> Result<Out, NodeError> {
         let array = self.array()?;
-        let meta = Alignment::meta(array.extent);
-        let mut band = MapBand::zeros(array.extent.rows(), &meta);
-        let width = array.extent.width as usize;
-        for (row, places) in (0..).zip(array.places.chunks_exact(width)) {
-            band.row_mut(0, row).iter_mut().zip(places).for_each(|(x, place)| *x = place.0 as f32);
-            band.row_mut(1, row).iter_mut().zip(places).for_each(|(y, place)| *y = place.1 as f32);
-        }
         if self.params.events.is_none() {
             cx.note(format!(
                 "an event array of {}, whose events lie {:.4} pixels off its places",
                 array.extent, array.residual
             ));
         }
-        Ok(Out { alignment: MapSet::in_memory(Arc::new(meta), band) })
+        let places = |of: fn(&(f64, f64)) -> f64| array.places.iter().map(|place| of(place) as f32).collect();
+        let (x, y) = (places(|place| place.0), places(|place| place.1));
+        Ok(Out { alignment: Alignment { events: array.extent, x, y }.into_map() })
     }
 
     fn files(&self) -> Vec<FileRef> {

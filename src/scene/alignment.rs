@@ -8,8 +8,9 @@
 //! array a pixel has the value of the nearest event pixel, as far as one pitch, and none further out.
 
 use crate::image::Image;
-use photocurrent_core::{Extent, MapMeta, MapSet, NodeError};
+use photocurrent_core::{Extent, MapBand, MapMeta, MapSet, NodeError};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Names of the two planes of a map of places: column and row on the frames, pixels.
 pub const PLANES: [&str; 2] = ["x [px]", "y [px]"];
@@ -82,6 +83,19 @@ impl Alignment {
     /// What its map is.
     pub fn meta(events: Extent) -> MapMeta {
         MapMeta { extent: events, planes: PLANES.map(String::from).to_vec() }
+    }
+
+    /// The map of these places.
+    pub fn into_map(self) -> MapSet {
+        let meta = Alignment::meta(self.events);
+        let mut band = MapBand::zeros(self.events.rows(), &meta);
+        let width = self.events.width as usize;
+        let rows = self.x.chunks_exact(width).zip(self.y.chunks_exact(width));
+        for (row, (x, y)) in (0..).zip(rows) {
+            band.row_mut(0, row).copy_from_slice(x);
+            band.row_mut(1, row).copy_from_slice(y);
+        }
+        MapSet::in_memory(Arc::new(meta), band)
     }
 
     fn place(&self, column: usize, row: usize) -> (f64, f64) {

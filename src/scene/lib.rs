@@ -36,6 +36,7 @@ pub mod image;
 pub mod joint;
 pub mod known;
 pub mod light;
+pub mod misalignment;
 pub mod mosaic;
 pub mod moving;
 pub mod nominal;

@@ -53,6 +53,8 @@ pub struct Facts {
     pub rate_hz: f64,
     /// Were events warped from an array of their own onto the frames?
     pub is_warped: bool,
+    /// Does a blend of neighbouring frames predict frames that are held out better than any solution?
+    pub is_blend_better: bool,
     /// Is there a description in the file?
     pub sensor_text: Option<String>,
     /// What calibration and bias files say, a line each.
@@ -111,6 +113,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         && places::of_sequence(draft.all.path.path()).is_ok_and(|array| array.is_some());
     Ok(Facts {
         is_warped,
+        is_blend_better: found.held_out.as_ref().is_some_and(|held| held.blend.1),
         format: draft.parts.format,
         all: draft.all,
         inputs,
@@ -243,7 +246,13 @@ impl Draft {
         let mut offset_why = String::new();
         let by_finding = acts.late.as_ref().map(|(late, _)| Estimate { value: late.value, ci95: late.ci95 });
         found.offset_ns = found.offset_ns.filter(is_an_offset).or(by_finding.filter(is_an_offset));
-        if found.offset_ns.is_some() {
+        let by_frames = found.held_out.as_ref().and_then(|held| Some((held.late_ns?, held.error)));
+        if let Some((late, error)) = by_frames {
+            found.offset_ns = is_an_offset(&late).then_some(late);
+            let within = 100.0 * error;
+            offset_why =
+                format!("with this one frames that are held out are predicted best, within {within:.1} %");
+        } else if found.offset_ns.is_some() {
             let part = PartOf::new(recording.as_ref(), &arranged);
             let (helps, why) = readings::offset_helps(&part).map_err(refused)?;
             (found.offset_ns, offset_why) = (found.offset_ns.filter(|_| helps), why);
@@ -255,7 +264,7 @@ impl Draft {
             acts.marks.push(format!(
                 "a blend of the frames before and after predicts frames that are held out within {:.1} %, a \
                  solution with the best thresholds within {:.1} %: events gain nothing with this \
-                 description; check the exposure, what a stamp means, and the offset of the clocks",
+                 description, and refine/motion falls back to blends; check the exposure, what a stamp means, and the offset of the clocks",
                 100.0 * of_blend,
                 100.0 * error
             ));
@@ -272,24 +281,32 @@ impl Draft {
         else {
             return Ok(Proposals::default());
         };
-        let mut found = proposals(&events, &frames)
+        let is_open = self.reader.iter().any(|fill| fill.name == "exposure");
+        let anchor = is_open.then_some(match self.all.stamp {
+            Some(StampRole::Start) => 0.0,
+            Some(StampRole::End) => 1.0,
+            Some(StampRole::Middle) | None => 0.5,
+        });
+        let mut found = proposals(&events, &frames, anchor)
             .map_err(|error| Failure::Other { message: error.to_string(), code: 3 })?;
         // An exposure that is recorded or stated is no question.
         let Some(fill) = self.reader.iter_mut().find(|fill| fill.name == "exposure") else {
             found.exposure_ns = None;
             return Ok(found);
         };
-        found.exposure_ns = found.exposure_ns.filter(|exposure| exposure.value >= 1e4);
+        let by_frames = found.held_out.as_ref().and_then(|held| held.exposure_ns);
+        found.exposure_ns = by_frames.or(found.exposure_ns).filter(|exposure| exposure.value >= 1e4);
         if let Some(exposure) = &found.exposure_ns {
             let rounded = Duration::new((exposure.value / 1e4).round() as i64 * 10_000);
             self.all.exposure = Some(rounded);
             fill.value = format!("\"{rounded}\"");
             let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
-            fill.why = format!(
-                "the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: \
-                 {low:.2} to {high:.2} ms)",
-                self.parts.format.name
-            );
+            let of = self.parts.format.name;
+            let why = match by_frames {
+                Some(_) => format!("with this length frames of {of} that are held out are predicted best"),
+                None => format!("this length explains the blur of the frames of {of} best"),
+            };
+            fill.why = format!("the exposure is not recorded; {why} (95 %: {low:.2} to {high:.2} ms)");
         } else if let Some(why) = &found.exposure_unclear {
             fill.why = format!("{}; it was not measured: {why}", fill.why);
         }

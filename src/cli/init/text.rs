@@ -84,7 +84,7 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
         let array = facts.is_warped.then(|| path(all.path.path()));
         mixture(&mut text, &wiring, (facts.frames.times.len(), is_colour), array);
     } else {
-        alone(&mut text, &wiring);
+        alone(&mut text, &wiring, facts.is_blend_better.then_some(facts.frames.times.len()));
     }
     compared(&mut text, &wiring, if is_colour || facts.is_warped { "colour" } else { "render" });
     text
@@ -138,17 +138,18 @@ params = {{ front_end = "ideal" }}
     );
 }
 
-/// Every value of a frame solved by itself.
-fn alone(text: &mut String, wiring: &Wiring<'_>) {
+/// Every value of a frame solved by itself; with so many `frames` refined along the motion, which falls back
+/// to blends of these.
+fn alone(text: &mut String, wiring: &Wiring<'_>, frames: Option<usize>) {
     let Wiring { recording, sensor, .. } = wiring;
-    solve(text, &format!("{recording}.events"), &format!("{recording}.frames"), sensor);
+    let tracks = solved_tracks(text, (recording, recording, sensor), frames.unwrap_or(0));
     let _ = write!(
         text,
         r#"
 # Sharp frames without rolling shutter.
 [nodes.render]
 kind   = "render/rows"
-in     = {{ tracks = "solve.tracks", sensor = "{sensor}" }}
+in     = {{ tracks = "{tracks}", sensor = "{sensor}" }}
 params = {{ {sampling} }}
 "#,
         sampling = wiring.sampling(),
@@ -167,7 +168,7 @@ fn mixture(
     let is_array = array.is_some();
     let seen = match array {
         Some(path) => {
-            of_the_array(text, recording, &path);
+            of_the_array(text, (recording, sensor), &path);
             "array"
         }
         None => recording,
@@ -192,7 +193,7 @@ in   = {{ frames = "{seen}.frames", events = "{seen}.events", sensor = "{sensor}
 # Back to the pixels of the frames.
 [nodes.back]
 kind = "align/tracks"
-in   = {{ tracks = "{tracks}", frames = "{recording}.frames", alignment = "alignment" }}
+in   = {{ tracks = "{tracks}", frames = "{recording}.frames", alignment = "array.alignment" }}
 "#
         );
         tracks = "back.tracks";
@@ -213,28 +214,29 @@ kind = "render/colour"
 frames   = "render.frames"
 captured = "{recording}.frames"
 tracks   = "{tracks}"
-events   = "{recording}.events"
+events   = "{seen}.events"
 sensor   = "{sensor}"
 {alignment}"#,
         what = if is_colour { "and their colours" } else { "and what the event array does not resolve" },
         sampling = wiring.sampling(),
-        alignment = if is_array { "alignment = \"alignment\"\n" } else { "" },
+        alignment = if is_array { "alignment = \"array.alignment\"\n" } else { "" },
     );
 }
 
 /// The nodes that bring a recording onto the event array's own pixels.
-fn of_the_array(text: &mut String, recording: &str, path: &str) {
+fn of_the_array(text: &mut String, (recording, sensor): (&str, &str), path: &str) {
     let _ = write!(
         text,
         r#"
 # Events were warped onto the frames: solved on the pixels of their own array, each once, with the frames as these see them.
-[nodes.alignment]
+[nodes.places]
 kind   = "read/alignment"
 params = {{ path = {path} }}
 
+# A shift of these places is estimated, and used where it predicts frames that are held out better.
 [nodes.array]
-kind = "align/recording"
-in   = {{ events = "{recording}.events", frames = "{recording}.frames", alignment = "alignment" }}
+kind = "estimate/alignment"
+in   = {{ events = "{recording}.events", frames = "{recording}.frames", alignment = "places", sensor = "{sensor}" }}
 "#
     );
 }

@@ -11,7 +11,7 @@
 //! Limits: a change of all tiles of a pair alike is taken out (an exposure that adapts). Neighbouring pairs
 //! share a frame, whose noise is then in both halves.
 
-use super::draw::{Estimate, estimate, peak};
+use super::draw::{Estimate, by_draws, peak};
 use super::panel::Centring;
 
 /// Pixels in a row and in a column of a tile.
@@ -401,8 +401,8 @@ pub fn agreements(changes: &Changes, trials: &[Trial]) -> Option<Vec<Agreement>>
     let agreement = |one: &Measured| {
         let [all, _, product, predicted] = one.total(&ones);
         Some(Agreement {
-            explained: estimate(changes.units, |weights| one.explained(weights))?,
-            behind: estimate(changes.units, |weights| {
+            explained: by_draws(changes.units, |weights| one.explained(weights))?,
+            behind: by_draws(changes.units, |weights| {
                 Some(measured[best].explained(weights)? - one.explained(weights)?)
             })?,
             correlation: if all * predicted > 0.0 { product / (all * predicted).sqrt() } else { 0.0 },

@@ -10,7 +10,7 @@
 //! is smoothed by a mean over any time, so that some length always explains noisy events a little better, the
 //! wrong one: only a length that explains much is given. Dark places are left out, as for thresholds.
 
-use super::draw::{Estimate, estimate, top};
+use super::draw::{Estimate, by_draws, top};
 use super::panel::{Panel, Stretch};
 
 /// Lengths that are tried, from 0 on.
@@ -63,7 +63,7 @@ pub fn exposure(panel: &Panel, thresholds: (f64, f64), offset_ns: &Estimate) -> 
     if from_shortest < LEAST_GAIN || from_longest < LEAST_GAIN {
         return Err(Unclear::Flat { from_shortest, from_longest });
     }
-    let found = estimate(curve.units, |weights| curve.best(weights)).ok_or(Unclear::AtAnEnd)?;
+    let found = by_draws(curve.units, |weights| curve.best(weights)).ok_or(Unclear::AtAnEnd)?;
     let (mut low, mut high) = found.ci95;
     let enough = least + NEARLY * (all[0].min(all[LENGTHS - 1]) - least);
     for length in (0..LENGTHS).filter(|n| all[*n] <= enough).map(|n| n as f64 * curve.step_ns) {

@@ -24,7 +24,7 @@ impl Estimate {
 
 /// An estimate from `units` that count once, with the interval from units that count as often as they are
 /// drawn. None when the estimate is none, or in a tenth of the draws.
-pub(super) fn estimate(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Option<Estimate> {
+pub fn by_draws(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Option<Estimate> {
     let value = of(&vec![1.0; units])?;
     let mut random = Random::new(1, &[units as u64]);
     let mut weights = vec![0.0; units];
@@ -75,7 +75,7 @@ mod tests {
     fn the_interval_of_a_mean_is_that_of_its_standard_error() {
         let mut random = Random::new(3, &[]);
         let values: Vec<f64> = (0..400).map(|_| random.normal()).collect();
-        let found = estimate(values.len(), |weights| {
+        let found = by_draws(values.len(), |weights| {
             Some(values.iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() / 400.0)
         })
         .unwrap();

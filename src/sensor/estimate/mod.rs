@@ -32,7 +32,7 @@ mod step;
 
 pub use agree::{Agreement, Changes, STEPS, TILE, Trial, Waits, agreements};
 pub use blur::{Unclear, exposure};
-pub use draw::Estimate;
+pub use draw::{Estimate, by_draws};
 pub use panel::{Centring, Delay, NOWHERE, Panel, Stretch};
 pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};
 pub use shift::{Drift, Shift, agreement_from, drift, offset, row_time};

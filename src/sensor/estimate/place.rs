@@ -9,7 +9,7 @@
 //! that come late in a scene that moves one way look like a shift against the motion: give several offsets in
 //! time around the one that [`super::offset()`] finds.
 
-use super::draw::{Estimate, estimate, peak};
+use super::draw::{Estimate, by_draws, peak};
 
 /// Pixels in a row and in a column of a patch.
 pub const SIDE: usize = 16;
@@ -193,8 +193,8 @@ pub fn displacement(patches: &[Patch], offsets_ns: &[f64]) -> Option<Displacemen
     };
     let (_, _, correlation) = best(&vec![1.0; sums.len()])?;
     Some(Displacement {
-        right: estimate(sums.len(), |weights| best(weights).map(|found| found.0))?,
-        down: estimate(sums.len(), |weights| best(weights).map(|found| found.1))?,
+        right: by_draws(sums.len(), |weights| best(weights).map(|found| found.0))?,
+        down: by_draws(sums.len(), |weights| best(weights).map(|found| found.1))?,
         correlation,
         correlation_at_none: at_none,
         shift_at_one_offset,

@@ -4,7 +4,7 @@
 //! against the log change of the frames. The shift with the largest correlation is how late events are: +5 ms
 //! means that events are stamped 5 ms after the frames saw the same change.
 
-use super::draw::{Estimate, estimate, top};
+use super::draw::{Estimate, by_draws, top};
 use super::panel::Panel;
 
 /// Shifts to each side of none.
@@ -148,7 +148,7 @@ impl Curves {
                 .collect(),
             pairs: self.pairs,
         };
-        estimate(some.len(), |weights| few.best(weights))
+        by_draws(some.len(), |weights| few.best(weights))
     }
 }
 
@@ -300,8 +300,8 @@ pub fn drift(panel: &Panel) -> Option<Drift> {
         some.iter().zip(drawn).for_each(|(part, weight)| weights[*part] = *weight);
         drifting.best(middle, &weights, &always).map(|found| found.0 * per_s)
     };
-    let ns_per_s = estimate(some.len(), of)?;
-    let over_times = estimate(TIMES, |drawn| {
+    let ns_per_s = by_draws(some.len(), of)?;
+    let over_times = by_draws(TIMES, |drawn| {
         drifting.best(middle, &vec![1.0; parts], drawn).map(|found| found.0 * per_s)
     })?;
     let half = |takes: usize| {
@@ -394,7 +394,7 @@ pub fn row_time(panel: &Panel) -> Option<Estimate> {
     if points.len() < FEWEST_BANDS {
         return None;
     }
-    estimate(points.len(), |weights| slope(&points, weights)).map(|found| {
+    by_draws(points.len(), |weights| slope(&points, weights)).map(|found| {
         // Few bands draw too narrow an interval at times: that of their own errors is the least.
         let sigma = slope_error(&points);
         Estimate {

@@ -13,7 +13,7 @@
 //! fitted need not begin at zero, and its slope counts. The largest values may be saturated and are taken as
 //! unknown.
 
-use super::draw::{Estimate, estimate};
+use super::draw::{Estimate, by_draws};
 use super::panel::{ACROSS, Panel};
 
 /// Smaller changes of the logarithm are left out: noise of frames would be taken for change without events.
@@ -92,7 +92,7 @@ fn threshold(rows: &[Row]) -> Option<(Estimate, f64)> {
             add(sums, *weight, &products(row));
         }
     }
-    let found = estimate(units.len(), |drawn| {
+    let found = by_draws(units.len(), |drawn| {
         let mut total = [0.0; 5];
         units.iter().zip(drawn).for_each(|((_, sums), n)| add(&mut total, *n, sums));
         line(&total).map(|(slope, _)| 1.0 / slope)
