@@ -29,6 +29,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<split::time::SplitTime>(),
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
+        Kind::of::<align::light::AlignLight>(),
         Kind::of::<align::recording::AlignRecording>(),
         Kind::of::<render::grey::RenderGrey>(),
         Kind::of::<solve::map::SolveMap>(),

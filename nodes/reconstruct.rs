@@ -10,8 +10,8 @@ use crate::spans::{check_covered, check_one_clock};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
 use photocurrent_core::{
-    Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError,
-    PortMetas, Rows, Sensor, Table,
+    Colour, Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta,
+    NodeError, PortMetas, Rows, Sensor, Table,
 };
 use photocurrent_solve::co_located::{CoLocated, CoLocatedEvents};
 use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
@@ -108,6 +108,14 @@ impl<'a> Request<'a> {
     pub(crate) fn need_plain(&self, who: &str) -> Result<(), NodeError> {
         let frames = CoLocated { ratio: 1, colour: self.frames.colour };
         self.lie()?.unwrap_or(frames).need_plain(who)
+    }
+
+    /// The same, but for frames of three channels.
+    ///
+    /// # Errors
+    /// When they are a mosaic, or of more pixels than the events.
+    pub(crate) fn need_plain_or_colour(&self, who: &str) -> Result<(), NodeError> {
+        if self.frames.colour == Colour::Rgb && self.ratio()? == 1 { Ok(()) } else { self.need_plain(who) }
     }
 
     /// While running.

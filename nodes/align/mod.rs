@@ -1,5 +1,6 @@
 //! Two cameras become one: what an event array saw and what frames show, on the pixels of either.
 
+pub mod light;
 pub mod recording;
 pub mod tracks;
 

@@ -202,7 +202,7 @@ impl Node for AlignRecording {
     const DECL: Decl = Decl {
         kind: "align/recording",
         about: "Frames as the event array sees them, and every event once, on the array's own pixels.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -4,7 +4,8 @@
 //! The command runs in an empty folder that becomes this node's output folder. It finds there `recording.h5`
 //! (events, frames, sensor, in the layout of docs/formats.md), and `times_us.txt`, one line a wanted picture:
 //! the middle of its exposure in us. It writes one picture a line into `pictures/` (`*.png`, or `*.npy` of
-//! [height, width]), in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` next
+//! [height, width] or [height, width, 3]), in the order of their names: of three channels where the captured
+//! frames have three. What it prints goes to `stdout.txt` and `stderr.txt` next
 //! to them.
 //!
 //! It runs again when its inputs, parameters or `files` change, and when `version` does: that text is yours
@@ -91,7 +92,7 @@ impl BaselineExec {
             params.transfer.unwrap_or(Transfer::Linear),
             request.sensor,
         )?;
-        request.need_plain("baseline/exec")?;
+        request.need_plain_or_colour("baseline/exec")?;
         Ok((request.output(&params.sampling)?, levels))
     }
 
@@ -129,7 +130,7 @@ impl Node for BaselineExec {
     const DECL: Decl = Decl {
         kind: "baseline/exec",
         about: "Frames made by a command of yours, with declared inputs and version, cached like any node.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: true,
@@ -213,14 +214,19 @@ params = { command = ["python3", "{file0}"], files = ["my_method.py"], version =
 mod tests {
     use super::*;
     use photocurrent_core::context::{Notes, Silent};
-    use photocurrent_core::{Exposure, Extent, testing};
+    use photocurrent_core::{Colour, Exposure, Extent, FrameBlock, testing};
     use std::collections::BTreeSet;
     use std::sync::atomic::AtomicBool;
 
     const EXTENT: Extent = Extent { width: 2, height: 1 };
 
-    /// Runs a shell script, which stands in a file of its own, over one frame.
+    /// Runs a shell script, which stands in a file of its own, over one grey frame.
     fn run(script: &str, interrupted: bool) -> Result<Vec<f32>, NodeError> {
+        let frames = testing::captured(EXTENT, vec![Exposure::new(0, 3_000)], 0, |_, _, _| 7.0);
+        run_next_to(frames, script, interrupted)
+    }
+
+    fn run_next_to(frames: FrameSequence, script: &str, interrupted: bool) -> Result<Vec<f32>, NodeError> {
         let place = tempfile::tempdir().unwrap();
         let (file, folder) = (place.path().join("script.sh"), place.path().join("out"));
         std::fs::write(&file, script).unwrap();
@@ -232,7 +238,6 @@ mod tests {
             white: Some(255.0),
             ..Params::default()
         };
-        let frames = testing::captured(EXTENT, vec![Exposure::new(0, 3_000)], 0, |_, _, _| 7.0);
         let input = In { frames: frames.clone(), events: None, sensor: None, at: Some(frames) };
         let (wanted, cancel, notes) =
             (BTreeSet::from(["frames".to_string()]), AtomicBool::new(interrupted), Notes::default());
@@ -258,6 +263,22 @@ mod tests {
                               = 'a b'\n{PICTURE}\n"
         );
         assert_eq!(run(&script, false).unwrap(), [65.0, 66.0]);
+    }
+
+    #[test]
+    fn a_command_finds_colours_and_gives_them() {
+        let meta = FramesMeta {
+            colour: Colour::Rgb,
+            ..(*testing::captured(EXTENT, vec![Exposure::new(0, 3_000)], 0, |_, _, _| 7.0).meta).clone()
+        };
+        let block = FrameBlock::zeros(0..1, EXTENT.rows(), meta.row_values());
+        let frames = FrameSequence::in_memory(Arc::new(meta), block);
+        let picture = concat!(
+            r#"printf "\223NUMPY\001\000\072\000{'descr': '|u1', 'fortran_order': False, "#,
+            r#"'shape': (1,2,3)}ABCDEF" > pictures/0.npy"#
+        );
+        let found = run_next_to(frames, &format!("test -s recording.h5 && {picture}"), false).unwrap();
+        assert_eq!(found, [65.0, 66.0, 67.0, 68.0, 69.0, 70.0]);
     }
 
     #[test]

@@ -7,7 +7,8 @@
 //!
 //! A stored value of `stored_white` is `white` DN, 0 is black, and between them it is linear unless
 //! `transfer` says otherwise. No scaling, no fitting, no alignment: what a method got wrong stays wrong.
-//! Limits: grey (colour counts as luminance); one time for all rows.
+//! Next to frames of three channels at `at` pictures have three (a grey one has them alike); otherwise colours
+//! count as luminance. Limits: one time for all rows.
 
 pub mod npy;
 pub mod pictures;
@@ -66,8 +67,8 @@ pub enum Unmatched {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Folder of the pictures: `*.png` (8 or 16 bits) or `*.npy` ([height, width], u1, u2, f4 or f8), one
-    /// file a frame, sorted by name, `f2` before `f10`; relative to the manifest that names it.
+    /// Folder of the pictures: `*.png` (8 or 16 bits) or `*.npy` ([height, width] or [height, width, 3], u1, u2,
+    /// f4 or f8), one file a frame, sorted by name, `f2` before `f10`; relative to the manifest that names it.
     pub path: InputPath,
     /// Text file with one time a picture, in the pictures' order; empty lines and those that begin with `#`
     /// or a letter do not count. Default: as `rate` says.
@@ -226,7 +227,8 @@ impl BaselineExternal {
             return Err(far());
         }
         let kept: Vec<usize> = matches.iter().map(|m| m.frame).collect();
-        let meta = FramesMeta { colour: Colour::Mono, times: at.times.select(&kept), ..at.clone() };
+        let colour = if at.colour == Colour::Rgb { Colour::Rgb } else { Colour::Mono };
+        let meta = FramesMeta { colour, times: at.times.select(&kept), ..at.clone() };
         Ok(Planned { pictures, matches, left_out, meta })
     }
 
@@ -320,7 +322,7 @@ impl Node for BaselineExternal {
         kind: "baseline/external",
         about: "Frames that another program made, from a folder of pictures with their times, matched by \
                 time.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -497,6 +499,32 @@ mod tests {
     }
 
     #[test]
+    fn pictures_have_three_channels_next_to_frames_that_have_them() {
+        let of = |file: &str, bytes: &[u8], colour: Colour| {
+            let folder = tempfile::tempdir().unwrap();
+            std::fs::write(folder.path().join(file), bytes).unwrap();
+            let meta = FramesMeta { colour, ..(*at(&[0]).meta).clone() };
+            let block = photocurrent_core::FrameBlock::zeros(0..1, meta.extent.rows(), meta.row_values());
+            let at = FrameSequence::in_memory(Arc::new(meta), block);
+            run(Params { white: Some(255.0), ..params(&folder) }, Some(at)).unwrap().0
+        };
+        let mut encoded = Vec::new();
+        let mut encoder = png::Encoder::new(&mut encoded, 2, 1);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.write_header().unwrap().write_image_data(&[10, 20, 30, 40, 50, 60]).unwrap();
+        assert_eq!(of("a.png", &encoded, Colour::Rgb), [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
+        let stored = npy("|u1", "1, 2, 3", &[10, 20, 30, 40, 50, 60]);
+        assert_eq!(of("a.npy", &stored, Colour::Rgb), [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
+        // A grey picture has three alike; colours next to grey frames are their luminance.
+        let grey = npy("|u1", "1, 2", &[10, 20]);
+        assert_eq!(of("a.npy", &grey, Colour::Rgb), [10.0, 10.0, 10.0, 20.0, 20.0, 20.0]);
+        let first = 0.2126 * 10.0 + 0.7152 * 20.0 + 0.0722 * 30.0;
+        for (file, bytes) in [("a.png", &encoded), ("a.npy", &stored)] {
+            assert!((of(file, bytes, Colour::Mono)[0] - first).abs() < 1e-3, "{file}");
+        }
+    }
+
+    #[test]
     fn times_of_a_csv_have_a_column_and_a_unit() {
         let text = "# by hand\nframe, t\n0, 0.5\n1; 0.25\n";
         assert_eq!(parse_times(text, 1, TimeUnit::Ms), Ok(vec![500_000, 250_000]));
@@ -526,7 +554,7 @@ mod tests {
         let path = folder.path().join("a.npy");
         for (bytes, said) in [
             (npy("<i8", "1, 2", &[0; 16]), "holds '<i8'"),
-            (npy("|u1", "1, 2, 3", &[0; 6]), "has the shape (1, 2, 3)"),
+            (npy("|u1", "1, 2, 4", &[0; 8]), "has the shape (1, 2, 4)"),
             (npy("|u1", "1, 2", &[0; 1]), "2 numbers are announced"),
             (b"no".to_vec(), "is no `.npy` file"),
         ] {

@@ -209,8 +209,9 @@ impl BaselineOnnx {
 
     /// Frames in colour, of the events' pixels, need a network of three channels.
     fn check_colour(&self, request: &Request) -> Result<(), NodeError> {
-        if request.frames.colour != Colour::Rgb || request.ratio()? != 1 {
-            return request.need_plain(Self::WHO);
+        request.need_plain_or_colour(Self::WHO)?;
+        if request.frames.colour != Colour::Rgb {
+            return Ok(());
         }
         let other = self.params.frames.iter().find(|frame| frame.channels != CHANNELS as u32);
         other.map_or(Ok(()), |frame| {

@@ -2,13 +2,13 @@
 //!
 //! A sequence of HS-ERGB or BS-ERGB has events that were warped onto its pictures: their distinct places
 //! give the event array's own grid back. A calibration (kalibr's camchain, DSEC's `cam_to_cam.yaml`) states
-//! how both cameras project and how they stand to each other.
+//! how both cameras project and how they stand to each other. A homography is stated by itself.
 //!
 //! Limits: of a calibration, places of what is very far, or at one stated distance; of cameras side by side,
 //! what is nearer or farther than that is seen elsewhere.
 
 use photocurrent_core::quantity::InputPath;
-use photocurrent_core::{Context, Decl, FileRef, Grain, MapSet, Meta, Node, NodeError, PortMetas};
+use photocurrent_core::{Context, Decl, Extent, FileRef, Grain, MapSet, Meta, Node, NodeError, PortMetas};
 use photocurrent_formats::places::{self, Array};
 use photocurrent_scene::alignment::Alignment;
 use schemars::JsonSchema;
@@ -20,7 +20,7 @@ use std::sync::Arc;
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// A sequence of HS-ERGB or BS-ERGB (a folder), or a calibration (a YAML file of kalibr or DSEC);
-    /// relative to the manifest that names it.
+    /// relative to the manifest that names it. Absent where `homography` is stated.
     pub path: InputPath,
     /// Of a calibration: the camera that sees events, such as `"cam0"`.
     pub events: Option<String>,
@@ -30,6 +30,15 @@ pub struct Params {
     /// Of a calibration: how far away what is seen is, m. Absent = very far.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub distance_m: Option<f64>,
+    /// In place of `path`: three rows of three numbers that take (column, row, 1) of an event pixel to its place
+    /// on the frames, up to a factor; an affine map has the last row 0, 0, 1.
+    pub homography: Option<[[f64; 3]; 3]>,
+    /// With `homography`: columns of the event array.
+    #[schemars(range(min = 2, max = 16384))]
+    pub width: Option<u32>,
+    /// With `homography`: rows of the event array.
+    #[schemars(range(min = 2, max = 16384))]
+    pub height: Option<u32>,
 }
 
 photocurrent_core::ports! {
@@ -50,7 +59,50 @@ pub struct ReadAlignment {
     params: Params,
 }
 
+/// The places that a homography gives.
+fn projected(homography: [[f64; 3]; 3], extent: Extent) -> Result<Alignment, NodeError> {
+    let row = |row: usize, column: f64, line: f64| {
+        homography[row][0] * column + homography[row][1] * line + homography[row][2]
+    };
+    let place = |at: usize| {
+        let (column, line) = ((at % extent.width as usize) as f64, (at / extent.width as usize) as f64);
+        let depth = row(2, column, line);
+        (row(0, column, line) / depth, row(1, column, line) / depth, depth)
+    };
+    let all: Vec<(f64, f64, f64)> = (0..extent.pixels()).map(place).collect();
+    let side = all[0].2.signum();
+    if all.iter().any(|(x, y, depth)| !x.is_finite() || !y.is_finite() || depth.signum() != side) {
+        return Err(NodeError::usage("the homography takes pixels of the event array to no place")
+            .hint("it maps (column, row, 1) to the frames; an affine map has the last row 0, 0, 1")
+            .param("homography"));
+    }
+    let places = |of: fn(&(f64, f64, f64)) -> f64| all.iter().map(|place| of(place) as f32).collect();
+    Ok(Alignment { events: extent, x: places(|place| place.0), y: places(|place| place.1) })
+}
+
 impl ReadAlignment {
+    /// The stated homography, if there is one.
+    fn stated(&self) -> Result<Option<Alignment>, NodeError> {
+        let Params { homography, width, height, path, .. } = &self.params;
+        match (homography, width, height) {
+            (None, None, None) => Ok(None),
+            (Some(homography), Some(width), Some(height)) if path.path().as_os_str().is_empty() => {
+                projected(*homography, Extent { width: *width, height: *height }).map(Some)
+            }
+            (Some(_), Some(_), Some(_)) => {
+                Err(NodeError::usage("`path` and `homography` both state where event pixels lie")
+                    .hint("keep one of them")
+                    .param("homography"))
+            }
+            (None, ..) => {
+                Err(NodeError::usage("`width` and `height` belong to a `homography`").param("width"))
+            }
+            _ => Err(NodeError::usage("a `homography` needs the size of the event array")
+                .hint("state `width` and `height`")
+                .param("homography")),
+        }
+    }
+
     fn array(&self) -> Result<Array, NodeError> {
         let Params { events, frames, distance_m, .. } = &self.params;
         let path = self.params.path.path();
@@ -101,18 +153,28 @@ params = { path = "sequence" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        super::need_path(&params.path, "sequence")?;
+        if params.homography.is_none() {
+            super::need_path(&params.path, "sequence")?;
+        }
         if params.distance_m.is_some_and(|distance| !(distance > 0.0 && distance.is_finite())) {
             return Err(NodeError::usage("`distance_m` must be more than 0 m").param("distance_m"));
         }
-        Ok(ReadAlignment { params })
+        let node = ReadAlignment { params };
+        node.stated()?;
+        Ok(node)
     }
 
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        if let Some(stated) = self.stated()? {
+            return Ok(vec![Meta::Map(Arc::new(Alignment::meta(stated.events)))]);
+        }
         Ok(vec![Meta::Map(Arc::new(Alignment::meta(self.array()?.extent)))])
     }
 
     fn run(&self, _: In, cx: &Context) -> Result<Out, NodeError> {
+        if let Some(stated) = self.stated()? {
+            return Ok(Out { alignment: stated.into_map() });
+        }
         let array = self.array()?;
         if self.params.events.is_none() {
             cx.note(format!(
@@ -126,6 +188,9 @@ params = { path = "sequence" }
     }
 
     fn files(&self) -> Vec<FileRef> {
+        if self.params.homography.is_some() {
+            return Vec::new();
+        }
         // What cannot be read is reported by the plan.
         let files = self.array().map(|array| array.files).unwrap_or_default();
         files.into_iter().map(|path| FileRef { param: "path".into(), path }).collect()
@@ -154,8 +219,20 @@ mod tests {
             events: Some("cam0".into()),
             frames: Some("cam0".into()),
             distance_m,
+            ..Params::default()
         };
         assert!(plan(both(None)).message.contains("cam0 has no intrinsics"), "{:?}", plan(both(None)));
+        // A homography has a size, and no file.
+        let turned = Some([[1.1, 0.0, 2.0], [0.0, 1.2, 3.0], [0.0, 0.0, 2.0]]);
+        let error = plan(Params { homography: turned, ..Params::default() });
+        assert!(error.message.contains("needs the size"), "{error:?}");
+        let sized = Params { homography: turned, width: Some(4), height: Some(3), ..Params::default() };
+        let error = plan(Params { path: path.clone(), ..sized.clone() });
+        assert!(error.message.contains("both state"), "{error:?}");
+        let folds = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, -1.0]]);
+        assert!(plan(Params { homography: folds, ..sized.clone() }).message.contains("to no place"));
+        let stated = ReadAlignment::build(sized).unwrap().stated().unwrap().unwrap();
+        assert_eq!((stated.x[5], stated.y[5]), (1.55, 2.1));
         assert_eq!(plan(both(Some(-1.0))).param.as_deref(), Some("distance_m"));
         let error = plan(Params { path: InputPath::new(folder.path()), ..Params::default() });
         assert_eq!(error.param.as_deref(), Some("path"), "{error:?}");

@@ -33,6 +33,10 @@ pub struct Alignment {
     pub y: Vec<f32>,
 }
 
+/// The parts of an event pixel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell(Vec<(f64, f64)>);
+
 /// The event pixels around a pixel of the frames, and what each counts; all 0 where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Around {
@@ -210,24 +214,52 @@ impl Alignment {
     /// A picture of the frames as the event pixels see it: means over what each covers, at its place. What
     /// lies beyond the frames is as at their border.
     pub fn to_events(&self, picture: &Image) -> Image {
-        let basis = self.basis();
         let (columns, lines) = (self.events.width as usize, self.events.height as usize);
-        let (most_x, most_y) = ((picture.width - 1) as f64, (picture.height - 1) as f64);
+        let frames = Extent { width: picture.width as u32, height: picture.height as u32 };
+        let cell = self.cell();
         let read = |at: usize| {
-            let (x, y) = (f64::from(self.x[at]), f64::from(self.y[at]));
             let mut sum = 0.0;
-            for (n, m) in (0..SAMPLES).flat_map(|n| (0..SAMPLES).map(move |m| (n, m))) {
-                // Pixels of the frames are means over a pixel already: what is wider is sampled.
-                let share = |n: usize| (n as f64 + 0.5) / SAMPLES as f64 - 0.5;
-                let (u, v) = (self.wider(0) * share(n), self.wider(1) * share(m));
-                let (x, y) = (x + u * basis[0].0 + v * basis[1].0, y + u * basis[0].1 + v * basis[1].1);
-                let (x, y) = (x.clamp(0.0, most_x), y.clamp(0.0, most_y));
-                sum += picture.sample(x, y).map_or(0.0, |(value, ..)| value);
-            }
-            (sum / (SAMPLES * SAMPLES) as f64) as f32
+            self.covered(&cell, at, frames, |pixel, share| sum += share * f64::from(picture.values[pixel]));
+            sum as f32
         };
         let values = (0..columns * lines).into_par_iter().map(read).collect();
         Image { width: columns, height: lines, values }
+    }
+
+    /// Where the parts of an event pixel lie from its place, pixels of the frames.
+    pub fn cell(&self) -> Cell {
+        let basis = self.basis();
+        let share = |n: usize| (n as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        let of = |n: usize, m: usize| {
+            // Pixels of the frames are means over a pixel already: what is wider is sampled.
+            let (u, v) = (self.wider(0) * share(n), self.wider(1) * share(m));
+            (u * basis[0].0 + v * basis[1].0, u * basis[0].1 + v * basis[1].1)
+        };
+        if self.wider(0) == 0.0 && self.wider(1) == 0.0 {
+            return Cell(vec![(0.0, 0.0)]);
+        }
+        Cell((0..SAMPLES).flat_map(|n| (0..SAMPLES).map(move |m| (n, m))).map(|(n, m)| of(n, m)).collect())
+    }
+
+    /// Calls `each` with the pixels of frames of a size that an event pixel covers, and what part of it each is;
+    /// a pixel may come several times, and parts sum to 1.
+    pub fn covered(&self, cell: &Cell, at: usize, frames: Extent, mut each: impl FnMut(usize, f64)) {
+        let (x, y) = (f64::from(self.x[at]), f64::from(self.y[at]));
+        let width = frames.width as usize;
+        let part = 1.0 / cell.0.len() as f64;
+        let split = |at: f64, count: u32| {
+            let at = at.clamp(0.0, f64::from(count - 1));
+            let first = usize::min(at as usize, (count as usize).saturating_sub(2));
+            (first, at - first as f64)
+        };
+        for (right, down) in &cell.0 {
+            let ((i, s), (j, t)) = (split(x + right, frames.width), split(y + down, frames.height));
+            let beside =
+                [(0, 0, (1.0 - s) * (1.0 - t)), (1, 0, s * (1.0 - t)), (0, 1, (1.0 - s) * t), (1, 1, s * t)];
+            for (right, down, share) in beside.into_iter().filter(|(.., share)| *share > 0.0) {
+                each((j + down) * width + i + right, part * share);
+            }
+        }
     }
 
     /// What part of its pitch an event pixel covers beyond a pixel of the frames: 0 where that is as large.

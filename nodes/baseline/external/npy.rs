@@ -1,4 +1,5 @@
-//! One picture in a NumPy `.npy` file: [height, width] of u1, u2, f4 or f8, little-endian, in C order.
+//! One picture in a NumPy `.npy` file: [height, width] or [height, width, 3] of u1, u2, f4 or f8, little-endian,
+//! in C order.
 
 use crate::simulate::stored::{cannot_read, short_name};
 use photocurrent_core::{Extent, NodeError};
@@ -9,6 +10,7 @@ pub struct Npy {
     /// Its size.
     pub extent: Extent,
     values: Vec<f64>,
+    is_colour: bool,
     /// What is white unless somebody says otherwise.
     white: f64,
 }
@@ -17,14 +19,14 @@ impl Npy {
     /// Reads a file.
     ///
     /// # Errors
-    /// When it cannot be read, is damaged, or holds something else than a grey picture.
+    /// When it cannot be read, is damaged, or holds something else than a picture.
     pub fn open(path: &Path) -> Result<Npy, NodeError> {
         let bytes = std::fs::read(path).map_err(|error| cannot_read(path, &error))?;
         Npy::parse(&bytes).map_err(|what| {
             NodeError::input(format!("{} {what}", short_name(path)))
                 .hint(
                     "save each picture by itself: `numpy.save(name, picture)` with a [height, width] \
-                       array of uint8, uint16, float32 or float64",
+                       or [height, width, 3] array of uint8, uint16, float32 or float64",
                 )
                 .param("path")
         })
@@ -56,10 +58,16 @@ impl Npy {
             .map(|(shape, _)| shape)
             .ok_or_else(damaged)?;
         let sizes: Vec<u32> = shape.split(',').filter_map(|size| size.trim().parse().ok()).collect();
-        let [height, width] = sizes[..] else {
-            return Err(format!("has the shape ({shape}), and a grey picture has (height, width)"));
+        let (height, width, channels) = match sizes[..] {
+            [height, width] => (height, width, 1),
+            [height, width, 3] => (height, width, 3),
+            _ => {
+                return Err(format!(
+                    "has the shape ({shape}), and a picture has (height, width) or (height, width, 3)"
+                ));
+            }
         };
-        let count = height as usize * width as usize;
+        let count = height as usize * width as usize * channels;
         let (size, white) = match descr {
             "|u1" => (1, 255.0),
             "<u2" => (2, 65535.0),
@@ -80,13 +88,20 @@ impl Npy {
         Ok(Npy {
             extent: Extent { width, height },
             values: data.chunks_exact(size).map(value).collect(),
+            is_colour: channels == 3,
             white,
         })
     }
 
-    /// The values with white as 1; `white` is the stored value that is white, when it is stated.
+    /// The values with white as 1, of each pixel red, green and blue, which are alike in grey pictures; `white` is
+    /// the stored value that is white, when it is stated.
     pub fn light(self, white: Option<f64>) -> Vec<f64> {
         let white = white.unwrap_or(self.white);
-        self.values.into_iter().map(|value| value / white).collect()
+        let share = |value: f64| value / white;
+        if self.is_colour {
+            self.values.into_iter().map(share).collect()
+        } else {
+            self.values.into_iter().flat_map(|value| [share(value); 3]).collect()
+        }
     }
 }

@@ -2,8 +2,9 @@
 
 use super::npy::Npy;
 use crate::reconstruct::black_level;
-use crate::simulate::stored::{Curve, Transfer, cannot_read, short_name, still};
-use photocurrent_core::{Context, Extent, FrameBlock, FramesMeta, NodeError, Sensor};
+use crate::simulate::stored::still::{self, luminance};
+use crate::simulate::stored::{Curve, Transfer, cannot_read, short_name};
+use photocurrent_core::{Colour, Context, Extent, FrameBlock, FramesMeta, NodeError, Sensor};
 use photocurrent_formats::pictures::names;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -41,7 +42,8 @@ impl Levels {
         }
     }
 
-    /// Frames of `meta`, one picture each, side by side.
+    /// Frames of `meta`, one picture each, side by side: of three channels, or grey, where colours count as
+    /// their luminance.
     ///
     /// # Errors
     /// When a picture cannot be read or has another size, or the user interrupts.
@@ -49,8 +51,12 @@ impl Levels {
         let rows = meta.extent.rows();
         let curve = Curve::new(self.transfer);
         let mut block = FrameBlock::zeros(0..paths.len(), rows, meta.row_values());
-        block.dn.par_chunks_exact_mut(meta.extent.pixels()).zip(paths).try_for_each(
-            |(dn, path)| -> Result<(), NodeError> {
+        let is_colour = meta.colour == Colour::Rgb;
+        block
+            .dn
+            .par_chunks_exact_mut(meta.extent.height as usize * meta.row_values())
+            .zip(paths)
+            .try_for_each(|(dn, path)| -> Result<(), NodeError> {
                 let size = extent(path)?;
                 if size != meta.extent {
                     return Err(NodeError::input(format!(
@@ -63,19 +69,21 @@ impl Levels {
                 }
                 let put =
                     |dn: &mut f32, light: f64| *dn = (self.black + light * (self.white - self.black)) as f32;
-                if is_npy(path) {
-                    dn.iter_mut()
-                        .zip(Npy::open(path)?.light(self.stored_white))
-                        .for_each(|(dn, light)| put(dn, light));
-                } else {
-                    let mut next = dn.iter_mut();
-                    still::read(path, &curve, rows, &mut |row| {
-                        row.iter().zip(&mut next).for_each(|(light, dn)| put(dn, *light))
-                    })?;
+                let mut next = dn.iter_mut();
+                let mut fill =
+                    |light: &[f64]| light.iter().zip(&mut next).for_each(|(light, dn)| put(dn, *light));
+                match (is_npy(path), is_colour) {
+                    (true, true) => fill(&Npy::open(path)?.light(self.stored_white)),
+                    (true, false) => {
+                        let light = Npy::open(path)?.light(self.stored_white);
+                        let grey = light.chunks_exact(3).map(|rgb| luminance([rgb[0], rgb[1], rgb[2]]));
+                        fill(&grey.collect::<Vec<f64>>());
+                    }
+                    (false, true) => still::read_colour(path, &curve, rows, &mut fill)?,
+                    (false, false) => still::read(path, &curve, rows, &mut fill)?,
                 }
                 cx.advance(1)
-            },
-        )?;
+            })?;
         Ok(block)
     }
 }

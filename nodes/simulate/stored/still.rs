@@ -30,29 +30,46 @@ pub fn extent(path: &Path) -> Result<Extent, NodeError> {
     Ok(head.extent)
 }
 
-/// Calls `each` with the relative light of some rows, from top to bottom.
+/// Calls `each` with the relative light of some rows, from top to bottom; of colours, the luminance.
 ///
 /// # Errors
 /// As [`extent`], and when the picture is damaged or has fewer rows.
 pub fn read(path: &Path, curve: &Curve, rows: Rows, each: &mut dyn FnMut(&[f64])) -> Result<(), NodeError> {
+    let mut grey = Vec::new();
+    read_colour(path, curve, rows, &mut |light| {
+        grey.clear();
+        grey.extend(light.chunks_exact(3).map(|rgb| luminance([rgb[0], rgb[1], rgb[2]])));
+        each(&grey);
+    })
+}
+
+/// The same with red, green and blue of each pixel, which are alike in grey pictures.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_colour(
+    path: &Path,
+    curve: &Curve,
+    rows: Rows,
+    each: &mut dyn FnMut(&[f64]),
+) -> Result<(), NodeError> {
     let mut light = Vec::new();
     let read = decode::rows(path, rows, &mut |head, values| {
         let table = curve.of(head.bits);
         let share = |value: &f32| table[(*value as usize).min(table.len() - 1)];
         light.clear();
         match head.colour {
-            Colour::Rgb => light.extend(
-                values.chunks_exact(3).map(|rgb| luminance([share(&rgb[0]), share(&rgb[1]), share(&rgb[2])])),
-            ),
-            _ => light.extend(values.iter().map(share)),
+            Colour::Rgb => light.extend(values.iter().map(share)),
+            _ => light.extend(values.iter().flat_map(|value| [share(value); 3])),
         }
         each(&light);
     });
     read.map_err(refused)
 }
 
-fn luminance([red, green, blue]: [f64; 3]) -> f64 {
-    // The weights add up to one but for rounding; grey stays exactly what it is.
+/// Luminance of linear red, green and blue; grey stays exactly what it is.
+pub fn luminance([red, green, blue]: [f64; 3]) -> f64 {
+    // The weights add up to one but for rounding.
     let grey = red == green && green == blue;
     if grey { red } else { colour::luminance([red, green, blue]) }
 }

@@ -1,0 +1,187 @@
+//! `align/light`: the light of a scene as the pixels of an event array see it.
+//!
+//! With the light of the frames' pixels and the places of an alignment, a simulated pair of cameras is two
+//! sensors: one before this light, of which the events are taken, and one before the scene's own, of which
+//! the frames are taken.
+//!
+//! Limits: grey light (or behind a mosaic: `simulate/sensor` mixes colours of its own pixels only); an event
+//! pixel has an instant wherever one of the pixels that it covers has one.
+
+use photocurrent_core::handle::Band;
+use photocurrent_core::light::{Light, LightBand, LightMeta, at};
+use photocurrent_core::series::Series;
+use photocurrent_core::{Colour, Context, Decl, Extent, Grain, MapSet, Meta, Node, NodeError, PortMetas};
+use photocurrent_scene::alignment::Alignment;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Parameters of `align/light`: none.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// Light of the pixels of the frames: grey, or red, green and blue, which are mixed alike.
+        light: Light,
+        /// Places of the event pixels on the frames: of `read/alignment`.
+        alignment: MapSet,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// Light of the event array's pixels, grey.
+        light: Light,
+    }
+}
+
+/// The node.
+pub struct AlignLight;
+
+fn plan_of(light: &LightMeta, array: Extent) -> Result<LightMeta, NodeError> {
+    if light.colour.is_mosaic() {
+        return Err(NodeError::usage(format!("the light is {}", light.colour))
+            .hint("connect light without a mosaic: that of a scene in grey or in three channels"));
+    }
+    Ok(LightMeta { extent: array, colour: Colour::Mono, count_hint: None, ..light.clone() })
+}
+
+impl Node for AlignLight {
+    const DECL: Decl = Decl {
+        kind: "align/light",
+        about: "Light of a scene as the pixels of an event array see it: the events of a simulated pair of \
+                cameras.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &["Tulyakov et al., Time Lens, CVPR 2021: two cameras behind a beam splitter"],
+        example: r#"
+[nodes.places]
+kind   = "read/alignment"
+params = { homography = [[1.16, -0.02, 0.3], [0.02, 1.16, 0.5], [0.0, 0.0, 1.0]], width = 80, height = 60 }
+
+[nodes.seen]
+kind = "align/light"
+in   = { light = "scene.light", alignment = "places" }
+
+[nodes.array]
+kind = "simulate/sensor"
+in   = { light = "seen.light", sensor = "sensor" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(_: Params) -> Result<Self, NodeError> {
+        Ok(AlignLight)
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let map = inputs.map("alignment")?;
+        Alignment::check(map)?;
+        Ok(vec![Meta::Light(Arc::new(plan_of(inputs.light("light")?, map.extent)?))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let alignment = Alignment::of(&input.alignment)?;
+        let own = &input.light.meta;
+        let meta = plan_of(own, alignment.events)?;
+        let band = input.light.read(own.extent.rows())?;
+        let (cell, channels) = (alignment.cell(), own.colour.channels());
+        cx.begin(u64::from(meta.extent.height), "rows");
+        let row = |y: u32| -> Result<LightBand, NodeError> {
+            let mut out = LightBand::begin(y, meta.extent.width);
+            let mut instants: Vec<i64> = Vec::new();
+            for x in 0..meta.extent.width {
+                let mut shares: BTreeMap<usize, f64> = BTreeMap::new();
+                let pixel = (y * meta.extent.width + x) as usize;
+                alignment.covered(&cell, pixel, own.extent, |pixel, share| {
+                    *shares.entry(pixel).or_default() += share / f64::from(channels);
+                });
+                let series = |pixel: usize, channel: u32| -> Series<'_> {
+                    let (column, row) = (pixel as u32 % own.extent.width, pixel as u32 / own.extent.width);
+                    band.pixel(column * channels + channel, row)
+                };
+                let of_pixel = |(pixel, share): (&usize, &f64)| {
+                    let (pixel, share) = (*pixel, *share);
+                    (0..channels).map(move |channel| (share, series(pixel, channel))).collect::<Vec<_>>()
+                };
+                let parts: Vec<(f64, Series<'_>)> = shares.iter().flat_map(of_pixel).collect();
+                instants.clear();
+                instants.extend(parts.iter().flat_map(|(_, part)| part.t));
+                instants.sort_unstable();
+                instants.dedup();
+                // Straight lines between the instants of all: the sum is exact.
+                let light = |t: i64| {
+                    parts.iter().map(|(share, part)| share * at(*part, t).unwrap_or(f64::NAN)).sum::<f64>()
+                };
+                out.push(instants.iter().map(|t| (*t, light(*t) as f32)));
+            }
+            cx.advance(1)?;
+            Ok(out)
+        };
+        let bands: Vec<LightBand> =
+            (0..meta.extent.height).into_par_iter().map(row).collect::<Result<_, NodeError>>()?;
+        Ok(Out { light: Light::in_memory(Arc::new(meta), LightBand::concat(bands)) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::testing::{alignment, shifted};
+    use photocurrent_core::{TimeSpan, testing};
+
+    const EXTENT: Extent = Extent { width: 6, height: 5 };
+
+    /// Each value turns at an instant of its own.
+    fn light(colour: Colour) -> Light {
+        let values = EXTENT.width * colour.channels();
+        let mut band = LightBand::begin(0, values);
+        for place in 0..values * EXTENT.height {
+            let (v, y) = (place % values, place / values);
+            let turn = 1_000 + 100 * i64::from(v) + 10 * i64::from(y);
+            band.push([(0, 1.0 + v as f32), (turn, 5.0 + (v * y) as f32), (10_000, 2.0 + y as f32)]);
+        }
+        let meta = LightMeta { extent: EXTENT, span: TimeSpan::new(0, 10_000), colour, count_hint: None };
+        Light::in_memory(Arc::new(meta), band)
+    }
+
+    fn seen(light: Light, by: f64) -> Light {
+        let input = In { light, alignment: alignment(EXTENT, &shifted(by)) };
+        testing::with_context(EXTENT.rows(), &["light"], |cx| AlignLight.run(input, cx)).0.unwrap().light
+    }
+
+    #[test]
+    fn a_pixel_between_others_sees_their_mean_at_every_instant() {
+        let own = light(Colour::Mono);
+        let band = own.read(EXTENT.rows()).unwrap();
+        let found = seen(own, 0.5).read(EXTENT.rows()).unwrap();
+        for t in [0, 1_234, 1_777, 5_000, 10_000] {
+            let of = |x: u32, y: u32| at(band.pixel(x, y), t).unwrap();
+            let mean = 0.25 * (of(2, 1) + of(3, 1) + of(2, 2) + of(3, 2));
+            let seen = at(found.pixel(2, 1), t).unwrap();
+            assert!((seen / mean - 1.0).abs() < 1e-6, "{t}: {seen} {mean}");
+        }
+    }
+
+    #[test]
+    fn pixels_that_lie_on_pixels_see_these_and_colours_are_mixed() {
+        let own = light(Colour::Mono);
+        let same = seen(own.clone(), 0.0);
+        assert_eq!(same.read(EXTENT.rows()).unwrap(), own.read(EXTENT.rows()).unwrap());
+        let colours = light(Colour::Rgb);
+        let band = colours.read(EXTENT.rows()).unwrap();
+        let mixed = seen(colours, 0.0).read(EXTENT.rows()).unwrap();
+        let mean = (0..3).map(|c| at(band.pixel(3 * 4 + c, 2), 3_000).unwrap()).sum::<f64>() / 3.0;
+        assert!((at(mixed.pixel(4, 2), 3_000).unwrap() / mean - 1.0).abs() < 1e-6);
+    }
+}
