@@ -140,7 +140,7 @@ in = { events = "recording.events", frames = "split.kept", alignment = "places",
         let back = r#"
 [nodes.back]
 kind = "align/tracks"
-in = { tracks = "refine.tracks", frames = "split.kept"ALIGNMENT }
+in = { tracks = "refine.tracks", frames = "split.kept", events = "array.events"ALIGNMENT }
 "#;
         (back.replace("ALIGNMENT", &alignment), "back.tracks", alignment)
     };

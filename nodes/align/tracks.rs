@@ -1,18 +1,22 @@
 //! `align/tracks`: tracks of the event array as tracks of the frames' pixels.
 //!
 //! Between the four event pixels around a pixel the logarithm of light is bilinear; its knots are those of
-//! the nearest one. What the frames show finer than that is `render/colour`'s, with the same alignment.
+//! the nearest one. With the events connected, light is taken along the motion: what stands between event
+//! pixels stood at each of them a little before, or will a little later, so that an edge that moves keeps its
+//! width. What the frames show finer than that is `render/colour`'s, with the same alignment.
 //!
 //! Limits: beyond the event array a pixel has the track of the nearest event pixel as far as one pitch, and
 //! none further out.
 
 use photocurrent_core::handle::Band;
 use photocurrent_core::{
-    Between, Colour, Context, Decl, FrameSequence, FramesMeta, Grain, MapSet, Meta, Node, NodeError,
-    PortMetas, TrackBand, TrackSet, TracksMeta,
+    Between, Colour, Context, Decl, EventStream, FrameSequence, FramesMeta, Grain, MapSet, Meta, Node,
+    NodeError, PortMetas, TrackBand, TrackSet, TracksMeta,
 };
+use photocurrent_scene::activity::Activity;
 use photocurrent_scene::alignment::{Alignment, Around};
 use photocurrent_scene::film::{Fired, LogTracks};
+use photocurrent_scene::flow::{Flow, MotionParams};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -32,6 +36,8 @@ photocurrent_core::ports! {
         frames: FrameSequence,
         /// Places of the event pixels on the frames: of `read/alignment`.
         alignment: MapSet,
+        /// Events on the event array's own pixels, which state where motion is estimated.
+        events: Option<EventStream>,
     }
 }
 
@@ -54,30 +60,80 @@ fn plan_of(tracks: &TracksMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeE
     Ok(TracksMeta { extent: frames.extent, count_hint: None, ..tracks.clone() })
 }
 
-/// The knots of a pixel: time, photocurrent, standard deviation of its logarithm.
-fn knots(band: &TrackBand, log: &LogTracks, array: usize, around: &Around, out: &mut Vec<(i64, f32, f32)>) {
-    out.clear();
-    let at = around.nearest();
-    let track = band.pixel((at % array) as u32, (at / array) as u32);
-    for (k, t) in track.t.iter().enumerate() {
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for (at, weight) in around.at.iter().zip(around.weights).filter(|(_, weight)| *weight > 0.0) {
-            if let Some(log) = log.at(at % array, at / array, *t) {
-                (sum, weights) = (sum + f64::from(weight) * log, weights + f64::from(weight));
+/// Slower motion than this, event pixels a millisecond, is none.
+const SLOW: f64 = 0.1;
+
+/// The tracks of an event array between its pixels.
+struct InBetween<'a> {
+    band: &'a TrackBand,
+    log: &'a LogTracks,
+    flow: Option<&'a Flow>,
+    /// Columns of the array.
+    array: usize,
+}
+
+impl InBetween<'_> {
+    /// How much later than at a place of the array what moves there is at another one `off` of it, ns.
+    fn later_ns(&self, place: (f64, f64), off: (f64, f64), t_ns: i64) -> i64 {
+        let Some(flow) = self.flow else { return 0 };
+        let [right, down] = flow.at(place.0, place.1, t_ns);
+        let along = off.0 * right + off.1 * down;
+        (1e6 * along / (right * right + down * down + SLOW * SLOW)) as i64
+    }
+
+    /// The knots of a pixel: time, photocurrent, standard deviation of its logarithm.
+    fn knots(&self, around: &Around, out: &mut Vec<(i64, f32, f32)>) {
+        out.clear();
+        let column_row = |at: usize| ((at % self.array) as f64, (at / self.array) as f64);
+        let pixels = || around.at.iter().copied().zip(around.weights).filter(|(_, weight)| *weight > 0.0);
+        // Weights that are bilinear give the place that they are those of.
+        let place = pixels().fold((0.0, 0.0), |sum, (at, weight)| {
+            let (column, row) = column_row(at);
+            (sum.0 + f64::from(weight) * column, sum.1 + f64::from(weight) * row)
+        });
+        let off = |at: usize| (column_row(at).0 - place.0, column_row(at).1 - place.1);
+        let at = around.nearest();
+        let track = self.band.pixel((at % self.array) as u32, (at / self.array) as u32);
+        for (k, t) in track.t.iter().enumerate() {
+            let t = t - self.later_ns(column_row(at), off(at), *t);
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for (at, weight) in pixels() {
+                let later = t + self.later_ns(place, off(at), t);
+                if let Some(log) = self.log.at(at % self.array, at / self.array, later) {
+                    (sum, weights) = (sum + f64::from(weight) * log, weights + f64::from(weight));
+                }
+            }
+            if weights > 0.0 {
+                let sigma = track.sigma.get(k).copied().unwrap_or(0.0);
+                out.push((t, libm::exp(sum / weights) as f32, sigma));
             }
         }
-        if weights > 0.0 {
-            let sigma = track.sigma.get(k).copied().unwrap_or(0.0);
-            out.push((*t, libm::exp(sum / weights) as f32, sigma));
+        // Where motion changes, knots may change places.
+        if self.flow.is_some() {
+            out.sort_by_key(|knot| knot.0);
+            out.dedup_by_key(|knot| knot.0);
         }
     }
+}
+
+/// The motion over the event array.
+fn motion(log: &LogTracks, meta: &TracksMeta, events: &EventStream) -> Result<Flow, NodeError> {
+    let rows = meta.extent.rows();
+    let band = events.read(rows)?;
+    let span = (meta.span.start.0, meta.span.end.0);
+    let places = rows.iter().flat_map(|y| {
+        let row = band.row(y);
+        (0..row.len()).map(move |k| (usize::from(row.x[k]), y as usize, row.t[k]))
+    });
+    let activity = Activity::new(meta.extent, span, places);
+    Ok(Flow::of_tracks(log, span, &activity, (&MotionParams::default(), false)))
 }
 
 impl Node for AlignTracks {
     const DECL: Decl = Decl {
         kind: "align/tracks",
         about: "Tracks of the event array as tracks of the pixels of another camera's frames.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -85,7 +141,7 @@ impl Node for AlignTracks {
         example: r#"
 [nodes.back]
 kind = "align/tracks"
-in   = { tracks = "solve.tracks", frames = "recording.frames", alignment = "alignment" }
+in   = { tracks = "solve.tracks", frames = "recording.frames", alignment = "alignment", events = "array.events" }
 
 [nodes.render]
 kind = "render/rows"
@@ -110,6 +166,15 @@ in   = { tracks = "back.tracks", sensor = "sensor" }
             ))
             .hint("connect tracks that were solved from what align/recording gives"));
         }
+        if let Some(events) = inputs.has("events").then(|| inputs.events("events")).transpose()?
+            && events.extent != map.extent
+        {
+            return Err(NodeError::usage(format!(
+                "events are {}, the alignment is of an event array of {}",
+                events.extent, map.extent
+            ))
+            .hint("connect the events that align/recording or estimate/alignment give"));
+        }
         Ok(vec![Meta::Tracks(Arc::new(plan_of(tracks, inputs.frames("frames")?)?))])
     }
 
@@ -121,6 +186,8 @@ in   = { tracks = "back.tracks", sensor = "sensor" }
         let band = input.tracks.read(extent.rows())?;
         let fired = Arc::new(Fired::new((0..extent.pixels()).map(|_| Vec::new())));
         let log = LogTracks::new(extent, band.clone(), &fired);
+        let flow = input.events.map(|events| motion(&log, &input.tracks.meta, &events)).transpose()?;
+        let between = InBetween { band: &band, log: &log, flow: flow.as_ref(), array };
         cx.begin(u64::from(meta.extent.height), "rows");
         let row = |y: u32| -> Result<TrackBand, NodeError> {
             let mut out = TrackBand::begin(y, meta.extent.width);
@@ -129,7 +196,7 @@ in   = { tracks = "back.tracks", sensor = "sensor" }
                 let around = &around[(y * meta.extent.width + x) as usize];
                 knots_here.clear();
                 if around.is_known() {
-                    knots(&band, &log, array, around, &mut knots_here);
+                    between.knots(around, &mut knots_here);
                 }
                 let knots = knots_here.iter().copied();
                 if meta.has_sigma {
@@ -152,6 +219,7 @@ in   = { tracks = "back.tracks", sensor = "sensor" }
 mod tests {
     use super::*;
     use crate::align::testing::{alignment, shifted};
+    use photocurrent_core::events::{Event, Polarity};
     use photocurrent_core::{Exposure, Extent, TimeSpan, testing};
 
     const EXTENT: Extent = Extent { width: 6, height: 5 };
@@ -176,6 +244,7 @@ mod tests {
             tracks: TrackSet::in_memory(Arc::new(meta), band),
             frames: testing::captured(EXTENT, vec![Exposure::new(0, 5)], 0, |_, _, _| 1.0),
             alignment: alignment(EXTENT, &shifted(by)),
+            events: None,
         };
         let (out, _) = testing::with_context(EXTENT.rows(), &["tracks"], |cx| AlignTracks.run(input, cx));
         out.unwrap().tracks.read(EXTENT.rows()).unwrap()
@@ -197,5 +266,63 @@ mod tests {
     #[test]
     fn pixels_that_no_event_pixel_is_near_have_no_track() {
         assert!(run(4.0).pixel(0, 0).t.is_empty());
+    }
+
+    #[test]
+    fn an_edge_that_moves_keeps_its_width_with_events() {
+        const EXTENT: Extent = Extent { width: 32, height: 16 };
+        // A band with edges half a pixel wide moves 0.6 pixels a millisecond, a little slanted.
+        let edge = |s: f64| libm::tanh(s / 0.25);
+        let log = |x: f64, y: f64, ms: f64| {
+            let s = x - 0.6 * ms + 0.2 * y;
+            0.5 * (edge(s - 3.0) - edge(s + 5.0)) + 0.1 * libm::sin(0.9 * s) * libm::sin(0.8 * y)
+        };
+        let (knots, step_ns) = (201, 200_000_i64);
+        let meta = TracksMeta {
+            extent: EXTENT,
+            span: TimeSpan::new(0, knots * step_ns),
+            nominal_exposure_ns: 1,
+            between: Between::LogLinear,
+            colour: Colour::Mono,
+            has_sigma: false,
+            count_hint: None,
+        };
+        let mut band = TrackBand::begin(0, EXTENT.width);
+        let mut fired = Vec::new();
+        for (y, x) in (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (y, x))) {
+            let at = |k: i64| log(f64::from(x), f64::from(y), (k * step_ns) as f64 * 1e-6);
+            band.push((0..knots).map(|k| (k * step_ns, libm::exp(at(k)) as f32)));
+            fired.extend((1..knots).filter(|k| (at(*k) - at(k - 1)).abs() > 0.1).map(|k| Event {
+                x: x as u16,
+                y: y as u16,
+                polarity: Polarity::On,
+                t: k * step_ns,
+                t_in: None,
+            }));
+        }
+        let tracks = TrackSet::in_memory(Arc::new(meta), band);
+        let events = testing::stream(EXTENT, fired);
+        let squares = |events: Option<EventStream>| -> f64 {
+            let input = In {
+                tracks: tracks.clone(),
+                frames: testing::captured(EXTENT, vec![Exposure::new(0, 5)], 0, |_, _, _| 1.0),
+                alignment: alignment(EXTENT, &shifted(0.5)),
+                events,
+            };
+            let (out, _) = testing::with_context(EXTENT.rows(), &["tracks"], |cx| AlignTracks.run(input, cx));
+            let band = out.unwrap().tracks.read(EXTENT.rows()).unwrap();
+            let of = |x: u32, y: u32| {
+                let track = band.pixel(x, y);
+                let off = |(t, light): (&i64, &f32)| {
+                    // The array lies half a pixel right and below.
+                    let expected = log(f64::from(x) - 0.5, f64::from(y) - 0.5, *t as f64 * 1e-6);
+                    libm::log(f64::from(*light)) - expected
+                };
+                track.t.iter().zip(track.photocurrent).map(off).map(|off| off * off).sum::<f64>()
+            };
+            (4..12).flat_map(|y| (8..24).map(move |x| (x, y))).map(|(x, y)| of(x, y)).sum()
+        };
+        let (still, moving) = (squares(None), squares(Some(events)));
+        assert!(moving < 0.3 * still, "{still} {moving}");
     }
 }

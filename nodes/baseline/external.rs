@@ -6,8 +6,8 @@
 //! is nearest to the middle of its exposure; the table `matches` says which, and how far off.
 //!
 //! A stored value of `stored_white` is `white` DN, 0 is black, and between them it is linear unless
-//! `transfer` says otherwise. No scaling, no fitting, no alignment: what a method got wrong stays wrong.
-//! Next to frames of three channels at `at` pictures have three (a grey one has them alike); otherwise colours
+//! `transfer` says otherwise. No scaling, no fitting, no alignment: what a method got wrong stays wrong. Next
+//! to frames of three channels at `at` pictures have three (a grey one has them alike); otherwise colours
 //! count as luminance. Limits: one time for all rows.
 
 pub mod npy;
@@ -67,8 +67,9 @@ pub enum Unmatched {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Folder of the pictures: `*.png` (8 or 16 bits) or `*.npy` ([height, width] or [height, width, 3], u1, u2,
-    /// f4 or f8), one file a frame, sorted by name, `f2` before `f10`; relative to the manifest that names it.
+    /// Folder of the pictures: `*.png` (8 or 16 bits) or `*.npy` ([height, width] or [height, width, 3], u1,
+    /// u2, f4 or f8), one file a frame, sorted by name, `f2` before `f10`; relative to the manifest that
+    /// names it.
     pub path: InputPath,
     /// Text file with one time a picture, in the pictures' order; empty lines and those that begin with `#`
     /// or a letter do not count. Default: as `rate` says.

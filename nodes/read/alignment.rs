@@ -30,8 +30,8 @@ pub struct Params {
     /// Of a calibration: how far away what is seen is, m. Absent = very far.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub distance_m: Option<f64>,
-    /// In place of `path`: three rows of three numbers that take (column, row, 1) of an event pixel to its place
-    /// on the frames, up to a factor; an affine map has the last row 0, 0, 1.
+    /// In place of `path`: three rows of three numbers that take (column, row, 1) of an event pixel to its
+    /// place on the frames, up to a factor; an affine map has the last row 0, 0, 1.
     pub homography: Option<[[f64; 3]; 3]>,
     /// With `homography`: columns of the event array.
     #[schemars(range(min = 2, max = 16384))]

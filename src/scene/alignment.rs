@@ -241,8 +241,8 @@ impl Alignment {
         Cell((0..SAMPLES).flat_map(|n| (0..SAMPLES).map(move |m| (n, m))).map(|(n, m)| of(n, m)).collect())
     }
 
-    /// Calls `each` with the pixels of frames of a size that an event pixel covers, and what part of it each is;
-    /// a pixel may come several times, and parts sum to 1.
+    /// Calls `each` with the pixels of frames of a size that an event pixel covers, and what part of it each
+    /// is; a pixel may come several times, and parts sum to 1.
     pub fn covered(&self, cell: &Cell, at: usize, frames: Extent, mut each: impl FnMut(usize, f64)) {
         let (x, y) = (f64::from(self.x[at]), f64::from(self.y[at]));
         let width = frames.width as usize;
@@ -254,9 +254,9 @@ impl Alignment {
         };
         for (right, down) in &cell.0 {
             let ((i, s), (j, t)) = (split(x + right, frames.width), split(y + down, frames.height));
-            let beside =
+            let corners =
                 [(0, 0, (1.0 - s) * (1.0 - t)), (1, 0, s * (1.0 - t)), (0, 1, (1.0 - s) * t), (1, 1, s * t)];
-            for (right, down, share) in beside.into_iter().filter(|(.., share)| *share > 0.0) {
+            for (right, down, share) in corners.into_iter().filter(|(.., share)| *share > 0.0) {
                 each((j + down) * width + i + right, part * share);
             }
         }

@@ -1,5 +1,5 @@
-//! One picture in a NumPy `.npy` file: [height, width] or [height, width, 3] of u1, u2, f4 or f8, little-endian,
-//! in C order.
+//! One picture in a NumPy `.npy` file: [height, width] or [height, width, 3] of u1, u2, f4 or f8,
+//! little-endian, in C order.
 
 use crate::simulate::stored::{cannot_read, short_name};
 use photocurrent_core::{Extent, NodeError};
@@ -93,8 +93,8 @@ impl Npy {
         })
     }
 
-    /// The values with white as 1, of each pixel red, green and blue, which are alike in grey pictures; `white` is
-    /// the stored value that is white, when it is stated.
+    /// The values with white as 1, of each pixel red, green and blue, which are alike in grey pictures;
+    /// `white` is the stored value that is white, when it is stated.
     pub fn light(self, white: Option<f64>) -> Vec<f64> {
         let white = white.unwrap_or(self.white);
         let share = |value: f64| value / white;

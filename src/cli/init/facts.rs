@@ -264,8 +264,8 @@ impl Draft {
             acts.marks.push(format!(
                 "a blend of the frames before and after predicts frames that are held out within {:.1} %, a \
                  solution with the best thresholds within {:.1} %: events gain nothing with this \
-                 description, and refine/motion falls back to blends; check the exposure, what a stamp means, \
-                 and the offset of the clocks",
+                 description, and refine/motion falls back to blends; check the exposure, what a stamp \
+                 means, and the offset of the clocks",
                 100.0 * of_blend,
                 100.0 * error
             ));

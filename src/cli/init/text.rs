@@ -193,7 +193,7 @@ in   = {{ frames = "{seen}.frames", events = "{seen}.events", sensor = "{sensor}
 # Back to the pixels of the frames.
 [nodes.back]
 kind = "align/tracks"
-in   = {{ tracks = "{tracks}", frames = "{recording}.frames", alignment = "array.alignment" }}
+in   = {{ tracks = "{tracks}", frames = "{recording}.frames", alignment = "array.alignment", events = "array.events" }}
 "#
         );
         tracks = "back.tracks";
