@@ -1,8 +1,9 @@
 //! `read/alignment`: where the pixels of an event array lie on the frames of another camera.
 //!
-//! A sequence of HS-ERGB or BS-ERGB has events that were warped onto its pictures: their distinct places
-//! give the event array's own grid back. A calibration (kalibr's camchain, DSEC's `cam_to_cam.yaml`) states
-//! how both cameras project and how they stand to each other. A homography is stated by itself.
+//! A sequence of HS-ERGB or BS-ERGB has events that were warped onto its pictures: their distinct places give
+//! the event array's own grid back. A calibration (kalibr's camchain, DSEC's `cam_to_cam.yaml`, a stereo
+//! calibration of OpenCV, whose camera 1 is `cam0` and camera 2 `cam1`) states how both cameras project and
+//! how they stand to each other. A homography is stated by itself.
 //!
 //! Limits: of a calibration, places of what is very far, or at one stated distance; of cameras side by side,
 //! what is nearer or farther than that is seen elsewhere.
@@ -19,7 +20,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// A sequence of HS-ERGB or BS-ERGB (a folder), or a calibration (a YAML file of kalibr or DSEC);
+    /// A sequence of HS-ERGB or BS-ERGB (a folder), or a calibration (a YAML file of kalibr, DSEC or OpenCV);
     /// relative to the manifest that names it. Absent where `homography` is stated.
     pub path: InputPath,
     /// Of a calibration: the camera that sees events, such as `"cam0"`.
@@ -27,16 +28,17 @@ pub struct Params {
     /// Of a calibration: the camera of the frames, such as `"cam1"`, or `"camRect1"` for DSEC's rectified
     /// ones.
     pub frames: Option<String>,
-    /// Of a calibration: how far away what is seen is, m. Absent = very far.
+    /// Of a calibration: how far away what is seen is, m (in OpenCV's files, the unit of `T`). Absent =
+    /// very far.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub distance_m: Option<f64>,
     /// In place of `path`: three rows of three numbers that take (column, row, 1) of an event pixel to its
     /// place on the frames, up to a factor; an affine map has the last row 0, 0, 1.
     pub homography: Option<[[f64; 3]; 3]>,
-    /// With `homography`: columns of the event array.
+    /// Columns of the event array: with `homography`, or of a calibration that states none.
     #[schemars(range(min = 2, max = 16384))]
     pub width: Option<u32>,
-    /// With `homography`: rows of the event array.
+    /// Rows of it.
     #[schemars(range(min = 2, max = 16384))]
     pub height: Option<u32>,
 }
@@ -86,6 +88,8 @@ impl ReadAlignment {
         let Params { homography, width, height, path, .. } = &self.params;
         match (homography, width, height) {
             (None, None, None) => Ok(None),
+            // Of a calibration that states no resolution.
+            (None, Some(_), Some(_)) => Ok(None),
             (Some(homography), Some(width), Some(height)) if path.path().as_os_str().is_empty() => {
                 projected(*homography, Extent { width: *width, height: *height }).map(Some)
             }
@@ -94,22 +98,24 @@ impl ReadAlignment {
                     .hint("keep one of them")
                     .param("homography"))
             }
-            (None, ..) => {
-                Err(NodeError::usage("`width` and `height` belong to a `homography`").param("width"))
+            (homography, width, _) => {
+                let stated = if width.is_some() { "width" } else { "height" };
+                let param = if homography.is_some() { "homography" } else { stated };
+                Err(NodeError::usage("`width` and `height` state the size of the event array together")
+                    .hint("state both; a `homography` needs them")
+                    .param(param))
             }
-            _ => Err(NodeError::usage("a `homography` needs the size of the event array")
-                .hint("state `width` and `height`")
-                .param("homography")),
         }
     }
 
     fn array(&self) -> Result<Array, NodeError> {
-        let Params { events, frames, distance_m, .. } = &self.params;
+        let Params { events, frames, distance_m, width, height, .. } = &self.params;
         let path = self.params.path.path();
         let refused = |error| NodeError::from(error).param("path");
         match (events, frames) {
             (Some(events), Some(frames)) => {
-                return places::of_calibration(path, (events, frames), *distance_m).map_err(refused);
+                let size = width.zip(*height).map(|(width, height)| Extent { width, height });
+                return places::of_calibration(path, (events, frames), *distance_m, size).map_err(refused);
             }
             (None, None) if path.is_dir() => {}
             _ => {
@@ -225,7 +231,7 @@ mod tests {
         // A homography has a size, and no file.
         let turned = Some([[1.1, 0.0, 2.0], [0.0, 1.2, 3.0], [0.0, 0.0, 2.0]]);
         let error = plan(Params { homography: turned, ..Params::default() });
-        assert!(error.message.contains("needs the size"), "{error:?}");
+        assert!(error.message.contains("the size of the event array"), "{error:?}");
         let sized = Params { homography: turned, width: Some(4), height: Some(3), ..Params::default() };
         let error = plan(Params { path: path.clone(), ..sized.clone() });
         assert!(error.message.contains("both state"), "{error:?}");

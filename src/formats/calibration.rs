@@ -1,8 +1,10 @@
-//! Facts about cameras from calibration files: kalibr's camchain and DSEC's `cam_to_cam.yaml`.
+//! Facts about cameras from calibration files: kalibr's camchain, DSEC's `cam_to_cam.yaml`, and what OpenCV's
+//! stereo calibration stores.
 //!
 //! Every field may be missing, and what is missing stays unknown. The lengths of lists are checked, their
-//! values only for being finite. Sources: kalibr's wiki, "Yaml formats"; the data format page of DSEC.
-//! Limits: the extrinsic matrices are given as they stand in the file. Kalibr states `line_delay` and
+//! values only for being finite. Sources: kalibr's wiki, "Yaml formats"; the data format page of DSEC;
+//! OpenCV's sample `stereo_calib.cpp`, whose two files are read as one after the other in one file. Limits:
+//! the extrinsic matrices are given as they stand in the file. Kalibr states `line_delay` and
 //! `timeshift_cam_imu` in seconds.
 
 use crate::error::FormatError;
@@ -77,7 +79,76 @@ struct Dsec {
     extrinsics: Option<BTreeMap<String, Matrix>>,
 }
 
-/// Reads a calibration file of either layout.
+/// A matrix as OpenCV stores it.
+#[derive(Debug, Deserialize)]
+struct OpenCvMatrix {
+    rows: usize,
+    cols: usize,
+    data: Vec<f64>,
+}
+
+/// Cameras 1 and 2 as OpenCV's samples name their matrices, and where the second stands from the first.
+#[derive(Debug, Deserialize)]
+struct OpenCv {
+    #[serde(rename = "M1", alias = "K1", alias = "cameraMatrix1")]
+    first: OpenCvMatrix,
+    #[serde(rename = "D1", alias = "distCoeffs1")]
+    first_distortion: Option<OpenCvMatrix>,
+    #[serde(rename = "M2", alias = "K2", alias = "cameraMatrix2")]
+    second: OpenCvMatrix,
+    #[serde(rename = "D2", alias = "distCoeffs2")]
+    second_distortion: Option<OpenCvMatrix>,
+    #[serde(rename = "R")]
+    turn: OpenCvMatrix,
+    #[serde(rename = "T")]
+    step: OpenCvMatrix,
+}
+
+/// Camera 1 is `cam0`, camera 2 `cam1`.
+fn of_opencv(text: &str) -> Result<Calibration, String> {
+    // Documents that follow each other state one calibration together; types stand in each matrix itself.
+    let plain = text.replace("!!opencv-matrix", "");
+    let is_header = |line: &&str| line.starts_with("%YAML") || ["---", "..."].contains(&line.trim());
+    let joined: String =
+        plain.lines().filter(|line| !is_header(line)).flat_map(|line| [line, "\n"]).collect();
+    let found: OpenCv = serde_saphyr::from_str(&joined).map_err(|error| first_line(&error.to_string()))?;
+    let sized = |name: &str, matrix: &OpenCvMatrix, sizes: &[(usize, usize)]| {
+        let is_whole = matrix.rows.checked_mul(matrix.cols) == Some(matrix.data.len());
+        if is_whole
+            && sizes.contains(&(matrix.rows, matrix.cols))
+            && matrix.data.iter().all(|v| v.is_finite())
+        {
+            return Ok(());
+        }
+        Err(format!("`{name}` is {} x {} with {} values", matrix.rows, matrix.cols, matrix.data.len()))
+    };
+    sized("R", &found.turn, &[(3, 3)])?;
+    sized("T", &found.step, &[(3, 1), (1, 3)])?;
+    let camera = |name: &str, matrix: OpenCvMatrix, distortion: Option<OpenCvMatrix>| {
+        sized(name, &matrix, &[(3, 3)])?;
+        let k = matrix.data;
+        Ok::<CameraFacts, String>(CameraFacts {
+            name: name.into(),
+            camera_model: Some("pinhole".into()),
+            intrinsics: Some(vec![k[0], k[4], k[2], k[5]]),
+            distortion_model: distortion.as_ref().map(|_| "radtan".into()),
+            distortion: distortion.map(|matrix| matrix.data),
+            ..CameraFacts::default()
+        })
+    };
+    let (r, t) = (&found.turn.data, &found.step.data);
+    let mut transform: Matrix = (0..3).map(|n| vec![r[3 * n], r[3 * n + 1], r[3 * n + 2], t[n]]).collect();
+    transform.push(vec![0.0, 0.0, 0.0, 1.0]);
+    Ok(Calibration {
+        cameras: vec![
+            camera("cam0", found.first, found.first_distortion)?,
+            camera("cam1", found.second, found.second_distortion)?,
+        ],
+        transforms: vec![("T_10".into(), transform)],
+    })
+}
+
+/// Reads a calibration file of any of these layouts.
 ///
 /// # Errors
 /// When it is neither, or too large, or a value has another form.
@@ -107,6 +178,12 @@ pub fn parse(path: &Path, text: &str) -> Result<Calibration, FormatError> {
             "name a kalibr camchain (cam0: ...) or DSEC's cam_to_cam.yaml (intrinsics: cam0: ...)",
         )
     };
+    if text.contains("!!opencv-matrix") {
+        return of_opencv(text).map_err(|why| {
+            wrong(format!("it is no stereo calibration of OpenCV: {why}"))
+                .expected("the matrices M1, D1, M2, D2, R, T")
+        });
+    }
     // OpenCV writes a line that newer YAML does not know.
     let text = text.strip_prefix("%YAML:1.0").unwrap_or(text);
     let is_dsec = text.lines().any(|line| line.trim_end() == "intrinsics:");
@@ -245,6 +322,28 @@ disparity_to_depth:
             calibration.transforms.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(),
             ["R_rect0", "T_10"]
         );
+    }
+
+    #[test]
+    fn a_stereo_calibration_of_opencv_gives_two_cameras_and_their_transform() {
+        let matrix = |name: &str, rows: usize, cols: usize, data: &str| {
+            format!(
+                "{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {data} ]\n"
+            )
+        };
+        let first = matrix("M1", 3, 3, "500., 0., 320., 0.,\n       510., 240., 0., 0., 1.");
+        let second = matrix("M2", 3, 3, "900., 0., 700., 0., 910., 500., 0., 0., 1.");
+        let (d1, d2) =
+            (matrix("D1", 1, 5, "-1.0e-01, 0.02, 0., 0., 0."), matrix("D2", 1, 5, "0., 0., 0., 0., 0."));
+        let stands =
+            matrix("R", 3, 3, "1., 0., 0., 0., 1., 0., 0., 0., 1.") + &matrix("T", 3, 1, "-5., 0.1, 0.");
+        let text = format!("%YAML 1.2\n---\n{first}{d1}{second}{d2}...\n%YAML:1.0\n---\n{stands}");
+        let found = parse(Path::new("stereo.yml"), &text).unwrap();
+        assert_eq!(found.cameras[1].intrinsics, Some(vec![900.0, 910.0, 700.0, 500.0]));
+        assert_eq!(found.cameras[0].distortion.as_deref(), Some(&[-0.1, 0.02, 0.0, 0.0, 0.0][..]));
+        assert_eq!(found.transforms[0].1[0], [1.0, 0.0, 0.0, -5.0]);
+        let error = parse(Path::new("stereo.yml"), &text.replace("cols: 1\n", "cols: 2\n")).unwrap_err();
+        assert!(error.found.contains("`T` is 3 x 2 with 3 values"), "{}", error.found);
     }
 
     #[test]

@@ -6,6 +6,7 @@ use crate::error::FormatError;
 use crate::hs_ergb::HsErgb;
 use crate::projection::Projection;
 use nalgebra::{Matrix3, Vector3};
+use photocurrent_core::Extent;
 use std::path::Path;
 
 pub use crate::warped::Array;
@@ -19,9 +20,10 @@ pub fn of_sequence(path: &Path) -> Result<Option<Array>, FormatError> {
     Ok(HsErgb::open(path, &Declared::default())?.array())
 }
 
-/// The array of camera `events` of a calibration file (kalibr's camchain, DSEC's `cam_to_cam.yaml`), on
-/// frames of camera `frames`: places of what lies `distance_m` away, or very far where that is not stated.
-/// DSEC's rectified cameras (`camRect1`) are those turned by `R_rect1`.
+/// The array of camera `events` of a calibration file (kalibr's camchain, DSEC's `cam_to_cam.yaml`, a stereo
+/// calibration of OpenCV), on frames of camera `frames`: places of what lies `distance_m` away (in the unit
+/// of the file's translations), or very far where that is not stated. `size` is that of the array where the
+/// file states none. DSEC's rectified cameras (`camRect1`) are those turned by `R_rect1`.
 ///
 /// # Errors
 /// When the file is no calibration, lacks a camera or what it takes to project, or pixels see no direction
@@ -30,6 +32,7 @@ pub fn of_calibration(
     path: &Path,
     (events, frames): (&str, &str),
     distance_m: Option<f64>,
+    size: Option<Extent>,
 ) -> Result<Array, FormatError> {
     let calibration = calibration::read(path)?;
     let wrong = |what: String| {
@@ -42,7 +45,10 @@ pub fn of_calibration(
         })
     };
     let (array, picture) = (camera(events)?, camera(frames)?);
-    let extent = array.extent.ok_or_else(|| wrong(format!("it states no resolution of {events}")))?;
+    let extent = array.extent.or(size).ok_or_else(|| {
+        wrong(format!("it states no resolution of {events}"))
+            .expected("`width` and `height` of the event array")
+    })?;
     let (from, to) = (Projection::of(array).map_err(wrong)?, Projection::of(picture).map_err(wrong)?);
     let turned = |camera: &CameraFacts| rectified(&calibration.transforms, camera).map_err(wrong);
     let (first, last) = (turned(array)?, turned(picture)?);
@@ -156,7 +162,7 @@ intrinsics:
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cam_to_cam.yaml");
         std::fs::write(&path, CALIBRATION).unwrap();
-        of_calibration(&path, cameras, distance_m)
+        of_calibration(&path, cameras, distance_m, None)
     }
 
     fn close(array: &Array, places: [((usize, usize), (f64, f64)); 3]) {
