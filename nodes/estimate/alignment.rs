@@ -3,8 +3,8 @@
 //! The events of an event pixel between two frames count the change of the frames at its place. The shift at
 //! which both agree best is estimated to a fraction of a pixel, constant or affine over the array, together
 //! with how late events are ([`photocurrent_scene::misalignment`]). Pixels are then solved without some of
-//! their frames, as each shift places them: the shift is applied where it predicts these frames clearly
-//! better, and left out otherwise. Events and frames come out on the event array, as those of
+//! their frames, as each shift places them: the shift is applied where it predicts these frames better by
+//! far, and left out otherwise. Events and frames come out on the event array, as those of
 //! `align/recording`, which this node stands in for: events that were warped lie where the given alignment
 //! placed them, and only what the frames show of each event pixel is taken from the better place.
 //!
@@ -337,7 +337,7 @@ fn shifted(search: &Search<'_>, start_ns: f64, form: Form) -> Option<Misalignmen
     search.compared(late_ns, SAMPLES, |compared| compared.misalignment(form))
 }
 
-/// The shift of the form that predicts frames that are held out best: with whether that is clearly better
+/// The shift of the form that predicts frames that are held out best: with whether that is better by far
 /// than none. None where too little changes.
 fn judged(recorded: &Recorded, params: &Params) -> Result<Option<(Misalignment, bool)>, NodeError> {
     let search = Search::new(recorded, params.pairs)?;
@@ -357,7 +357,7 @@ fn judged(recorded: &Recorded, params: &Params) -> Result<Option<(Misalignment, 
     };
     let (mut best, mut shown) = (0, 1);
     for n in 1..losses.len() {
-        if held_out::clearly(&losses[n], &losses[best]) {
+        if held_out::is_better_by_far(&losses[n], &losses[best]) {
             (best, shown) = (n, n);
         }
     }

@@ -43,9 +43,9 @@ const OFFSETS: [f64; 6] = [-0.25, -0.12, -0.05, 0.05, 0.12, 0.25];
 const CLOSER: [f64; 2] = [-0.03, 0.03];
 /// The interval reaches at least by this factor beyond what is best: rows of one recording err together.
 const APART: f64 = 1.3;
-/// An exposure or an offset is taken where it leaves less than this part of the squares of errors: the
-/// exposure of HS-ERGB's balloon leaves 0.67 of what half the period leaves (`photocurrent init`), an offset
-/// of 4 ms in 20 less than 0.2 of what none leaves (`cargo test held_out`).
+/// An exposure, an offset or a shift of places is taken where it leaves less than this part of the squares of
+/// errors: the exposure of HS-ERGB's balloon leaves 0.67 of what half the period leaves (`photocurrent
+/// init`), an offset of 4 ms in 20 less than 0.2 of what none leaves (`cargo test held_out`).
 const FAR_BETTER: f64 = 0.8;
 /// One description is clearly worse than another by so many standard errors.
 const CLEAR: f64 = 2.0;
@@ -160,11 +160,16 @@ impl Search<'_> {
 
 /// Takes what is better by far.
 fn taken(best: &mut Tried, other: Tried) -> bool {
-    let is_better = other.sum() < FAR_BETTER * best.sum() && clearly(&other.of_rows, &best.of_rows);
+    let is_better = is_better_by_far(&other.of_rows, &best.of_rows);
     if is_better {
         *best = other;
     }
     is_better
+}
+
+/// Does `better` lose less than [`FAR_BETTER`] of what `worse` loses, row by row, and clearly so?
+pub(crate) fn is_better_by_far(better: &[f64], worse: &[f64]) -> bool {
+    better.iter().sum::<f64>() < FAR_BETTER * worse.iter().sum::<f64>() && clearly(better, worse)
 }
 
 fn scaled(described: &Described, by: f64) -> Described {
@@ -248,7 +253,7 @@ pub(crate) fn compared(
 }
 
 /// Does `worse` lose clearly more, row by row, than `better`?
-pub(crate) fn clearly(better: &[f64], worse: &[f64]) -> bool {
+fn clearly(better: &[f64], worse: &[f64]) -> bool {
     let count = better.len() as f64;
     let apart: Vec<f64> = worse.iter().zip(better).map(|(worse, better)| worse - better).collect();
     let mean = apart.iter().sum::<f64>() / count;
