@@ -4,14 +4,19 @@
 //! sensors: one before this light, of which the events are taken, and one before the scene's own, of which
 //! the frames are taken.
 //!
-//! Limits: grey light (or behind a mosaic: `simulate/sensor` mixes colours of its own pixels only); an event
-//! pixel has an instant wherever one of the pixels that it covers has one.
+//! Limits: no light behind a mosaic; an event pixel has an instant wherever one of the pixels that it covers
+//! has one.
 
+use crate::simulate::pooled::push_mixed;
 use photocurrent_core::handle::Band;
-use photocurrent_core::light::{Light, LightBand, LightMeta, at};
+use photocurrent_core::light::{Light, LightBand, LightMeta};
 use photocurrent_core::series::Series;
-use photocurrent_core::{Colour, Context, Decl, Extent, Grain, MapSet, Meta, Node, NodeError, PortMetas};
+use photocurrent_core::{
+    Colour, Context, Decl, Extent, Grain, MapSet, Meta, Node, NodeError, PortMetas, Sensor,
+};
 use photocurrent_scene::alignment::Alignment;
+use photocurrent_sensor::pooling::block_weights;
+use photocurrent_solve::co_located::event_weights;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,10 +31,13 @@ pub struct Params {}
 photocurrent_core::ports! {
     /// Inputs.
     pub struct In {
-        /// Light of the pixels of the frames: grey, or red, green and blue, which are mixed alike.
+        /// Light of the pixels of the frames: grey, or red, green and blue.
         light: Light,
         /// Places of the event pixels on the frames: of `read/alignment`.
         alignment: MapSet,
+        /// The sensor of the events: how strongly it receives each colour (`optics.event_weights`); absent =
+        /// alike.
+        sensor: Option<Arc<Sensor>>,
     }
 }
 
@@ -69,7 +77,7 @@ params = { homography = [[1.16, -0.02, 0.3], [0.02, 1.16, 0.5], [0.0, 0.0, 1.0]]
 
 [nodes.seen]
 kind = "align/light"
-in   = { light = "scene.light", alignment = "places" }
+in   = { light = "scene.light", alignment = "places", sensor = "sensor" }
 
 [nodes.array]
 kind = "simulate/sensor"
@@ -96,6 +104,8 @@ in   = { light = "seen.light", sensor = "sensor" }
         let meta = plan_of(own, alignment.events)?;
         let band = input.light.read(own.extent.rows())?;
         let (cell, channels) = (alignment.cell(), own.colour.channels());
+        let received = input.sensor.as_deref().map(event_weights).transpose()?.flatten();
+        let colours = block_weights(own.colour, 1, (0, 0), received);
         cx.begin(u64::from(meta.extent.height), "rows");
         let row = |y: u32| -> Result<LightBand, NodeError> {
             let mut out = LightBand::begin(y, meta.extent.width);
@@ -104,26 +114,15 @@ in   = { light = "seen.light", sensor = "sensor" }
                 let mut shares: BTreeMap<usize, f64> = BTreeMap::new();
                 let pixel = (y * meta.extent.width + x) as usize;
                 alignment.covered(&cell, pixel, own.extent, |pixel, share| {
-                    *shares.entry(pixel).or_default() += share / f64::from(channels);
+                    *shares.entry(pixel).or_default() += share;
                 });
-                let series = |pixel: usize, channel: u32| -> Series<'_> {
+                let mut parts: Vec<(f64, Series<'_>)> = Vec::new();
+                for (pixel, share) in shares {
                     let (column, row) = (pixel as u32 % own.extent.width, pixel as u32 / own.extent.width);
-                    band.pixel(column * channels + channel, row)
-                };
-                let of_pixel = |(pixel, share): (&usize, &f64)| {
-                    let (pixel, share) = (*pixel, *share);
-                    (0..channels).map(move |channel| (share, series(pixel, channel))).collect::<Vec<_>>()
-                };
-                let parts: Vec<(f64, Series<'_>)> = shares.iter().flat_map(of_pixel).collect();
-                instants.clear();
-                instants.extend(parts.iter().flat_map(|(_, part)| part.t));
-                instants.sort_unstable();
-                instants.dedup();
-                // Straight lines between the instants of all: the sum is exact.
-                let light = |t: i64| {
-                    parts.iter().map(|(share, part)| share * at(*part, t).unwrap_or(f64::NAN)).sum::<f64>()
-                };
-                out.push(instants.iter().map(|t| (*t, light(*t) as f32)));
+                    let values = (column * channels..).zip(&colours).filter(|(_, weight)| **weight > 0.0);
+                    parts.extend(values.map(|(value, weight)| (share * weight, band.pixel(value, row))));
+                }
+                push_mixed(&mut out, &mut instants, &parts);
             }
             cx.advance(1)?;
             Ok(out)
@@ -138,6 +137,7 @@ in   = { light = "seen.light", sensor = "sensor" }
 mod tests {
     use super::*;
     use crate::align::testing::{alignment, shifted};
+    use photocurrent_core::light::at;
     use photocurrent_core::{TimeSpan, testing};
 
     const EXTENT: Extent = Extent { width: 6, height: 5 };
@@ -156,7 +156,14 @@ mod tests {
     }
 
     fn seen(light: Light, by: f64) -> Light {
-        let input = In { light, alignment: alignment(EXTENT, &shifted(by)) };
+        seen_by(light, by, None)
+    }
+
+    fn seen_by(light: Light, by: f64, weights: Option<[f64; 3]>) -> Light {
+        let mut sensor = Sensor::unknown("events");
+        sensor.optics.event_weights = weights;
+        let alignment = alignment(EXTENT, &shifted(by));
+        let input = In { light, alignment, sensor: Some(Arc::new(sensor)) };
         testing::with_context(EXTENT.rows(), &["light"], |cx| AlignLight.run(input, cx)).0.unwrap().light
     }
 
@@ -180,8 +187,12 @@ mod tests {
         assert_eq!(same.read(EXTENT.rows()).unwrap(), own.read(EXTENT.rows()).unwrap());
         let colours = light(Colour::Rgb);
         let band = colours.read(EXTENT.rows()).unwrap();
-        let mixed = seen(colours, 0.0).read(EXTENT.rows()).unwrap();
-        let mean = (0..3).map(|c| at(band.pixel(3 * 4 + c, 2), 3_000).unwrap()).sum::<f64>() / 3.0;
-        assert!((at(mixed.pixel(4, 2), 3_000).unwrap() / mean - 1.0).abs() < 1e-6);
+        for weights in [[1.0 / 3.0; 3], [0.2, 0.5, 0.3]] {
+            let mixed = seen_by(colours.clone(), 0.0, Some(weights)).read(EXTENT.rows()).unwrap();
+            let of = |c: u32| weights[c as usize] * at(band.pixel(3 * 4 + c, 2), 3_000).unwrap();
+            let expected = (0..3).map(of).sum::<f64>();
+            // Light is f32.
+            assert!((at(mixed.pixel(4, 2), 3_000).unwrap() / expected - 1.0).abs() < 1e-6);
+        }
     }
 }

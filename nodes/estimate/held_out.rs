@@ -11,7 +11,9 @@
 //! the same frames: where that is better, a picture gains nothing from events.
 //!
 //! An offset that correlation states stands: frames that are held out are blurred, and those of a disc that
-//! moves one way preferred an offset of a millisecond to the right one, which cost 2.5 dB of sharp pictures.
+//! moves one way preferred an offset of a millisecond to the right one, which gave sharp pictures of 37.2
+//! instead of 39.8 dB (`a_first_stamp_that_is_missing_is_found_by_the_events_in_a_folder_too` with an offset
+//! that is always tried).
 //!
 //! Limits: both signs have the same threshold, as frames do not show which of the two is off (a pixel that
 //! darkens is slower); an ideal front end, so that what a slow pixel leaves out of its events is in the
@@ -44,8 +46,9 @@ const CLOSER: [f64; 2] = [-0.03, 0.03];
 /// The interval reaches at least by this factor beyond what is best: rows of one recording err together.
 const APART: f64 = 1.3;
 /// An exposure, an offset or a shift of places is taken where it leaves less than this part of the squares of
-/// errors: the exposure of HS-ERGB's balloon leaves 0.67 of what half the period leaves (`photocurrent
-/// init`), an offset of 4 ms in 20 less than 0.2 of what none leaves (`cargo test held_out`).
+/// errors. Standard errors alone moved the places of a clip whose events and frames have the same pixels
+/// (`tests/two_cameras.rs`, traffic); what is off by a pixel, or by 4 ms, passes (there, and
+/// `frames_that_are_held_out_choose_offset_and_exposure`).
 const FAR_BETTER: f64 = 0.8;
 /// One description is clearly worse than another by so many standard errors.
 const CLEAR: f64 = 2.0;

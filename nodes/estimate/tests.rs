@@ -327,7 +327,7 @@ fn a_shift_of_a_fraction_of_a_pixel_is_found_and_applied() {
     let (events, frames) = recorded(turning, 2_000_000, 0.0, (1.3, -0.6));
     let (off, values, note) = aligned(&events, &frames);
     assert!((values[0] - 1.3).abs() < 0.15 && (values[1] + 0.6).abs() < 0.15, "{values:?} {note}");
-    assert!(note.contains("places moved by"), "{note}");
+    assert!(note.contains("places moved:"), "{note}");
     assert!(off.iter().all(|(x, y)| (x - 1.3).abs() < 0.5 && (y + 0.6).abs() < 0.5), "{:?}", off[0]);
 }
 

@@ -61,6 +61,20 @@ impl Pooling {
     }
 }
 
+/// Adds a pixel that sees parts of the light of others, each with its weight, at the instants of all of them:
+/// light is straight between these, so the sum is exact. A pixel without light is left for the camera to
+/// refuse. `instants` is memory for them.
+pub(crate) fn push_mixed(band: &mut LightBand, instants: &mut Vec<i64>, parts: &[(f64, Series<'_>)]) {
+    instants.clear();
+    instants.extend(parts.iter().flat_map(|(_, part)| part.t));
+    instants.sort_unstable();
+    instants.dedup();
+    let mixed = |t: i64| {
+        parts.iter().map(|(weight, part)| weight * at(*part, t).unwrap_or(f64::NAN)).sum::<f64>() as f32
+    };
+    band.push(instants.iter().map(|&t| (t, mixed(t))));
+}
+
 struct Mixture {
     of: Light,
     pooling: Pooling,
@@ -86,17 +100,7 @@ impl BandSource<LightBand> for Mixture {
                     .filter(|(weight, _)| *weight > 0.0)
                     .map(|(weight, (value, y))| (weight, whole.pixel(value, y)))
                     .collect();
-                instants.clear();
-                instants.extend(parts.iter().flat_map(|(_, part)| part.t));
-                instants.sort_unstable();
-                instants.dedup();
-                // Straight lines between the instants of all: the sum is exact. A pixel without light is left
-                // for the camera to refuse.
-                let mixed = |t: i64| {
-                    parts.iter().map(|(weight, part)| weight * at(*part, t).unwrap_or(f64::NAN)).sum::<f64>()
-                        as f32
-                };
-                band.push(instants.iter().map(|&t| (t, mixed(t))));
+                push_mixed(&mut band, &mut instants, &parts);
             }
             band
         };

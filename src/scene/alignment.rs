@@ -7,7 +7,7 @@
 //! Limits: places are a smooth map that turns by less than a right angle and does not fold; beyond the event
 //! array a pixel has the value of the nearest event pixel, as far as one pitch, and none further out.
 
-use crate::image::Image;
+use crate::image::{Image, between};
 use photocurrent_core::{Extent, MapBand, MapMeta, MapSet, NodeError};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -109,11 +109,8 @@ impl Alignment {
 
     /// The place of a fraction of a column and row, bilinear; beyond the array it goes on as at its border.
     pub fn place_at(&self, column: f64, row: f64) -> (f64, f64) {
-        let cell = |at: f64, count: u32| {
-            let cell = (at.max(0.0) as usize).min(count.saturating_sub(2) as usize);
-            (cell, at - cell as f64)
-        };
-        let ((i, s), (j, t)) = (cell(column, self.events.width), cell(row, self.events.height));
+        let (columns, lines) = (self.events.width as usize, self.events.height as usize);
+        let ((i, s), (j, t)) = (between(column, columns), between(row, lines));
         let (a, b) = (self.place(i, j), self.place(i + 1, j));
         let (c, d) = (self.place(i, j + 1), self.place(i + 1, j + 1));
         let mix = |a: f64, b: f64, c: f64, d: f64| {
@@ -182,9 +179,8 @@ impl Alignment {
                     return none;
                 }
                 let cell = |at: f64, count: usize| {
-                    let at = at.clamp(0.0, (count - 1) as f64);
-                    let cell = usize::min(at as usize, count.saturating_sub(2));
-                    (cell, (at - cell as f64) as f32)
+                    let (cell, rest) = between(at.clamp(0.0, (count - 1) as f64), count);
+                    (cell, rest as f32)
                 };
                 let ((i, s), (j, t)) = (cell(found.0, columns), cell(found.1, lines));
                 let at = j * columns + i;
@@ -247,11 +243,7 @@ impl Alignment {
         let (x, y) = (f64::from(self.x[at]), f64::from(self.y[at]));
         let width = frames.width as usize;
         let part = 1.0 / cell.0.len() as f64;
-        let split = |at: f64, count: u32| {
-            let at = at.clamp(0.0, f64::from(count - 1));
-            let first = usize::min(at as usize, (count as usize).saturating_sub(2));
-            (first, at - first as f64)
-        };
+        let split = |at: f64, count: u32| between(at.clamp(0.0, f64::from(count - 1)), count as usize);
         for (right, down) in &cell.0 {
             let ((i, s), (j, t)) = (split(x + right, frames.width), split(y + down, frames.height));
             let corners =

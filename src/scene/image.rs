@@ -19,11 +19,7 @@ impl Image {
         if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
             return None;
         }
-        let (i, j) = (
-            usize::min(x as usize, width.saturating_sub(2)),
-            usize::min(y as usize, height.saturating_sub(2)),
-        );
-        let (dx, dy) = (x - i as f64, y - j as f64);
+        let ((i, dx), (j, dy)) = (between(x, width), between(y, height));
         // One row or column alone has no next one.
         let (right, below) = (usize::from(width > 1), if height > 1 { width } else { 0 });
         let v = |at: usize| f64::from(self.values[at]);
@@ -80,6 +76,14 @@ impl Image {
     pub fn smoothed_by(&self, sigma: f64) -> Image {
         Image { values: smooth(&self.values, self.width, self.height, sigma), ..*self }
     }
+}
+
+/// The first of the two of `count` places that one lies between, and how far behind it: also of a place
+/// beyond them, which goes on as at the border.
+#[inline]
+pub(crate) fn between(at: f64, count: usize) -> (usize, f64) {
+    let first = usize::min(at.max(0.0) as usize, count.saturating_sub(2));
+    (first, at - first as f64)
 }
 
 /// A picture smoothed by a Gaussian; beyond the border it goes on as at the border.
