@@ -36,9 +36,10 @@ use crate::reconstruct::{black_level, nearest_frame};
 use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{
-    Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta,
-    Node, NodeError, PortMetas, Sensor,
+    Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, MapMeta,
+    MapSet, Meta, Node, NodeError, PortMetas, Sensor,
 };
+use photocurrent_scene::alignment::{Alignment, Around};
 use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -99,8 +100,10 @@ photocurrent_core::ports! {
         frames: FrameSequence,
         /// Standard deviation of every value, DN, of the same instants.
         sigma: Option<FrameSequence>,
-        /// Events of the same pixels; where none is near, nothing changes.
+        /// Events of the same pixels, or of the array of `alignment`; where none is near, nothing changes.
         events: Option<EventStream>,
+        /// Places of the event pixels on the frames, where the events are of another camera's array.
+        alignment: Option<MapSet>,
         /// Captured frames of the same pixels: the nearest one is shown.
         captured: Option<FrameSequence>,
         /// Black level and clock offset.
@@ -123,6 +126,8 @@ pub struct RefineOnnx {
 
 /// Reach of events where no captured frames say what is usual.
 const WINDOW_NS: i64 = 10_000_000;
+/// A pixel of the frames sees an event pixel of another array from this part on.
+const SEEN: f32 = 0.01;
 /// The part of all values that lies below white.
 const BELOW_WHITE: f64 = 0.999;
 const INPUTS: [&str; 4] = ["frame", "sigma", "events", "captured"];
@@ -133,6 +138,7 @@ struct Connected<'a> {
     frames: &'a FramesMeta,
     sigma: Option<&'a FramesMeta>,
     events: Option<&'a EventsMeta>,
+    alignment: Option<&'a MapMeta>,
     captured: Option<&'a FramesMeta>,
 }
 
@@ -161,15 +167,20 @@ impl Connected<'_> {
             ))
             .hint("connect `sigma` of the node that `frames` come from, or leave it out"));
         }
+        if let Some(alignment) = self.alignment {
+            Alignment::check(alignment)?;
+        }
         if let Some(events) = self.events {
-            if events.extent != frames.extent {
+            let is_of_array = self.alignment.is_some_and(|alignment| alignment.extent == events.extent);
+            if events.extent != frames.extent && !is_of_array {
                 return Err(NodeError::usage(format!(
                     "the events are of {} pixels, and the frames of {}",
                     events.extent, frames.extent
                 ))
                 .hint(
-                    "render the whole sensor, without `roi`; where frames have more pixels than \
-                           events, leave `events` out",
+                    "render the whole sensor, without `roi`; where the events are of another camera's \
+                     array, connect its `alignment`; where frames have more pixels than events, leave \
+                     `events` out",
                 ));
             }
             if !addresses(events.extent) {
@@ -310,6 +321,11 @@ params = { weights = "data/weights/refine.onnx" }
             frames,
             sigma: sigma.map(|meta| &**meta),
             events: events.map(|meta| &**meta),
+            alignment: inputs
+                .has("alignment")
+                .then(|| inputs.map("alignment"))
+                .transpose()?
+                .map(|meta| &**meta),
             captured: captured.map(|meta| &**meta),
         }
         .check()?;
@@ -331,6 +347,7 @@ params = { weights = "data/weights/refine.onnx" }
             frames: &meta,
             sigma: sigma.as_deref(),
             events: events.as_deref(),
+            alignment: input.alignment.as_ref().map(|map| &*map.meta),
             captured: captured.as_deref(),
         }
         .check()?;
@@ -350,16 +367,10 @@ params = { weights = "data/weights/refine.onnx" }
             input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
         // Thresholds are not asked for: events are counted.
         let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns };
-        let timeline = input
-            .events
-            .as_ref()
-            .map(|events| Ok::<_, NodeError>(Timeline::new(&events.read(events.rows())?, &rule)))
-            .transpose()?;
+        let counts = input.events.as_ref().map(|_| Counts::of(&input, &rule)).transpose()?;
         cx.begin(meta.times.len() as u64, "frames");
-        let silent = match &timeline {
-            Some(timeline) if !self.params.quiet => {
-                timeline.silent((meta.extent.width as usize, meta.extent.height as usize))
-            }
+        let silent = match &counts {
+            Some(counts) if !self.params.quiet => counts.silent(),
             _ => Vec::new(),
         };
         let work = Work {
@@ -368,7 +379,7 @@ params = { weights = "data/weights/refine.onnx" }
             network: &*network,
             input: &input,
             shown,
-            timeline,
+            counts,
             black,
             white,
             reach_ns,
@@ -392,7 +403,7 @@ struct Work<'a> {
     input: &'a In,
     /// Captured frames, at least one.
     shown: Option<&'a FrameSequence>,
-    timeline: Option<Timeline>,
+    counts: Option<Counts>,
     /// By pixel: is there no event of it at all? Empty where that does not matter.
     silent: Vec<bool>,
     black: f64,
@@ -400,6 +411,51 @@ struct Work<'a> {
     white: f64,
     reach_ns: i64,
     cx: &'a Context<'a>,
+}
+
+/// Events, as the pixels of the frames have them.
+struct Counts {
+    timeline: Timeline,
+    /// Width and height of what they are of.
+    size: (usize, usize),
+    /// The event pixels around each pixel of the frames, where they are of another array.
+    around: Option<Vec<Around>>,
+}
+
+impl Counts {
+    /// Of connected events.
+    fn of(input: &In, rule: &StepRule) -> Result<Counts, NodeError> {
+        let events = input.events.as_ref().expect("the events are connected");
+        let extent = events.meta.extent;
+        let array = input.alignment.as_ref().filter(|alignment| alignment.meta.extent == extent);
+        let around = array
+            .map(|map| Ok::<_, NodeError>(Alignment::of(map)?.around(input.frames.meta.extent)))
+            .transpose()?;
+        Ok(Counts {
+            timeline: Timeline::new(&events.read(events.rows())?, rule),
+            size: (extent.width as usize, extent.height as usize),
+            around,
+        })
+    }
+
+    /// Events near an instant as [`Timeline::near`] counts them, [ON or OFF][y][x]; bilinear between the
+    /// event pixels of another array, where a pixel of the frames has as many as an event pixel there.
+    fn near(&self, instant: i64, reach_ns: i64) -> Vec<f32> {
+        let counts = self.timeline.near(instant, reach_ns, self.size);
+        let Some(around) = &self.around else { return counts };
+        let planes = counts.chunks_exact(self.size.0 * self.size.1);
+        planes.flat_map(|plane| around.iter().map(|around| around.of(plane))).collect()
+    }
+
+    /// By pixel of the frames: has no event pixel that it sees a single event?
+    fn silent(&self) -> Vec<bool> {
+        let silent = self.timeline.silent(self.size);
+        let Some(around) = &self.around else { return silent };
+        let none = |around: &Around| {
+            around.at.iter().zip(around.weights).all(|(at, weight)| weight < SEEN || silent[*at])
+        };
+        around.iter().map(none).collect()
+    }
 }
 
 /// Planes [channel][y][x] of a whole frame.
@@ -476,10 +532,8 @@ impl Work<'_> {
             _ => f64::INFINITY,
         };
         let captured = self.captured(frame, instant)?.unwrap_or_else(|| flat(0.0, channels));
-        let events = match &self.timeline {
-            Some(timeline) => {
-                Planes { channels: 2, width, values: timeline.near(instant, self.reach_ns, (width, height)) }
-            }
+        let events = match &self.counts {
+            Some(counts) => Planes { channels: 2, width, values: counts.near(instant, self.reach_ns) },
             None => flat(1.0, 2),
         };
         let side = |side: usize| spans(side, self.params.tile as usize, self.params.overlap as usize);

@@ -53,6 +53,8 @@ photocurrent_core::ports! {
         /// Places of the event pixels on the frames, where tracks and pictures were brought to the pixels of
         /// the frames by `align/tracks`.
         alignment: Option<MapSet>,
+        /// Standard deviations of the grey pictures, DN.
+        sigma: Option<FrameSequence>,
     }
 }
 
@@ -61,6 +63,9 @@ photocurrent_core::ports! {
     pub struct Out {
         /// The pictures in the colours, and with the pixels, of the captured frames.
         frames: FrameSequence,
+        /// Standard deviations of their values by those of the grey pictures, DN: that of hue is not in
+        /// them; NaN without `sigma`.
+        sigma: FrameSequence,
     }
 }
 
@@ -159,7 +164,7 @@ impl Node for RenderColour {
     const DECL: Decl = Decl {
         kind: "render/colour",
         about: "Gives grey pictures the hue of captured colour frames, carried along the motion.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -219,8 +224,12 @@ sensor   = "sensor"
         if is_aligned {
             Alignment::check(inputs.map("alignment")?)?;
         }
+        if inputs.has("sigma") {
+            check_sigma(inputs.frames("sigma")?, frames)?;
+        }
         let (_, meta) = Self::plan_of(frames, captured, tracks, (sensor, is_aligned))?;
-        Ok(vec![Meta::Frames(Arc::new(meta))])
+        let meta = Arc::new(meta);
+        Ok(vec![Meta::Frames(meta.clone()), Meta::Frames(meta)])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -233,37 +242,83 @@ sensor   = "sensor"
         let (tracks, flow) = Self::motion(&input, array.as_ref(), cx)?;
         let path = Path::new(&flow);
         let hues = Hues::new(grey, &input.captured, (&tracks, gain), &path, array.as_ref())?;
-        let mut block = FrameBlock::zeros(0..input.frames.len(), meta.extent.rows(), meta.row_values());
-        let pictures = block.dn.chunks_exact_mut(meta.extent.height as usize * meta.row_values());
+        let (count, size) = (input.frames.len(), meta.extent.height as usize * meta.row_values());
+        let mut block = FrameBlock::zeros(0..count, meta.extent.rows(), meta.row_values());
+        let stated = input.sigma.as_ref().filter(|_| cx.wants("sigma"));
+        let mut sigma = FrameBlock::zeros(0..count, meta.extent.rows(), meta.row_values());
+        if stated.is_none() {
+            sigma.dn.fill(f32::NAN);
+        }
+        let pictures = block.dn.chunks_exact_mut(size).zip(sigma.dn.chunks_exact_mut(size));
         pictures.enumerate().collect::<Vec<_>>().into_par_iter().try_for_each(
-            |(l, picture)| -> Result<(), NodeError> {
-                let dn = input.frames.read(l..l + 1, own.extent.rows())?.dn;
-                divide(&hues, own, l, &dn, &path, picture);
+            |(l, (picture, spread))| -> Result<(), NodeError> {
+                let read = |frames: &FrameSequence| frames.read(l..l + 1, own.extent.rows());
+                let grey = Picture { own, l, dn: read(&input.frames)?.dn };
+                let sigma = stated.map(read).transpose()?.map(|block| block.dn);
+                grey.divide(&hues, &path, picture, sigma.as_deref().map(|sigma| (sigma, spread)));
                 cx.advance(1)
             },
         )?;
-        Ok(Out { frames: FrameSequence::in_memory(Arc::new(meta), block) })
+        let meta = Arc::new(meta);
+        let (frames, sigma) = (FrameSequence::in_memory(meta.clone(), block), sigma);
+        Ok(Out { frames, sigma: FrameSequence::in_memory(meta, sigma) })
     }
 }
 
-/// Writes picture `l` in colour, of its grey values.
-fn divide(hues: &Hues, own: &FramesMeta, l: usize, dn: &[f32], path: &Path<'_>, picture: &mut [f32]) {
-    let (width, height) = (own.extent.width as usize, own.extent.height as usize);
-    let exposures: Vec<_> = (0..own.extent.height).map(|row| own.times.exposure(l, row)).collect();
-    let per_second: Vec<f64> = exposures.iter().map(|e| 1.0 / scale_seconds(own.scale, *e)).collect();
-    let above = |k: usize| hues.grey().above(f64::from(dn[k]));
-    let light = Image {
-        width,
-        height,
-        values: (0..width * height).map(|k| (above(k) * per_second[k / width]) as f32).collect(),
-    };
-    let mids: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
-    let row_values = picture.len() / (height * hues.grey().ratio as usize);
-    for (n, ratios) in hues.ratios(&light, &mids, path).iter().enumerate() {
-        for k in 0..width * height {
-            let (value, row) = hues.grey().place(n, ((k % width) as u32, (k / width) as u32));
-            picture[row as usize * row_values + value as usize] =
-                hues.grey().dn(above(k) * f64::from(ratios.values[k]), value, row) as f32;
+/// Refuses standard deviations of other pictures.
+fn check_sigma(sigma: &FramesMeta, frames: &FramesMeta) -> Result<(), NodeError> {
+    if (sigma.extent, sigma.colour, &sigma.times) == (frames.extent, frames.colour, &frames.times) {
+        return Ok(());
+    }
+    Err(NodeError::usage(format!(
+        "`sigma` has {} frames of {} pixels, and `frames` {} of {}, or their exposures differ",
+        sigma.times.len(),
+        sigma.extent,
+        frames.times.len(),
+        frames.extent
+    ))
+    .hint("connect `sigma` of the node that `frames` come from, or leave it out"))
+}
+
+/// A grey picture.
+struct Picture<'a> {
+    own: &'a FramesMeta,
+    /// Its number.
+    l: usize,
+    dn: Vec<f32>,
+}
+
+impl Picture<'_> {
+    /// Writes it in colour, and its standard deviations, DN, with the ratios of the colours.
+    fn divide(
+        &self,
+        hues: &Hues,
+        path: &Path<'_>,
+        picture: &mut [f32],
+        mut sigma: Option<(&[f32], &mut [f32])>,
+    ) {
+        let (own, grey) = (self.own, hues.grey());
+        let (width, height) = (own.extent.width as usize, own.extent.height as usize);
+        let exposures: Vec<_> = (0..own.extent.height).map(|row| own.times.exposure(self.l, row)).collect();
+        let per_second: Vec<f64> = exposures.iter().map(|e| 1.0 / scale_seconds(own.scale, *e)).collect();
+        let above = |k: usize| grey.above(f64::from(self.dn[k]));
+        let light = Image {
+            width,
+            height,
+            values: (0..width * height).map(|k| (above(k) * per_second[k / width]) as f32).collect(),
+        };
+        let mids: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
+        let row_values = picture.len() / (height * grey.ratio as usize);
+        for (n, ratios) in hues.ratios(&light, &mids, path).iter().enumerate() {
+            for k in 0..width * height {
+                let (value, row) = grey.place(n, ((k % width) as u32, (k / width) as u32));
+                let (at, ratio) = (row as usize * row_values + value as usize, f64::from(ratios.values[k]));
+                picture[at] = grey.dn(above(k) * ratio, value, row) as f32;
+                if let Some((stated, spread)) = &mut sigma {
+                    // DN above black are in proportion to the grey ones.
+                    spread[at] = (f64::from(stated[k]) * ratio * grey.gain(value, row)) as f32;
+                }
+            }
         }
     }
 }
@@ -314,6 +369,7 @@ mod tests {
             events: testing::stream(EVENTS, Vec::new()),
             sensor: sensor(),
             alignment: None,
+            sigma: None,
         }
     }
 
@@ -336,6 +392,35 @@ mod tests {
                 assert!((found - stated).abs() < 2e-4 * stated, "{colour}: {found} for {stated}");
             }
         }
+    }
+
+    /// A picture that is larger by its standard deviation comes out larger by those in colour: hue does not
+    /// change with the light of a whole picture.
+    #[test]
+    fn standard_deviations_are_divided_as_the_light_is() {
+        let with = |dn: f32| {
+            let share = 0.25_f32;
+            let scaled = |frames: &FrameSequence, black: f32, factor: f32| {
+                let mut block = frames.read(0..1, EVENTS.rows()).unwrap();
+                block.dn.iter_mut().for_each(|dn| *dn = black + factor * (*dn - 10.0));
+                FrameSequence::in_memory(frames.meta.clone(), block)
+            };
+            let mut input = input("rgb", 2);
+            input.sigma = Some(scaled(&input.frames, 0.0, share));
+            input.frames = scaled(&input.frames, 10.0, dn);
+            let rows = input.captured.meta.extent.rows();
+            let run = testing::with_context(rows, &["frames", "sigma"], |cx| RenderColour.run(input, cx));
+            let out = run.0.unwrap();
+            (out.frames.read_rows(rows).unwrap().dn, out.sigma.read_rows(rows).unwrap().dn)
+        };
+        let ((once, sigma), (more, _)) = (with(1.0), with(1.25));
+        for ((once, sigma), more) in once.iter().zip(&sigma).zip(&more) {
+            assert!((once + sigma - more).abs() < 1e-3 * more, "{once} and {sigma}, not {more}");
+        }
+        let input = input("rgb", 1);
+        let (out, _) = testing::with_context(EVENTS.rows(), &["frames"], |cx| RenderColour.run(input, cx));
+        let sigma = out.unwrap().sigma.read_rows(EVENTS.rows()).unwrap().dn;
+        assert!(sigma.iter().all(|sigma| sigma.is_nan()));
     }
 
     #[test]

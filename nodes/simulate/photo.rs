@@ -6,17 +6,20 @@
 //! where it is shrunk ([`super::moved::spline`] says why). Light is looked at often enough for what passes
 //! each pixel and kept at the instants that straight lines need, as `simulate/scene` does.
 //!
-//! At time 0 the middle of the photo is in the middle of the sensor. Limits: grey, as luminance; one flat
-//! picture, so nothing covers anything else.
+//! At time 0 the middle of the photo is in the middle of the sensor. In grey it is the photo's luminance; with
+//! `colour` each of red, green and blue is a picture of its own. Limit: one flat picture, so nothing covers
+//! anything else.
 
-use super::moved::MovingPhoto;
 use super::moved::motion::Motion;
 use super::moved::spline::{Outside, Spline, WIDEST};
+use super::moved::{MovingPhoto, Planes};
 use super::source::{self, In, Look, Metas, Out, Scale, TruthParams};
 use super::stored::folder::Pictures;
 use super::stored::{Film, Transfer, Window, still};
 use photocurrent_core::quantity::{Duration, Illuminance, InputPath, Rate, Rotation};
-use photocurrent_core::{Context, Decl, Extent, FileRef, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Colour, Context, Decl, Extent, FileRef, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -52,6 +55,11 @@ pub struct Params {
     /// Light on what is stored as full white.
     #[schemars(extend("x-min" = "0.001 lx", "x-max" = "1000000 lx"))]
     pub illuminance: Illuminance,
+    /// Grey, red, green and blue of every pixel, or a mosaic of filters over the pixels.
+    pub colour: Colour,
+    /// Colours of the true frames; absent = those of the light. `rgb` for what is scored after
+    /// `render/demosaic`.
+    pub truth_colour: Option<Colour>,
     /// Darkest light, as a share of white's; what is stored darker counts as this.
     #[schemars(range(min = 0.000001, max = 0.5))]
     pub black: f64,
@@ -131,6 +139,8 @@ impl Default for Params {
             height: 240,
             duration: Duration::new(60_000_000),
             illuminance: Illuminance::new(300.0),
+            colour: Colour::Mono,
+            truth_colour: None,
             black: 0.01,
             speed: 0.0,
             heading: 0.0,
@@ -150,7 +160,7 @@ impl Default for Params {
 pub struct SimulatePhoto {
     params: Params,
     /// Read once for all row bands.
-    photo: OnceLock<Spline>,
+    photo: OnceLock<Planes>,
 }
 
 const WHO: &str = "simulate/photo";
@@ -163,24 +173,36 @@ impl SimulatePhoto {
         let (extent, duration) =
             (Extent { width: self.params.width, height: self.params.height }, self.params.duration);
         let truth = TruthParams { rate: self.params.truth_rate, exposure: self.params.exposure };
-        Metas::new(extent, duration.ns(), 2.0 + INSTANTS_PER_S * duration.seconds(), truth)
+        let colour = self.params.colour;
+        let instants = (2.0 + INSTANTS_PER_S * duration.seconds()) * f64::from(colour.channels());
+        let metas = Metas::new(extent, duration.ns(), instants, truth)?;
+        Ok(metas.coloured(colour, self.truth_colour()))
+    }
+
+    fn truth_colour(&self) -> Colour {
+        self.params.truth_colour.unwrap_or(self.params.colour)
     }
 
     fn scale(&self, sensor: &Sensor) -> Result<Scale, NodeError> {
         Scale::new(sensor, self.params.illuminance, self.params.exposure, WHO)
     }
 
-    fn photo(&self) -> Result<&Spline, NodeError> {
+    fn photo(&self) -> Result<&Planes, NodeError> {
         if let Some(photo) = self.photo.get() {
             return Ok(photo);
         }
         let picture = Pictures::open(vec![self.params.path.path().into()], self.params.transfer)?;
         let window = Window::by_factor(picture.extent(), self.params.shrink)?;
         let extent = window.extent();
-        let light = window.read(&picture, 0, extent.rows())?;
-        Ok(self.photo.get_or_init(|| {
-            Spline::new(extent.width as usize, extent.height as usize, light, self.params.outside)
-        }))
+        let plane = |film: &dyn Film| -> Result<Spline, NodeError> {
+            let light = window.read(film, 0, extent.rows())?;
+            Ok(Spline::new(extent.width as usize, extent.height as usize, light, self.params.outside))
+        };
+        let has_colour = [self.params.colour, self.truth_colour()] != [Colour::Mono; 2];
+        let channel = |channel: usize| plane(&picture.channel(channel));
+        let channels = has_colour.then(|| Ok::<_, NodeError>([channel(0)?, channel(1)?, channel(2)?]));
+        let photo = Planes { grey: plane(&picture)?, channels: channels.transpose()? };
+        Ok(self.photo.get_or_init(|| photo))
     }
 
     fn motion(&self, photo: Extent) -> Motion {
@@ -256,7 +278,7 @@ params = { path = "street.png", speed = 2000.0, heading = 20.0, rotation = "30 r
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let photo = self.photo()?;
-        let size = photo.size();
+        let size = photo.grey.size();
         let motion = self.motion(Extent { width: size.0 as u32, height: size.1 as u32 });
         let scene = MovingPhoto::new(photo, motion, self.params.black, self.params.duration.ns());
         let look = Look { step: self.params.sample_step, tolerance: self.params.tolerance, graze: false };

@@ -3,6 +3,7 @@
 use super::super::stored::tests::{save, wide};
 use super::*;
 use crate::simulate::sensor::{self as camera, SimulateSensor};
+use photocurrent_core::colour::Order;
 use photocurrent_core::{Rows, light, testing};
 use png::{BitDepth, ColorType};
 use std::path::Path;
@@ -77,6 +78,45 @@ fn a_wave_that_slides_is_a_wave_in_time() {
     assert_eq!(out.truth.0.meta.times.len(), 400);
     // The middle of 120 columns is in the middle of 24: column 48 is at 0.
     compare(&out, 1.3e-3, |x, _, t| wave(x + 48.0 - 500.0 * t));
+}
+
+/// Red, green and blue are waves of their own phases, and grey is their luminance.
+#[test]
+fn each_colour_of_a_photo_is_a_wave_of_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("colours.png");
+    let of = |channel: usize, x: f64| wave(x + 5.0 * channel as f64);
+    let places = (0..40_usize).flat_map(|_| (0..120_usize).flat_map(|x| [0, 1, 2].map(|c| (x, c))));
+    let values: Vec<u16> = places.map(|(x, c)| (of(c, x as f64) * 65535.0).round() as u16).collect();
+    save(&path, 120, 40, (ColorType::Rgb, BitDepth::Sixteen), &wide(&values));
+    let still = Params {
+        path: InputPath::new(path),
+        transfer: Transfer::Linear,
+        width: 24,
+        height: 8,
+        duration: Duration::new(40_000_000),
+        speed: 500.0,
+        ..Params::default()
+    };
+    let seen = |x: f64, t: i64| x + 48.0 - 500.0 * t as f64 * 1e-9;
+    for (colour, channels) in [(Colour::Rgb, 3), (Colour::Bayer(Order::Rggb), 1)] {
+        let out = run(Params { colour, ..still.clone() }, ROWS);
+        let (band, truth) = (out.light.read(ROWS).unwrap(), out.truth.0.read_rows(ROWS).unwrap());
+        for (value, y) in ROWS.iter().flat_map(|y| (0..24 * channels).map(move |value| (value, y))) {
+            let channel = colour.channel(value, y).unwrap();
+            for t in (0..=97).map(|k| k * 411_237) {
+                let share = of(channel, seen(f64::from(value / channels), t));
+                let off = libm::log(light::at(band.pixel(value, y), t).unwrap() / (60.0 * share)).abs();
+                assert!(off < 1.3e-3, "{colour}, value {value} of row {y}, {t} ns: {off}");
+            }
+            let share = of(channel, seen(f64::from(value / channels), 0));
+            let dn = f64::from(truth.row(0, y)[value as usize]);
+            assert!(((dn - 5.0) / (60.0 * 6.5 * share) - 1.0).abs() < 3e-4, "{colour}: {dn}");
+        }
+    }
+    let grey = run(still, ROWS);
+    let luminance = |x: f64| 0.2126 * of(0, x) + 0.7152 * of(1, x) + 0.0722 * of(2, x);
+    compare(&grey, 1.3e-3, |x, _, t| luminance(x + 48.0 - 500.0 * t));
 }
 
 #[test]

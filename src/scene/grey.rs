@@ -117,7 +117,7 @@ impl Grey {
     }
 
     /// Gain of the channel of a value.
-    fn gain(&self, value: u32, row: u32) -> f64 {
+    pub fn gain(&self, value: u32, row: u32) -> f64 {
         self.colour.channel(value, row).map_or(1.0, |channel| self.gains[channel])
     }
 

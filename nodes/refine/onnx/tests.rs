@@ -35,7 +35,7 @@ fn event(x: u16, y: u16) -> Event {
 }
 
 fn only(frames: FrameSequence) -> In {
-    In { frames, sigma: None, events: None, captured: None, sensor: None }
+    In { frames, sigma: None, events: None, alignment: None, captured: None, sensor: None }
 }
 
 fn run(params: Params, input: In) -> Result<(Vec<f32>, Vec<String>), NodeError> {
@@ -125,6 +125,41 @@ fn pixels_that_never_fire_keep_their_bits() {
     let changed: Vec<usize> =
         (0..stated.len()).filter(|&at| stated[at].to_bits() != after[at].to_bits()).collect();
     assert_eq!(changed, [20 * 75 + 40, 20 * 75 + 43]);
+}
+
+/// An array with every second pixel of the frames: an event of its pixel (20, 10) is at (40, 20), and the
+/// frames' pixels between see half of it.
+#[test]
+fn events_of_another_array_are_where_its_pixels_lie() {
+    let array = Extent { width: 38, height: 25 };
+    let place = |at: usize| ((at % 38) as f32 * 2.0, (at / 38) as f32 * 2.0);
+    let alignment = || {
+        let places: Vec<(f32, f32)> = (0..array.pixels()).map(place).collect();
+        let (x, y) = places.into_iter().unzip();
+        Alignment { events: array, x, y }.into_map()
+    };
+    let seen = |x, y| In {
+        events: Some(testing::stream(array, vec![event(x, y)])),
+        alignment: Some(alignment()),
+        ..only(frames())
+    };
+    let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns: 0 };
+    let counts = Counts::of(&seen(20, 10), &rule).unwrap();
+    let (near, silent) = (counts.near(10_000_000, 1_000_000), counts.silent());
+    for (at, (near, silent)) in near.iter().zip(&silent).enumerate() {
+        let (x, y) = ((at % 75) as f32, (at / 75) as f32);
+        let expected =
+            f32::max(1.0 - (x - 40.0).abs() / 2.0, 0.0) * f32::max(1.0 - (y - 20.0).abs() / 2.0, 0.0);
+        assert!((near - expected).abs() < 1e-3, "({x}, {y}): {near}, not {expected}");
+        assert_eq!(*silent, expected < 1e-3, "({x}, {y})");
+    }
+    assert!(near[75 * 50..].iter().all(|off| *off == 0.0), "there was no OFF event");
+    let stated = frames().read_rows(EXTENT.rows()).unwrap().dn;
+    let after = refined(seen(20, 10));
+    let changed = (0..stated.len()).filter(|&at| stated[at].to_bits() != after[at].to_bits());
+    assert!(changed.clone().all(|at| !silent[at]) && changed.count() > 4);
+    let without = run(params(), In { alignment: None, ..seen(20, 10) }).err().unwrap();
+    assert_eq!(without.message, "the events are of 38 x 25 pixels, and the frames of 75 x 50");
 }
 
 #[test]

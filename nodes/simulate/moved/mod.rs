@@ -8,9 +8,17 @@ use motion::Motion;
 use photocurrent_scene::closed::ClosedScene;
 use spline::Spline;
 
+/// A photo's luminance, and its red, green and blue where it is seen in colours; all of one size.
+pub struct Planes {
+    /// Luminance, 0 to 1.
+    pub grey: Spline,
+    /// Light behind each filter.
+    pub channels: Option<[Spline; 3]>,
+}
+
 /// A photo under a motion, as a scene: its reflectance is the photo's light, from `black` to 1.
 pub struct MovingPhoto<'a> {
-    photo: &'a Spline,
+    photo: &'a Planes,
     motion: Motion,
     /// Darkest light, as a share of white's.
     black: f64,
@@ -20,15 +28,26 @@ pub struct MovingPhoto<'a> {
 
 impl<'a> MovingPhoto<'a> {
     /// Of light from 0 to `end_ns`.
-    pub fn new(photo: &'a Spline, motion: Motion, black: f64, end_ns: i64) -> MovingPhoto<'a> {
+    pub fn new(photo: &'a Planes, motion: Motion, black: f64, end_ns: i64) -> MovingPhoto<'a> {
         MovingPhoto { photo, motion, black, end_ns }
+    }
+}
+
+impl MovingPhoto<'_> {
+    fn seen(&self, plane: &Spline, x: f64, y: f64, t_ns: i64) -> f64 {
+        let seen = self.motion.seen(x, y, t_ns);
+        plane.at(seen.x, seen.y, seen.spacing).clamp(self.black, 1.0)
     }
 }
 
 impl ClosedScene for MovingPhoto<'_> {
     fn light(&self, x: f64, y: f64, t_ns: i64) -> f64 {
-        let seen = self.motion.seen(x, y, t_ns);
-        self.photo.at(seen.x, seen.y, seen.spacing).clamp(self.black, 1.0)
+        self.seen(&self.photo.grey, x, y, t_ns)
+    }
+
+    fn channel(&self, channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
+        let plane = self.photo.channels.as_ref().map_or(&self.photo.grey, |channels| &channels[channel]);
+        self.seen(plane, x, y, t_ns)
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
@@ -53,12 +72,13 @@ mod tests {
         let wave = |x: usize, y: usize| {
             0.5 + 0.4 * libm::sin((x as f64 + 0.5 * y as f64) * std::f64::consts::TAU / 16.0)
         };
-        let photo = Spline::new(
+        let grey = Spline::new(
             64,
             48,
             (0..48).flat_map(|y| (0..64).map(move |x| wave(x, y))).collect(),
             Outside::Mirror,
         );
+        let photo = Planes { grey, channels: None };
         let steepest = 0.4 * std::f64::consts::TAU / 16.0 * 1.25_f64.sqrt() * 1.01;
         let end = 80_000_000;
         let scene = MovingPhoto::new(&photo, lively(), 0.01, end);

@@ -57,6 +57,38 @@ impl Pictures {
     }
 }
 
+impl Pictures {
+    /// What they show behind a filter of red (0), green (1) or blue (2), as a film.
+    pub fn channel(&self, channel: usize) -> Channel<'_> {
+        Channel { pictures: self, channel }
+    }
+}
+
+/// One colour of pictures.
+pub struct Channel<'a> {
+    pictures: &'a Pictures,
+    channel: usize,
+}
+
+impl Film for Channel<'_> {
+    fn extent(&self) -> Extent {
+        self.pictures.extent
+    }
+
+    fn frames(&self) -> usize {
+        self.pictures.paths.len()
+    }
+
+    fn read(&self, frame: usize, rows: Rows, each: &mut dyn FnMut(&[f64])) -> Result<(), NodeError> {
+        let mut plane = Vec::new();
+        still::read_colour(&self.pictures.paths[frame], &self.pictures.curve, rows, &mut |light| {
+            plane.clear();
+            plane.extend(light.iter().skip(self.channel).step_by(3));
+            each(&plane);
+        })
+    }
+}
+
 impl Film for Pictures {
     fn extent(&self) -> Extent {
         self.extent
