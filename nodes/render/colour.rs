@@ -15,7 +15,7 @@
 use crate::sampling::scale_seconds;
 use crate::spans::check_steps;
 use photocurrent_core::{
-    Between, Colour, Context, Decl, EventStream, FrameBlock, FrameScale, FrameSequence, FrameTimes,
+    Between, Colour, Context, DataType, Decl, EventStream, FrameBlock, FrameScale, FrameSequence, FrameTimes,
     FramesMeta, Grain, MapSet, Meta, Node, NodeError, PortMetas, Sensor, TrackSet, TracksMeta,
 };
 use photocurrent_scene::activity::Activity;
@@ -64,8 +64,8 @@ photocurrent_core::ports! {
         /// The pictures in the colours, and with the pixels, of the captured frames.
         frames: FrameSequence,
         /// Standard deviations of their values by those of the grey pictures, DN: that of hue is not in
-        /// them; NaN without `sigma`.
-        sigma: FrameSequence,
+        /// them. Absent without the input.
+        sigma: Option<FrameSequence>,
     }
 }
 
@@ -229,7 +229,13 @@ sensor   = "sensor"
         }
         let (_, meta) = Self::plan_of(frames, captured, tracks, (sensor, is_aligned))?;
         let meta = Arc::new(meta);
-        Ok(vec![Meta::Frames(meta.clone()), Meta::Frames(meta)])
+        let sigma = if inputs.has("sigma") {
+            Meta::Frames(meta.clone())
+        } else {
+            let why = "`sigma` of the grey pictures is not connected".into();
+            Meta::Absent { data_type: DataType::Frames, why }
+        };
+        Ok(vec![Meta::Frames(meta), sigma])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -244,24 +250,32 @@ sensor   = "sensor"
         let hues = Hues::new(grey, &input.captured, (&tracks, gain), &path, array.as_ref())?;
         let (count, size) = (input.frames.len(), meta.extent.height as usize * meta.row_values());
         let mut block = FrameBlock::zeros(0..count, meta.extent.rows(), meta.row_values());
-        let stated = input.sigma.as_ref().filter(|_| cx.wants("sigma"));
-        let mut sigma = FrameBlock::zeros(0..count, meta.extent.rows(), meta.row_values());
-        if stated.is_none() {
-            sigma.dn.fill(f32::NAN);
-        }
-        let pictures = block.dn.chunks_exact_mut(size).zip(sigma.dn.chunks_exact_mut(size));
+        let mut sigma = input
+            .sigma
+            .as_ref()
+            .filter(|_| cx.wants("sigma"))
+            .map(|stated| (stated, FrameBlock::zeros(0..count, meta.extent.rows(), meta.row_values())));
+        let spreads: Vec<_> = match &mut sigma {
+            Some((stated, block)) => {
+                block.dn.chunks_exact_mut(size).map(|spread| Some((&**stated, spread))).collect()
+            }
+            None => (0..count).map(|_| None).collect(),
+        };
+        let pictures = block.dn.chunks_exact_mut(size).zip(spreads);
         pictures.enumerate().collect::<Vec<_>>().into_par_iter().try_for_each(
             |(l, (picture, spread))| -> Result<(), NodeError> {
                 let read = |frames: &FrameSequence| frames.read(l..l + 1, own.extent.rows());
                 let grey = Picture { own, l, dn: read(&input.frames)?.dn };
-                let sigma = stated.map(read).transpose()?.map(|block| block.dn);
-                grey.divide(&hues, &path, picture, sigma.as_deref().map(|sigma| (sigma, spread)));
+                let spread = spread
+                    .map(|(stated, spread)| Ok::<_, NodeError>((read(stated)?.dn, spread)))
+                    .transpose()?;
+                grey.divide(&hues, &path, picture, spread);
                 cx.advance(1)
             },
         )?;
         let meta = Arc::new(meta);
-        let (frames, sigma) = (FrameSequence::in_memory(meta.clone(), block), sigma);
-        Ok(Out { frames, sigma: FrameSequence::in_memory(meta, sigma) })
+        let sigma = sigma.map(|(_, block)| FrameSequence::in_memory(meta.clone(), block));
+        Ok(Out { frames: FrameSequence::in_memory(meta, block), sigma })
     }
 }
 
@@ -295,7 +309,7 @@ impl Picture<'_> {
         hues: &Hues,
         path: &Path<'_>,
         picture: &mut [f32],
-        mut sigma: Option<(&[f32], &mut [f32])>,
+        mut sigma: Option<(Vec<f32>, &mut [f32])>,
     ) {
         let (own, grey) = (self.own, hues.grey());
         let (width, height) = (own.extent.width as usize, own.extent.height as usize);
@@ -411,16 +425,19 @@ mod tests {
             let rows = input.captured.meta.extent.rows();
             let run = testing::with_context(rows, &["frames", "sigma"], |cx| RenderColour.run(input, cx));
             let out = run.0.unwrap();
-            (out.frames.read_rows(rows).unwrap().dn, out.sigma.read_rows(rows).unwrap().dn)
+            (
+                out.frames.read_rows(rows).unwrap().dn,
+                out.sigma.map(|sigma| sigma.read_rows(rows).unwrap().dn).unwrap_or_default(),
+            )
         };
         let ((once, sigma), (more, _)) = (with(1.0), with(1.25));
         for ((once, sigma), more) in once.iter().zip(&sigma).zip(&more) {
             assert!((once + sigma - more).abs() < 1e-3 * more, "{once} and {sigma}, not {more}");
         }
         let input = input("rgb", 1);
-        let (out, _) = testing::with_context(EVENTS.rows(), &["frames"], |cx| RenderColour.run(input, cx));
-        let sigma = out.unwrap().sigma.read_rows(EVENTS.rows()).unwrap().dn;
-        assert!(sigma.iter().all(|sigma| sigma.is_nan()));
+        let run =
+            testing::with_context(EVENTS.rows(), &["frames", "sigma"], |cx| RenderColour.run(input, cx));
+        assert!(run.0.unwrap().sigma.is_none());
     }
 
     #[test]

@@ -175,7 +175,7 @@ fn choose(
         &mut group,
         |problems, group| {
             let choice = estimate::choose(problems, params.event_noise, &Choosing::USUAL, &options, group);
-            let options = MapOptions { prior: choice.prior, ..options };
+            let options = MapOptions { prior: choice.prior, second: choice.second, ..options };
             let problems: Vec<_> =
                 problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
             let sigma_factor = if params.sigma {

@@ -223,7 +223,7 @@ impl Bench {
     pub(super) fn losses(&self, described: &Described) -> Result<Vec<f64>, NodeError> {
         let squares = self.with_problems(described, |problems, options, group| {
             let choice = estimate::choose(problems, None, &Choosing::USUAL, options, group);
-            let options = MapOptions { prior: choice.prior, ..*options };
+            let options = MapOptions { prior: choice.prior, second: choice.second, ..*options };
             let problems: Vec<MapProblem<'_>> =
                 problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
             let of = |hold: &HoldOut| {

@@ -25,7 +25,7 @@ use photocurrent_sensor::estimate::Estimate;
 use photocurrent_sensor::map::estimate::{
     Choice, Choosing, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors,
 };
-use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem, Noise, Prior};
+use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem, Noise, Prior, SecondStart};
 use photocurrent_solve::co_located::{CoLocated, values_of};
 use photocurrent_solve::row::{Recorded, RowData};
 use photocurrent_solve::settings::{Sample, Unexplained, events_in_company};
@@ -54,7 +54,7 @@ const FINE_STEP: f64 = 0.0125;
 const MOST_ROUNDS: usize = 20;
 
 /// Events and light as the solver takes them before it has looked at a recording.
-const TRUSTED: Choice = Choice { noise: Noise::USUAL, prior: Prior::USUAL };
+const TRUSTED: Choice = Choice { noise: Noise::USUAL, prior: Prior::USUAL, second: Some(SecondStart::USUAL) };
 
 /// ON and OFF thresholds, natural-log units.
 pub(crate) type Pair = (f64, f64);
@@ -249,7 +249,7 @@ impl Half {
 
     /// How badly the frames of each pixel that are held out are predicted with the thresholds of `model`.
     fn errors(&self, model: &Model, choice: &Choice) -> Vec<f64> {
-        let options = MapOptions { prior: choice.prior, ..self.sample.options };
+        let options = MapOptions { prior: choice.prior, second: choice.second, ..self.sample.options };
         let begins: Vec<usize> = (0..self.sample.len()).step_by(TOGETHER).collect();
         let of_some = |group: &mut MapGroup, begin: usize| {
             let pixels = begin..usize::min(begin + TOGETHER, self.sample.len());

@@ -30,7 +30,7 @@ def options():
     parser.add_argument("--program", type=Path, default=target / "release/photocurrent", help="the built program, which makes the recordings")
     parser.add_argument("--work", type=Path, default=data.ROOT / "out/training", help="where recordings and checkpoints are kept")
     parser.add_argument("--recordings", type=int, default=135, help="how many to make; every 15th is held out")
-    parser.add_argument("--others", type=int, default=0, help="so many in addition of each of: events of another array, three colours, both")
+    parser.add_argument("--others", type=int, nargs=3, default=[0, 0, 0], help="in addition: with events of another array, in three colours, with both")
     parser.add_argument("--steps", type=int, default=16000, help="0 writes the weights of --start as they are")
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--every", type=int, default=500, help="steps from one look at the recordings held out to the next")
@@ -48,7 +48,7 @@ def options():
     parser.add_argument("--start", type=Path, help="weights of another run to begin with")
     parser.add_argument("--out", type=Path, help="data/weights/NETWORK.onnx when absent")
     arguments = parser.parse_args()
-    if arguments.others > 0 and (arguments.network, arguments.frames) != ("refine", "map"):
+    if any(arguments.others) and (arguments.network, arguments.frames) != ("refine", "map"):
         parser.error("--others is for the refinement of the solver's frames")
     arguments.out = arguments.out or data.ROOT / f"data/weights/{arguments.network}.onnx"
     return arguments
@@ -269,7 +269,7 @@ def main():
     torch.backends.cudnn.benchmark = True
     arguments.work.mkdir(parents=True, exist_ok=True)
     recordings = arguments.work / "recordings"
-    counts = {sort: arguments.recordings if sort == "plain" else arguments.others for sort in data.SORTS}
+    counts = dict(zip(data.SORTS, [arguments.recordings, *arguments.others]))
     if arguments.steps > 0:
         for sort, count in counts.items():
             data.make(arguments.program, recordings, count, sort, arguments.threads)

@@ -8,7 +8,7 @@
 
 use super::frame_noise::NORMAL_MEDIAN;
 use super::group::MapGroup;
-use super::options::{Evidence, MapOptions, MapSolution, MapTask};
+use super::options::{Evidence, MapOptions, MapSolution, MapTask, Second, SecondStart};
 use super::prior::{Local, Prior};
 use super::problem::{Hint, LoneEvents, MapFrame, MapProblem, Noise};
 use super::segment::collected_between;
@@ -17,6 +17,13 @@ use super::segment::collected_between;
 pub(crate) const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
 /// Spreads of thresholds over the pixels that are tried, as parts of a threshold, in addition to none.
 pub(crate) const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
+/// Events of which second starts are tried in choosing have at most this standard deviation, as a part of a
+/// threshold.
+const FINE: f64 = 0.04;
+/// Where fewer than this part of the second starts are kept, they are tried only for pixels whose squared
+/// misfits of events are above [`SELDOM`], per event (docs/performance.md has both's gain and loss).
+const RARELY: f64 = 0.05;
+const SELDOM: f64 = 0.5;
 /// With fewer events than this in all pixels together nothing is estimated.
 pub const FEWEST_EVENTS: usize = 40;
 /// Frames are held out where there are at least so many.
@@ -56,6 +63,8 @@ pub struct Choice {
     pub noise: Noise,
     /// How light is expected to move.
     pub prior: Prior,
+    /// When pixels are solved from a second start.
+    pub second: Option<SecondStart>,
 }
 
 /// The priors that are tried where frames can be held out: the usual one, two for light that is hardly ever
@@ -93,63 +102,122 @@ pub fn choose(
 ) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
     let given = problems.first().map_or_else(Noise::default, |problem| problem.noise);
-    let usual =
-        Choice { noise: Noise { event: event.unwrap_or(given.event), ..given }, prior: options.prior };
+    let usual = Choice {
+        noise: Noise { event: event.unwrap_or(given.event), ..given },
+        prior: options.prior,
+        second: options.second,
+    };
     if events < FEWEST_EVENTS {
         return usual;
     }
     let by_frames = problems.iter().all(|problem| problem.frames.len() >= FEWEST_FRAMES);
     let kept = by_frames.then(|| problems.iter().map(|problem| kept(problem.frames)).collect());
     let tried = Tried { problems, kept, dark_dn: dark_dn(problems), options: *options };
-    let mut best = Best { choice: usual, loss: f64::INFINITY, at_first: f64::INFINITY };
     let noises = match event {
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
-    // Takes a choice that is better by a factor.
-    let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut Best| {
-        let (first, others) = tried.looks();
-        let at_first = tried.losses(&choices, &first, group);
-        let reach = at_first.iter().fold(best.at_first, |least, loss| f64::min(least, *loss))
-            * (1.0 + choosing.reach);
-        let (choices, at_first): (Vec<Choice>, Vec<f64>) =
-            choices.into_iter().zip(at_first).filter(|(_, loss)| *loss <= reach).unzip();
-        for ((more, at_first), choice) in
-            tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices)
-        {
-            let loss = at_first + more;
-            if loss < best.loss * by(&best.choice) {
-                *best = Best { choice, loss, at_first };
-            }
-        }
-    };
-    let clearly_better = choosing.clearly_better();
     let with_event = |event: f64, noise: Noise| Choice { noise: Noise { event, ..noise }, ..usual };
     let mut events: Vec<Choice> = noises.iter().map(|&event| with_event(event, usual.noise)).collect();
+    let mut best = Best::none(usual);
+    let mut look = Look { tried: &tried, reach: choosing.reach, group };
     if !by_frames {
-        consider(events, &|_| 1.0, &mut best);
+        look.consider(events, |_| 1.0, &mut best);
         return best.choice;
     }
-    consider(vec![usual], &|_| 1.0, &mut best);
-    events.retain(|choice| *choice != usual);
-    consider(events, &|best| if *best == usual { clearly_better } else { 1.0 }, &mut best);
+    // Most of what there is to choose shows without second starts, which cost three times as much.
+    let once = Choice { second: None, ..usual };
+    events.iter_mut().for_each(|choice| choice.second = None);
+    let clearly_better = choosing.clearly_better();
+    look.consider(vec![once], |_| 1.0, &mut best);
+    events.retain(|choice| *choice != once);
+    look.consider(events, |best| if *best == once { clearly_better } else { 1.0 }, &mut best);
     // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
-    let choices =
-        spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
-    consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
+    let choices = spreads
+        .flat_map(|noise| {
+            noises.iter().map(move |&event| Choice { second: None, ..with_event(event, noise) })
+        })
+        .collect();
+    look.consider(choices, |best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
     if problems.iter().any(|problem| problem.is_lone.contains(&true)) {
         let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
-        consider(vec![Choice { noise, ..best.choice }], &|_| clearly_better, &mut best);
+        look.consider(vec![Choice { noise, ..best.choice }], |_| clearly_better, &mut best);
     }
     let priors = PRIORS
         .into_iter()
         .filter(|prior| *prior != usual.prior)
         .map(|prior| Choice { prior, ..best.choice })
         .collect();
-    consider(priors, &|_| clearly_better, &mut best);
-    best.choice
+    look.consider(priors, |_| clearly_better, &mut best);
+    // With a front end that is as fast in the dark there is one answer.
+    let is_slow = problems.iter().any(|problem| problem.sensor.front_end.alpha_s > 0.0);
+    match options.second.filter(|_| is_slow) {
+        Some(second) => look.again(&best.choice, second, (&usual, noises), (threshold, choosing)),
+        None => Choice { second: options.second, ..best.choice },
+    }
+}
+
+/// Tries choices.
+struct Look<'a> {
+    tried: &'a Tried<'a>,
+    /// [`Choosing::reach`].
+    reach: f64,
+    group: &'a mut MapGroup,
+}
+
+impl Look<'_> {
+    /// The choice with second starts, of one that was found without.
+    ///
+    /// Where light falls into the dark, first starts are led astray by events that are nearly exact, and
+    /// second ones are not: so small noises are tried again.
+    fn again(
+        &mut self,
+        found: &Choice,
+        second: SecondStart,
+        (usual, noises): (&Choice, &[f64]),
+        (threshold, choosing): (f64, &Choosing),
+    ) -> Choice {
+        let found = Choice { second: Some(second), ..*found };
+        let mut best = Best::none(found);
+        self.consider(vec![found], |_| 1.0, &mut best);
+        let mut finer = Vec::new();
+        for part in std::iter::once(0.0).chain(THRESHOLD_SPREADS) {
+            for &event in noises.iter().filter(|event| **event <= FINE) {
+                let noise = Noise { event, threshold: part * threshold, ..found.noise };
+                finer.push(Choice { noise, ..found });
+                if found.prior != usual.prior {
+                    finer.push(Choice { noise, prior: usual.prior, ..found });
+                }
+            }
+        }
+        finer.retain(|choice| *choice != found);
+        let by = |best: &Choice| if best.noise.threshold > 0.0 { 1.0 } else { choosing.clearly_better() };
+        self.consider(finer, by, &mut best);
+        if best.seconds.is_rarely_kept() {
+            best.choice.second = Some(SecondStart { least_misfit: SELDOM, ..second });
+        }
+        best.choice
+    }
+
+    /// Takes a choice that loses less than the best times what `by` makes of that.
+    fn consider(&mut self, choices: Vec<Choice>, by: impl Fn(&Choice) -> f64, best: &mut Best) {
+        let (first, others) = self.tried.looks();
+        let at_first = self.tried.losses(&choices, &first, self.group);
+        let least = at_first.iter().fold(best.at_first, |least, tally| f64::min(least, tally.loss));
+        let reach = least * (1.0 + self.reach);
+        let (choices, at_first): (Vec<Choice>, Vec<Tally>) =
+            choices.into_iter().zip(at_first).filter(|(_, tally)| tally.loss <= reach).unzip();
+        let more = self.tried.losses(&choices, &others, self.group);
+        for ((more, at_first), choice) in more.into_iter().zip(at_first).zip(choices) {
+            let loss = at_first.loss + more.loss;
+            if loss < best.loss * by(&best.choice) {
+                let seconds = at_first.seconds.and(more.seconds);
+                *best = Best { choice, loss, at_first: at_first.loss, seconds };
+            }
+        }
+    }
 }
 
 /// Which of a pixel's frames are held out where a choice is judged by its prediction: one in so many, never
@@ -206,6 +274,43 @@ struct Best {
     loss: f64,
     /// And in those that look first.
     at_first: f64,
+    seconds: Seconds,
+}
+
+impl Best {
+    /// A choice that loses to all others.
+    fn none(choice: Choice) -> Best {
+        Best { choice, loss: f64::INFINITY, at_first: f64::INFINITY, seconds: Seconds::default() }
+    }
+}
+
+/// What a choice loses in some problems.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    loss: f64,
+    seconds: Seconds,
+}
+
+/// How many pixels were solved from a second start, and how many kept its answer.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seconds {
+    tried: usize,
+    kept: usize,
+}
+
+impl Seconds {
+    fn count(&mut self, second: Second) {
+        self.tried += usize::from(second != Second::Untried);
+        self.kept += usize::from(second == Second::Kept);
+    }
+
+    fn and(self, other: Seconds) -> Seconds {
+        Seconds { tried: self.tried + other.tried, kept: self.kept + other.kept }
+    }
+
+    fn is_rarely_kept(self) -> bool {
+        (self.kept as f64) < RARELY * self.tried as f64
+    }
 }
 
 impl Tried<'_> {
@@ -220,30 +325,39 @@ impl Tried<'_> {
     ///
     /// Always from the usual start: from the light that another noise or prior has found, a few steps do not
     /// show what this one would find.
-    fn losses(&self, choices: &[Choice], looking: &[usize], group: &mut MapGroup) -> Vec<f64> {
+    fn losses(&self, choices: &[Choice], looking: &[usize], group: &mut MapGroup) -> Vec<Tally> {
         let task = |n: usize| {
             let (p, choice) = (looking[n / choices.len()], &choices[n % choices.len()]);
             let problem = &self.problems[p];
             let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
-            let noise = choice.noise;
+            let (noise, prior, second) = (choice.noise, choice.prior, choice.second);
             MapTask {
                 problem: MapProblem { noise, frames, ..*problem },
-                options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options },
+                options: MapOptions { prior, second, with_sigma: false, ..self.options },
             }
         };
         let tasks: Vec<MapTask<'_>> = (0..looking.len() * choices.len()).map(task).collect();
-        let mut losses = vec![0.0; tasks.len()];
+        let mut losses = vec![(0.0, Second::Untried); tasks.len()];
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
         group.solve_with(&tasks, evidence, |n, solution| {
             let problem = &self.problems[looking[n / choices.len()]];
-            losses[n] = if self.kept.is_some() {
+            let loss = if self.kept.is_some() {
                 prediction_error(HoldOut::USUAL, problem, self.dark_dn, &solution)[0]
             } else {
                 -solution.outcome.log_evidence
             };
+            losses[n] = (loss, solution.outcome.second);
         });
         // Problem by problem, whatever order they were solved in.
-        (0..choices.len()).map(|c| losses.iter().skip(c).step_by(choices.len()).sum()).collect()
+        let of_choice = |c: usize| {
+            let mut tally = Tally::default();
+            for (loss, second) in losses.iter().skip(c).step_by(choices.len()) {
+                tally.loss += loss;
+                tally.seconds.count(*second);
+            }
+            tally
+        };
+        (0..choices.len()).map(of_choice).collect()
     }
 }
 

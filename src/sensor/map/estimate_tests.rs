@@ -2,7 +2,7 @@
 //! events.
 
 use super::estimate::Choosing;
-use super::tests::{FRONT_END, Recorded, event, few_steps, recorded, sensor};
+use super::tests::{FRONT_END, Recorded, event, few_steps, recorded, sensor, spokes};
 use super::*;
 use crate::effects::Site;
 use crate::forward::{Chain as Pixels, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
@@ -71,9 +71,32 @@ fn nothing_unusual_is_chosen_where_no_gain_is_enough() {
         let choosing = Choosing { clear_gain, ..Choosing::USUAL };
         estimate::choose(&[wrong; 2], None, &choosing, &few_steps(), &mut MapGroup::default())
     };
-    let usual = estimate::Choice { noise: wrong.noise, prior: Prior::default() };
-    assert_eq!(found(1.0), usual);
-    assert_ne!(found(Choosing::USUAL.clear_gain), usual);
+    let usual = (wrong.noise, Prior::default());
+    let part = |choice: estimate::Choice| (choice.noise, choice.prior);
+    assert_eq!(part(found(1.0)), usual);
+    assert_ne!(part(found(Choosing::USUAL.clear_gain)), usual);
+}
+
+#[test]
+fn second_starts_are_tried_less_where_they_are_not_kept() {
+    // With the noise and the prior that are given: no gain is enough for others.
+    let choosing = Choosing { clear_gain: 1.0, ..Choosing::USUAL };
+    let second = |problem: MapProblem<'_>| {
+        let (problems, mut group) = ([problem; 2], MapGroup::default());
+        let choice = estimate::choose(&problems, None, &choosing, &few_steps(), &mut group);
+        choice.second.expect("the options have one")
+    };
+    // Light that falls at once into the dark, which is found from a second start only.
+    let dark = spokes();
+    let dark = MapProblem { no_event_sigma: 0.03, ..dark.problem(Reset::Resample) };
+    assert_eq!(second(dark), SecondStart::USUAL);
+    // Events that a wrong threshold misplaces, in light where there is one answer.
+    let recorded = recorded(Reset::Resample);
+    let right = recorded.problem(Reset::Resample);
+    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
+    let (seldom, usual) = (second(wrong), SecondStart::USUAL);
+    assert!(seldom.least_misfit > usual.least_misfit, "{seldom:?}");
+    assert_eq!(SecondStart { least_misfit: usual.least_misfit, ..seldom }, usual);
 }
 
 #[test]

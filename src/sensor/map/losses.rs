@@ -10,7 +10,7 @@
 //! Limits: a stretch must hold the middle of an exposure and end with an event.
 
 use super::group::MapGroup;
-use super::options::{Evidence, MapOptions, MapSolution, MapTask};
+use super::options::{Evidence, MapOptions, MapOutcome, MapSolution, MapTask, Second};
 use super::problem::MapProblem;
 
 /// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked
@@ -31,12 +31,15 @@ pub struct Plain {
     pub largest_square: f64,
     /// Log of the measurements' marginal likelihood.
     pub log_evidence: f64,
+    /// What became of its second start.
+    pub second: Second,
 }
 
 impl Plain {
     /// Of a solution.
     pub fn of(solution: &MapSolution<'_>) -> Plain {
-        Plain { largest_square: solution.outcome.largest_square, log_evidence: solution.outcome.log_evidence }
+        let MapOutcome { largest_square, log_evidence, second, .. } = solution.outcome;
+        Plain { largest_square, log_evidence, second }
     }
 }
 
@@ -68,9 +71,10 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
             .iter()
             .map(|(n, lost_before)| {
                 let MapTask { problem, options } = tasks[*n];
+                let second = options.second.filter(|_| plain[*n].second == Second::Kept);
                 MapTask {
                     problem: MapProblem { lost_before, ..problem },
-                    options: MapOptions { with_sigma: false, ..options },
+                    options: MapOptions { with_sigma: false, second, ..options },
                 }
             })
             .collect();

@@ -83,7 +83,7 @@ mod thresholds;
 pub use crate::comparator::PixelEvent;
 pub use group::MapGroup;
 pub use knots::COARSEST;
-pub use options::{MapOptions, MapOutcome, MapSolution, MapStatus, MapTask, SecondStart};
+pub use options::{MapOptions, MapOutcome, MapSolution, MapStatus, MapTask, Second, SecondStart};
 pub use prior::{Local, Prior};
 pub use problem::{Hint, LoneEvents, MapFrame, MapProblem, MapSensor, Noise, Offsets};
 pub use segment::ramp_voltage;

@@ -139,6 +139,20 @@ pub struct MapOutcome {
     pub misfit: Misfit,
     /// The largest of the squares that the misfit sums up.
     pub largest_square: f64,
+    /// Whether it was solved from a second start.
+    pub second: Second,
+}
+
+/// What became of a pixel's second start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Second {
+    /// None was tried.
+    #[default]
+    Untried,
+    /// It was tried, and the first answer kept.
+    Refused,
+    /// The answer is its.
+    Kept,
 }
 
 /// Are the log of the marginal likelihood and the misfit wanted?

@@ -163,15 +163,18 @@ fn steep_light_comes_back_for_both_reset_rules() {
     }
 }
 
-#[test]
-fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
-    // 298 DN an exposure and 17, as a spoke of a star passes: at 17 DN the front end takes 4 ms.
-    let spokes = |t_ns: i64| {
+/// Light of 298 DN an exposure and 17, as a spoke of a star passes: at 17 DN the front end takes 4 ms.
+pub(super) fn spokes() -> Recorded {
+    recorded_of(Reset::Resample, |t_ns: i64| {
         let phase = (t_ns as f64 * 1e-6) % 13.0;
         let bright = f64::max(1.0 - f64::max((5.0 - phase).abs() - 2.5, 0.0), 0.0);
         libm::log(3.3 + 55.2 * bright)
-    };
-    let recorded = recorded_of(Reset::Resample, spokes);
+    })
+}
+
+#[test]
+fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
+    let recorded = spokes();
     let problem = MapProblem { no_event_sigma: 0.03, ..recorded.problem(Reset::Resample) };
     let error = |second| {
         let mut group = MapGroup::default();

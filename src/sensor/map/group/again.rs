@@ -4,7 +4,7 @@
 //! A second start takes three times as many steps as the first: lanes that ask for none would only wait for
 //! the others.
 
-use super::super::options::{Evidence, MapSolution, MapTask, SecondStart};
+use super::super::options::{Evidence, MapSolution, MapTask, Second, SecondStart};
 use super::super::problem::Offsets;
 use super::columns::misfits;
 use super::lane::{LaneState, lanes_of};
@@ -79,9 +79,10 @@ impl<const W: usize> InStep<W> {
             let (plain, state) = (self.waiting.states[l], &mut self.lanes[l].state);
             if seconds[l].is_better((plain.status, misfit(&plain)), (state.status, misfit(state))) {
                 state.iterations += plain.iterations;
+                state.second = Second::Kept;
                 continue;
             }
-            *state = plain;
+            *state = LaneState { second: Second::Refused, ..plain };
             self.lanes[l].stream.spread(&self.waiting.light[l], l, &mut self.u);
         }
         let common = self.common(&tasks);

@@ -1,7 +1,7 @@
 //! One lane of a group: its pixel, how far it has come, and what becomes of it after a step.
 
 use super::super::knots::Knots;
-use super::super::options::{MapStatus, MapTask};
+use super::super::options::{MapStatus, MapTask, Second};
 use super::super::prior::Segments;
 use super::super::problem::{MapProblem, Noise, Offsets};
 use super::super::start::Start;
@@ -53,6 +53,7 @@ pub(super) struct LaneState {
     pub share: f64,
     /// As the task states it.
     pub noise: Noise,
+    pub second: Second,
 }
 
 impl Default for LaneState {
@@ -71,6 +72,7 @@ impl Default for LaneState {
             no_event_square: 0.0,
             share: 1.0,
             noise: Noise::default(),
+            second: Second::Untried,
         }
     }
 }

@@ -197,7 +197,7 @@ impl<const W: usize> InStep<W> {
         }
         for (l, n) in (0..W).filter_map(|l| Some((l, place(l)?))) {
             let (task, lane) = (tasks[l], &self.lanes[l]);
-            let LaneState { offsets, status, iterations, .. } = lane.state;
+            let LaneState { offsets, status, iterations, second, .. } = lane.state;
             if task.options.with_sigma {
                 lane.stream.of_knots(&self.variance, l, &mut self.of_pixel);
             } else {
@@ -205,7 +205,8 @@ impl<const W: usize> InStep<W> {
             }
             let (log_evidence, (misfit, largest_square)) =
                 (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
-            let outcome = MapOutcome { offsets, status, iterations, log_evidence, misfit, largest_square };
+            let outcome =
+                MapOutcome { offsets, status, iterations, log_evidence, misfit, largest_square, second };
             let (t_ns, log_photocurrent, variance) = (&lane.knots.t_ns, &lane.u, &self.of_pixel);
             take(n, MapSolution { t_ns, log_photocurrent, variance, outcome });
         }
