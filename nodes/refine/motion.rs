@@ -138,7 +138,7 @@ impl Node for RefineMotion {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the \
                 motion.",
-        revision: 19,
+        revision: 20,
         grain: Grain::Whole,
         draws: false,
         exports: false,
