@@ -58,6 +58,30 @@ def test_events_count_less_the_further_they_are():
     assert at.tolist() == [[0, 1.5, 0], [0, 0, np.float32(0.9)]]
 
 
+def test_events_of_another_array_are_where_its_pixels_lie():
+    # As `events_of_another_array_are_where_its_pixels_lie` of nodes/refine/onnx/tests.rs: an array with every second pixel.
+    counts = np.zeros((25, 38))
+    counts[10, 20] = 1
+    found = data.brought(counts, np.diag([2.0, 2.0, 1.0]), (50, 75))
+    rows, columns = np.mgrid[0:50, 0:75]
+    expected = np.maximum(1 - abs(columns - 40) / 2, 0) * np.maximum(1 - abs(rows - 20) / 2, 0)
+    assert np.abs(found - expected).max() < 1e-6
+    # Nothing is beyond the array by more than its pitch.
+    assert data.brought(np.ones((25, 38)), np.diag([2.0, 2.0, 1.0]), (60, 90))[[0, 50, 53, 0], [0, 10, 10, 80]].tolist() == [1, 1, 0, 0]
+
+
+def test_training_goes_on_from_an_onnx_file_with_all_sorts_of_recordings(tmp_path):
+    if not PROGRAM.exists():
+        pytest.skip(f"{PROGRAM} is not built")
+    script, start, out = Path(__file__).parent / "train.py", data.ROOT / "data/weights/refine.onnx", tmp_path / "on.onnx"
+    command = [sys.executable, str(script), "--program", str(PROGRAM), "--work", str(tmp_path), "--start", str(start), "--no-perceptual", "--out", str(out)]
+    done = subprocess.run([*command, "--recordings", "1", "--others", "1", "1", "1", "--steps", "1", "--batch", "2", "--rate", "1e-9"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    # A step of next to nothing: what it gives is what the file that it began with gives.
+    first, after = (np.fromfile(path.with_suffix(".check.f32"), "<f4") for path in (start, out))
+    assert np.abs(first - after).max() < 1e-3
+
+
 def test_a_voxel_grid_is_that_of_the_node():
     # The cases of nodes/baseline/onnx/voxel.rs: ON at (1, 0) a quarter into the window, OFF at (2, 1) at three quarters of it, one more ON at its end.
     events = np.array([1, 2, 0], np.uint16), np.array([0, 1, 0], np.uint16), np.array([250, 750, 1000]), np.array([True, False, True])

@@ -275,7 +275,8 @@ def main():
             data.make(arguments.program, recordings, count, sort, arguments.threads)
     folders = {sort: list(data.places(recordings, count, sort).values()) for sort, count in counts.items() if count > 0}
     kept = [folder for found in folders.values() for n, folder in enumerate(found) if n % 15 != 14]
-    checks = {sort: [folder for n, folder in enumerate(found) if n % 15 == 14] or found[-1:] for sort, found in folders.items()}
+    checks = {sort: [folder for n, folder in enumerate(found) if n % 15 == 14] for sort, found in folders.items()}
+    checks = {sort: found for sort, found in checks.items() if found} or {"plain": folders["plain"][-1:]}
     features = None
     if not arguments.no_perceptual:
         vgg = losses.from_file(arguments.features) if arguments.features else losses.vgg16()

@@ -17,8 +17,7 @@ use super::segment::collected_between;
 pub(crate) const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
 /// Spreads of thresholds over the pixels that are tried, as parts of a threshold, in addition to none.
 pub(crate) const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
-/// Events of which second starts are tried in choosing have at most this standard deviation, as a part of a
-/// threshold.
+/// Standard deviation of events that are nearly exact, as a part of a threshold, at most.
 const FINE: f64 = 0.04;
 /// Where fewer than this part of the second starts are kept, they are tried only for pixels whose squared
 /// misfits of events are above [`SELDOM`], per event (docs/performance.md has both's gain and loss).
@@ -170,8 +169,9 @@ struct Look<'a> {
 impl Look<'_> {
     /// The choice with second starts, of one that was found without.
     ///
-    /// Where light falls into the dark, first starts are led astray by events that are nearly exact, and
-    /// second ones are not: so small noises are tried again.
+    /// Where light falls into the dark, first starts are led astray by events, the more the more exact these
+    /// are taken to be, and second ones are not: so noises are tried again, those of nearly exact events with
+    /// the prior that was found as well.
     fn again(
         &mut self,
         found: &Choice,
@@ -182,19 +182,19 @@ impl Look<'_> {
         let found = Choice { second: Some(second), ..*found };
         let mut best = Best::none(found);
         self.consider(vec![found], |_| 1.0, &mut best);
-        let mut finer = Vec::new();
+        let mut others = Vec::new();
         for part in std::iter::once(0.0).chain(THRESHOLD_SPREADS) {
-            for &event in noises.iter().filter(|event| **event <= FINE) {
+            for &event in noises {
                 let noise = Noise { event, threshold: part * threshold, ..found.noise };
-                finer.push(Choice { noise, ..found });
-                if found.prior != usual.prior {
-                    finer.push(Choice { noise, prior: usual.prior, ..found });
+                others.push(Choice { noise, prior: usual.prior, ..found });
+                if event <= FINE && found.prior != usual.prior {
+                    others.push(Choice { noise, ..found });
                 }
             }
         }
-        finer.retain(|choice| *choice != found);
+        others.retain(|choice| *choice != found);
         let by = |best: &Choice| if best.noise.threshold > 0.0 { 1.0 } else { choosing.clearly_better() };
-        self.consider(finer, by, &mut best);
+        self.consider(others, by, &mut best);
         if best.seconds.is_rarely_kept() {
             best.choice.second = Some(SecondStart { least_misfit: SELDOM, ..second });
         }
