@@ -16,6 +16,9 @@
 //! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after
 //! the other.
 //!
+//! `data/weights/refine_alignment.onnx` was trained further on events of another camera's array (`alignment`),
+//! where it is the better one.
+//!
 //! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF,
 //! each event counted as 1 at the instant and linearly less up to `window` away); its output: `refined`
 //! \[1, 1, h, w\]. Sides are multiples of 16. An unconnected `sigma` or `captured` is zeros; without `events`
@@ -102,7 +105,8 @@ photocurrent_core::ports! {
         sigma: Option<FrameSequence>,
         /// Events of the same pixels, or of the array of `alignment`; where none is near, nothing changes.
         events: Option<EventStream>,
-        /// Places of the event pixels on the frames, where the events are of another camera's array.
+        /// Places of the event pixels on the frames, where the events are of another camera's array; then
+        /// `data/weights/refine_alignment.onnx` is the network to take.
         alignment: Option<MapSet>,
         /// Captured frames of the same pixels: the nearest one is shown.
         captured: Option<FrameSequence>,

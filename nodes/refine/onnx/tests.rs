@@ -71,6 +71,7 @@ fn networks_give_what_the_training_framework_gave() {
     ];
     let networks = [
         ("refine", refine, OUTPUT),
+        ("refine_alignment", refine, OUTPUT),
         ("refine_no_cbam", refine, OUTPUT),
         ("refine_no_perceptual", refine, OUTPUT),
         ("interpolator", interpolator, "picture"),
