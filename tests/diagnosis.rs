@@ -364,7 +364,7 @@ fn scores(bench: &Bench, folder: &str) -> BTreeMap<(String, String), f64> {
         .collect()
 }
 
-/// A fast texture, seen by a sensor that is blind for 50 us, and stated to be so for 700 us.
+/// A texture, seen by a sensor that is blind for 50 us, and stated to be so for 700 us.
 fn hidden_refractory(more: &str) -> String {
     let path = support::root().join("data/sensors/hybrid.toml");
     let sensor = |name: &str, refractory: &str| {
@@ -383,7 +383,7 @@ fn hidden_refractory(more: &str) -> String {
         sensor("actual", "50 us"),
         "[nodes.scene]\nkind = \"simulate/scene\"\nin = { sensor = \"stated\" }\n".into(),
         "params = { scene = \"texture\", width = 40, height = 30, duration = \"60 ms\", illuminance = \"800 \
-         lx\", texture = { speed = 8.0 } }\n"
+         lx\", texture = { speed = 4.0 } }\n"
             .into(),
         "[nodes.recording]\nkind = \"simulate/sensor\"\nin = \
          { light = \"scene.light\", sensor = \"actual\" }\n"

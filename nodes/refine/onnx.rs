@@ -16,8 +16,8 @@
 //! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after
 //! the other.
 //!
-//! `data/weights/refine_alignment.onnx` was trained further on events of another camera's array (`alignment`),
-//! where it is the better one.
+//! `data/weights/refine_alignment.onnx` was trained further on events of another camera's array
+//! (`alignment`), where it is the better one.
 //!
 //! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF,
 //! each event counted as 1 at the instant and linearly less up to `window` away); its output: `refined`

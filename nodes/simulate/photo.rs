@@ -6,9 +6,9 @@
 //! where it is shrunk ([`super::moved::spline`] says why). Light is looked at often enough for what passes
 //! each pixel and kept at the instants that straight lines need, as `simulate/scene` does.
 //!
-//! At time 0 the middle of the photo is in the middle of the sensor. In grey it is the photo's luminance; with
-//! `colour` each of red, green and blue is a picture of its own. Limit: one flat picture, so nothing covers
-//! anything else.
+//! At time 0 the middle of the photo is in the middle of the sensor. In grey it is the photo's luminance;
+//! with `colour` each of red, green and blue is a picture of its own. Limit: one flat picture, so nothing
+//! covers anything else.
 
 use super::moved::motion::Motion;
 use super::moved::spline::{Outside, Spline, WIDEST};

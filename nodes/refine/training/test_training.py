@@ -77,7 +77,7 @@ def test_training_goes_on_from_an_onnx_file_with_all_sorts_of_recordings(tmp_pat
     command = [sys.executable, str(script), "--program", str(PROGRAM), "--work", str(tmp_path), "--start", str(start), "--no-perceptual", "--out", str(out)]
     done = subprocess.run([*command, "--recordings", "1", "--others", "1", "1", "1", "--steps", "1", "--batch", "2", "--rate", "1e-9"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    # A step of next to nothing: what it gives is what the file that it began with gives.
+    # A step at a rate of 1e-9: its output is that of the file that it began with.
     first, after = (np.fromfile(path.with_suffix(".check.f32"), "<f4") for path in (start, out))
     assert np.abs(first - after).max() < 1e-3
 
