@@ -17,8 +17,6 @@ use super::segment::collected_between;
 pub(crate) const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
 /// Spreads of thresholds over the pixels that are tried, as parts of a threshold, in addition to none.
 pub(crate) const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
-/// Standard deviation of events that are nearly exact, as a part of a threshold, at most.
-const FINE: f64 = 0.04;
 /// Where fewer than this part of the second starts are kept, they are tried only for pixels whose squared
 /// misfits of events are above [`SELDOM`], per event (docs/performance.md has both's gain and loss).
 const RARELY: f64 = 0.05;
@@ -124,21 +122,15 @@ pub fn choose(
         look.consider(events, |_| 1.0, &mut best);
         return best.choice;
     }
-    // Most of what there is to choose shows without second starts, which cost three times as much.
-    let once = Choice { second: None, ..usual };
-    events.iter_mut().for_each(|choice| choice.second = None);
     let clearly_better = choosing.clearly_better();
-    look.consider(vec![once], |_| 1.0, &mut best);
-    events.retain(|choice| *choice != once);
-    look.consider(events, |best| if *best == once { clearly_better } else { 1.0 }, &mut best);
+    look.consider(vec![usual], |_| 1.0, &mut best);
+    events.retain(|choice| *choice != usual);
+    look.consider(events, |best| if *best == usual { clearly_better } else { 1.0 }, &mut best);
     // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
-    let choices = spreads
-        .flat_map(|noise| {
-            noises.iter().map(move |&event| Choice { second: None, ..with_event(event, noise) })
-        })
-        .collect();
+    let choices =
+        spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
     look.consider(choices, |best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
     if problems.iter().any(|problem| problem.is_lone.contains(&true)) {
         let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
@@ -150,12 +142,11 @@ pub fn choose(
         .map(|prior| Choice { prior, ..best.choice })
         .collect();
     look.consider(priors, |_| clearly_better, &mut best);
-    // With a front end that is as fast in the dark there is one answer.
-    let is_slow = problems.iter().any(|problem| problem.sensor.front_end.alpha_s > 0.0);
-    match options.second.filter(|_| is_slow) {
-        Some(second) => look.again(&best.choice, second, (&usual, noises), (threshold, choosing)),
-        None => Choice { second: options.second, ..best.choice },
+    if best.seconds.is_rarely_kept() {
+        let seldom = |second| SecondStart { least_misfit: SELDOM, ..second };
+        best.choice.second = best.choice.second.map(seldom);
     }
+    best.choice
 }
 
 /// Tries choices.
@@ -167,40 +158,6 @@ struct Look<'a> {
 }
 
 impl Look<'_> {
-    /// The choice with second starts, of one that was found without.
-    ///
-    /// Where light falls into the dark, first starts are led astray by events, the more the more exact these
-    /// are taken to be, and second ones are not: so noises are tried again, those of nearly exact events with
-    /// the prior that was found as well.
-    fn again(
-        &mut self,
-        found: &Choice,
-        second: SecondStart,
-        (usual, noises): (&Choice, &[f64]),
-        (threshold, choosing): (f64, &Choosing),
-    ) -> Choice {
-        let found = Choice { second: Some(second), ..*found };
-        let mut best = Best::none(found);
-        self.consider(vec![found], |_| 1.0, &mut best);
-        let mut others = Vec::new();
-        for part in std::iter::once(0.0).chain(THRESHOLD_SPREADS) {
-            for &event in noises {
-                let noise = Noise { event, threshold: part * threshold, ..found.noise };
-                others.push(Choice { noise, prior: usual.prior, ..found });
-                if event <= FINE && found.prior != usual.prior {
-                    others.push(Choice { noise, ..found });
-                }
-            }
-        }
-        others.retain(|choice| *choice != found);
-        let by = |best: &Choice| if best.noise.threshold > 0.0 { 1.0 } else { choosing.clearly_better() };
-        self.consider(others, by, &mut best);
-        if best.seconds.is_rarely_kept() {
-            best.choice.second = Some(SecondStart { least_misfit: SELDOM, ..second });
-        }
-        best.choice
-    }
-
     /// Takes a choice that loses less than the best times what `by` makes of that.
     fn consider(&mut self, choices: Vec<Choice>, by: impl Fn(&Choice) -> f64, best: &mut Best) {
         let (first, others) = self.tried.looks();
