@@ -282,6 +282,26 @@ pub(crate) fn black_level(sensor: Option<&Sensor>) -> f64 {
     sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0)
 }
 
+/// Refuses standard deviations of other frames.
+///
+/// # Errors
+/// When size, colours or exposures of `sigma` are not those of `frames`.
+pub(crate) fn check_sigma(sigma: &FramesMeta, frames: &FramesMeta) -> Result<(), NodeError> {
+    if (sigma.extent, sigma.colour, &sigma.times) == (frames.extent, frames.colour, &frames.times) {
+        return Ok(());
+    }
+    Err(NodeError::usage(format!(
+        "`sigma` has {} frames of {} pixels, {}, and `frames` {} of {} pixels, {}, or their exposures differ",
+        sigma.times.len(),
+        sigma.extent,
+        sigma.colour,
+        frames.times.len(),
+        frames.extent,
+        frames.colour
+    ))
+    .hint("connect `sigma` of the node that `frames` come from, or leave it out"))
+}
+
 /// Index of the captured frame whose exposure of `row` has its middle nearest to `t`; the earlier of two.
 pub(crate) fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
     let mid = |l: usize| frames.times.exposure(l, row).mid().0;

@@ -35,7 +35,7 @@ mod tests;
 
 use crate::baseline::onnx::voxel::{Timeline, addresses};
 use crate::onnx::{self, Network, Tensor};
-use crate::reconstruct::{black_level, nearest_frame};
+use crate::reconstruct::{black_level, check_sigma, nearest_frame};
 use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{
@@ -156,20 +156,8 @@ impl Connected<'_> {
             ))
             .hint("make colour pictures of them first, with render/demosaic"));
         }
-        if let Some(sigma) = self.sigma
-            && (sigma.extent, sigma.colour, &sigma.times) != (frames.extent, frames.colour, &frames.times)
-        {
-            return Err(NodeError::usage(format!(
-                "`sigma` has {} frames of {} pixels, {}, and `frames` {} of {} pixels, {}, or their \
-                 exposures differ",
-                sigma.times.len(),
-                sigma.extent,
-                sigma.colour,
-                frames.times.len(),
-                frames.extent,
-                frames.colour
-            ))
-            .hint("connect `sigma` of the node that `frames` come from, or leave it out"));
+        if let Some(sigma) = self.sigma {
+            check_sigma(sigma, frames)?;
         }
         if let Some(alignment) = self.alignment {
             Alignment::check(alignment)?;

@@ -12,6 +12,7 @@
 //! Limits: hue of long exposures is blurred, while the mixture is sharp; what no frame shows has the hue of
 //! its neighbourhood. All pictures of a part of the recording are in memory at once.
 
+use crate::reconstruct::check_sigma;
 use crate::sampling::scale_seconds;
 use crate::spans::check_steps;
 use photocurrent_core::{
@@ -277,21 +278,6 @@ sensor   = "sensor"
         let sigma = sigma.map(|(_, block)| FrameSequence::in_memory(meta.clone(), block));
         Ok(Out { frames: FrameSequence::in_memory(meta, block), sigma })
     }
-}
-
-/// Refuses standard deviations of other pictures.
-fn check_sigma(sigma: &FramesMeta, frames: &FramesMeta) -> Result<(), NodeError> {
-    if (sigma.extent, sigma.colour, &sigma.times) == (frames.extent, frames.colour, &frames.times) {
-        return Ok(());
-    }
-    Err(NodeError::usage(format!(
-        "`sigma` has {} frames of {} pixels, and `frames` {} of {}, or their exposures differ",
-        sigma.times.len(),
-        sigma.extent,
-        frames.times.len(),
-        frames.extent
-    ))
-    .hint("connect `sigma` of the node that `frames` come from, or leave it out"))
 }
 
 /// A grey picture.

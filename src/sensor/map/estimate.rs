@@ -114,67 +114,56 @@ pub fn choose(
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
+    let none = Tally { loss: f64::INFINITY, ..Tally::default() };
+    let mut best = Best { choice: usual, tally: none, at_first: f64::INFINITY };
+    // Takes a choice that is better by a factor.
+    let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut Best| {
+        let (first, others) = tried.looks();
+        let at_first = tried.losses(&choices, &first, group);
+        let reach = at_first.iter().fold(best.at_first, |least, tally| f64::min(least, tally.loss))
+            * (1.0 + choosing.reach);
+        let (choices, at_first): (Vec<Choice>, Vec<Tally>) =
+            choices.into_iter().zip(at_first).filter(|(_, tally)| tally.loss <= reach).unzip();
+        for ((more, at_first), choice) in
+            tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices)
+        {
+            let tally = at_first.and(more);
+            if tally.loss < best.tally.loss * by(&best.choice) {
+                *best = Best { choice, tally, at_first: at_first.loss };
+            }
+        }
+    };
+    let clearly_better = choosing.clearly_better();
     let with_event = |event: f64, noise: Noise| Choice { noise: Noise { event, ..noise }, ..usual };
     let mut events: Vec<Choice> = noises.iter().map(|&event| with_event(event, usual.noise)).collect();
-    let mut best = Best::none(usual);
-    let mut look = Look { tried: &tried, reach: choosing.reach, group };
     if !by_frames {
-        look.consider(events, |_| 1.0, &mut best);
+        consider(events, &|_| 1.0, &mut best);
         return best.choice;
     }
-    let clearly_better = choosing.clearly_better();
-    look.consider(vec![usual], |_| 1.0, &mut best);
+    consider(vec![usual], &|_| 1.0, &mut best);
     events.retain(|choice| *choice != usual);
-    look.consider(events, |best| if *best == usual { clearly_better } else { 1.0 }, &mut best);
+    consider(events, &|best| if *best == usual { clearly_better } else { 1.0 }, &mut best);
     // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
     let choices =
         spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
-    look.consider(choices, |best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
+    consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
     if problems.iter().any(|problem| problem.is_lone.contains(&true)) {
         let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
-        look.consider(vec![Choice { noise, ..best.choice }], |_| clearly_better, &mut best);
+        consider(vec![Choice { noise, ..best.choice }], &|_| clearly_better, &mut best);
     }
     let priors = PRIORS
         .into_iter()
         .filter(|prior| *prior != usual.prior)
         .map(|prior| Choice { prior, ..best.choice })
         .collect();
-    look.consider(priors, |_| clearly_better, &mut best);
-    if best.seconds.is_rarely_kept() {
+    consider(priors, &|_| clearly_better, &mut best);
+    if (best.tally.kept as f64) < RARELY * best.tally.tried as f64 {
         let seldom = |second| SecondStart { least_misfit: SELDOM, ..second };
         best.choice.second = best.choice.second.map(seldom);
     }
     best.choice
-}
-
-/// Tries choices.
-struct Look<'a> {
-    tried: &'a Tried<'a>,
-    /// [`Choosing::reach`].
-    reach: f64,
-    group: &'a mut MapGroup,
-}
-
-impl Look<'_> {
-    /// Takes a choice that loses less than the best times what `by` makes of that.
-    fn consider(&mut self, choices: Vec<Choice>, by: impl Fn(&Choice) -> f64, best: &mut Best) {
-        let (first, others) = self.tried.looks();
-        let at_first = self.tried.losses(&choices, &first, self.group);
-        let least = at_first.iter().fold(best.at_first, |least, tally| f64::min(least, tally.loss));
-        let reach = least * (1.0 + self.reach);
-        let (choices, at_first): (Vec<Choice>, Vec<Tally>) =
-            choices.into_iter().zip(at_first).filter(|(_, tally)| tally.loss <= reach).unzip();
-        let more = self.tried.losses(&choices, &others, self.group);
-        for ((more, at_first), choice) in more.into_iter().zip(at_first).zip(choices) {
-            let loss = at_first.loss + more.loss;
-            if loss < best.loss * by(&best.choice) {
-                let seconds = at_first.seconds.and(more.seconds);
-                *best = Best { choice, loss, at_first: at_first.loss, seconds };
-            }
-        }
-    }
 }
 
 /// Which of a pixel's frames are held out where a choice is judged by its prediction: one in so many, never
@@ -227,46 +216,24 @@ struct Tried<'a> {
 /// The best choice so far.
 struct Best {
     choice: Choice,
-    /// What it loses.
-    loss: f64,
-    /// And in those that look first.
+    tally: Tally,
+    /// What it loses in those that look first.
     at_first: f64,
-    seconds: Seconds,
-}
-
-impl Best {
-    /// A choice that loses to all others.
-    fn none(choice: Choice) -> Best {
-        Best { choice, loss: f64::INFINITY, at_first: f64::INFINITY, seconds: Seconds::default() }
-    }
 }
 
 /// What a choice loses in some problems.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     loss: f64,
-    seconds: Seconds,
-}
-
-/// How many pixels were solved from a second start, and how many kept its answer.
-#[derive(Clone, Copy, Debug, Default)]
-struct Seconds {
+    /// So many pixels were solved from a second start as well, ...
     tried: usize,
+    /// ... and so many kept its answer.
     kept: usize,
 }
 
-impl Seconds {
-    fn count(&mut self, second: Second) {
-        self.tried += usize::from(second != Second::Untried);
-        self.kept += usize::from(second == Second::Kept);
-    }
-
-    fn and(self, other: Seconds) -> Seconds {
-        Seconds { tried: self.tried + other.tried, kept: self.kept + other.kept }
-    }
-
-    fn is_rarely_kept(self) -> bool {
-        (self.kept as f64) < RARELY * self.tried as f64
+impl Tally {
+    fn and(self, other: Tally) -> Tally {
+        Tally { loss: self.loss + other.loss, tried: self.tried + other.tried, kept: self.kept + other.kept }
     }
 }
 
@@ -287,14 +254,14 @@ impl Tried<'_> {
             let (p, choice) = (looking[n / choices.len()], &choices[n % choices.len()]);
             let problem = &self.problems[p];
             let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
-            let (noise, prior, second) = (choice.noise, choice.prior, choice.second);
+            let noise = choice.noise;
             MapTask {
                 problem: MapProblem { noise, frames, ..*problem },
-                options: MapOptions { prior, second, with_sigma: false, ..self.options },
+                options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options },
             }
         };
         let tasks: Vec<MapTask<'_>> = (0..looking.len() * choices.len()).map(task).collect();
-        let mut losses = vec![(0.0, Second::Untried); tasks.len()];
+        let mut losses = vec![Tally::default(); tasks.len()];
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
         group.solve_with(&tasks, evidence, |n, solution| {
             let problem = &self.problems[looking[n / choices.len()]];
@@ -303,16 +270,13 @@ impl Tried<'_> {
             } else {
                 -solution.outcome.log_evidence
             };
-            losses[n] = (loss, solution.outcome.second);
+            let second = solution.outcome.second;
+            let (tried, kept) = (second != Second::Untried, second == Second::Kept);
+            losses[n] = Tally { loss, tried: tried.into(), kept: kept.into() };
         });
         // Problem by problem, whatever order they were solved in.
         let of_choice = |c: usize| {
-            let mut tally = Tally::default();
-            for (loss, second) in losses.iter().skip(c).step_by(choices.len()) {
-                tally.loss += loss;
-                tally.seconds.count(*second);
-            }
-            tally
+            losses.iter().skip(c).step_by(choices.len()).fold(Tally::default(), |sum, one| sum.and(*one))
         };
         (0..choices.len()).map(of_choice).collect()
     }
