@@ -17,7 +17,7 @@
 //!
 //! Where the tracks carry standard deviations, `sigma` is that of every value, in DN:
 //! `gain x integral of sigma(t) i(t)`, with the standard deviation `sigma(t)` of `ln i`. That is exact for
-//! short exposures; over long ones, where errors average out, it is an upper bound.
+//! short exposures; over long ones, where errors average out, it is an upper bound. Rounded to 16 bits, 0.4 %.
 //!
 //! Frames `at` captured ones are what the described camera would have read there, its `[effects]` on frames
 //! included ([`super::reading`]); all others show the light.
@@ -29,6 +29,7 @@ use crate::crop::Crop;
 use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
 use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
+use photocurrent_core::series::to_bfloat16;
 use photocurrent_core::{
     Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameScale, FrameSequence, FrameTimes,
     FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
@@ -107,7 +108,7 @@ impl Node for RenderRows {
     const DECL: Decl = Decl {
         kind: "render/rows",
         about: "Frames from tracks: sharp, free of rolling shutter, at any rate and for any exposure.",
-        revision: 5,
+        revision: 6,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -212,7 +213,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
     }
 }
 
-/// One row of the standard deviations of all frames.
+/// One row of the standard deviations of all frames, rounded to 16 bits.
 fn render_sigma(
     band: &TrackBand,
     (left, row): (u32, u32),
@@ -236,7 +237,8 @@ fn render_sigma(
         }
         let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, &spread));
         for ((values, exposure), seconds) in out.iter_mut().zip(exposures).zip(seconds) {
-            values[x] = (gain * cursor.integral(*exposure) / exposure.seconds() * seconds) as f32;
+            let sigma = gain * cursor.integral(*exposure) / exposure.seconds() * seconds;
+            values[x] = to_bfloat16(sigma as f32);
         }
     }
 }

@@ -30,11 +30,12 @@
 
 use crate::conditional::{Conditional, Look, Track, at, conditional};
 use crate::effects::{ArrayEvent, Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};
-use crate::elementary::exp;
+use crate::elementary::{exp, ln};
 use crate::forward::neighbours::TwoDomains;
 use crate::map::MapFrame;
 use crate::mixing::Mixing;
 use crate::model::Model;
+use multiversion::multiversion;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
 
@@ -104,6 +105,21 @@ pub struct Known {
 pub struct Memory {
     with: Conditional,
     without: Conditional,
+}
+
+/// What is left of the log of a sum without what was added, above 0.
+#[inline(always)]
+fn own(added: f64, log_sum: f64) -> f64 {
+    let (left, least) = (exp(log_sum) - added, DARKEST * added);
+    ln(if left > least { left } else { least })
+}
+
+/// Replaces the log of each sum by [`own`].
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn all_own(added: f64, logs: &mut [f64]) {
+    for log in logs {
+        *log = own(added, *log);
+    }
 }
 
 /// The log photocurrent of a pixel's own and what is added to it.
@@ -219,10 +235,15 @@ impl Undo {
     /// The pixel's own log photocurrent, that of the sum given; where the sum is no more than what was added,
     /// that of a small share of it ([`DARKEST`]).
     pub fn own(&self, log_sum: f64) -> f64 {
-        if self.added == 0.0 {
-            log_sum
-        } else {
-            libm::log(f64::max(exp(log_sum) - self.added, DARKEST * self.added))
+        if self.added == 0.0 { log_sum } else { own(self.added, log_sum) }
+    }
+
+    /// [`Undo::own`] of each.
+    pub fn own_of(&self, log_sum: &[f64], log_own: &mut Vec<f64>) {
+        log_own.clear();
+        log_own.extend_from_slice(log_sum);
+        if self.added != 0.0 {
+            all_own(self.added, log_own);
         }
     }
 

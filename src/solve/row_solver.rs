@@ -6,8 +6,10 @@ use crate::plausible::Plausible;
 use crate::row::{KnownOfRows, Recorded, RowData, RowSetting};
 use crate::status::{PLANES, Status, map_meta, planes};
 use crate::track::PixelTrack;
+use photocurrent_core::series::to_bfloat16;
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
+use photocurrent_sensor::elementary::exp;
 use photocurrent_sensor::map::estimate::{HoldOut, Miss};
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
@@ -46,6 +48,7 @@ struct Part {
     /// each pixel's stand.
     knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
+    thinner: Thinner,
     planes: Vec<[f32; PLANES.len()]>,
 }
 
@@ -60,7 +63,7 @@ impl Part {
         lit: &[usize],
         hints: Option<&[Vec<Hint>]>,
     ) {
-        let (Taken { data, given }, Part { knots, knots_of, planes: of_pixels }) = (taken, self);
+        let (Taken { data, given }, Part { knots, knots_of, thinner, planes: of_pixels }) = (taken, self);
         knots.clear();
         knots_of.clear();
         knots_of.resize(lit.len(), 0..0);
@@ -75,10 +78,8 @@ impl Part {
         let mut put = |n: usize, solution: &MapSolution<'_>| {
             let begin = knots.len();
             let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
-            thin(solution, &model.undo, ratio, setting.sigma_factor, plausible, knots);
-            let most = libm::exp(
-                model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
-            ) * ratio;
+            let brightest =
+                thinner.thin(solution, &model.undo, (ratio, setting.sigma_factor), plausible, knots);
             knots_of[n] = begin..knots.len();
             let status = match solution.outcome.status {
                 MapStatus::Failed => Status::FellBack,
@@ -90,7 +91,7 @@ impl Part {
                 solution.outcome.iterations,
                 -solution.outcome.log_evidence,
                 &solution.outcome.misfit,
-                plausible.excess(most),
+                plausible.excess(brightest),
             );
         };
         group.solve(&tasks, |n, solution| {
@@ -253,7 +254,7 @@ impl RowSolver {
     pub fn light(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta) -> RowLight {
         let width = meta.extent.width as usize;
         let lit = self.lit();
-        let RowSolver { group, taken: Taken { data, given }, part: Part { knots, .. }, .. } = self;
+        let RowSolver { group, taken: Taken { data, given }, part: Part { knots, thinner, .. }, .. } = self;
         let setting = RowSetting { options: MapOptions { with_sigma: false, ..setting.options }, ..*setting };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, &setting, data, x, &[])).collect();
         let known: Vec<Known> =
@@ -262,7 +263,7 @@ impl RowSolver {
         group.solve(&with_known(&tasks, &known), |n, solution| {
             let ratio = data.light_ratio(lit[n]);
             knots.clear();
-            thin(&solution, &model.undo, ratio, 1.0, data.plausible(lit[n]), knots);
+            thinner.thin(&solution, &model.undo, (ratio, 1.0), data.plausible(lit[n]), knots);
             let begin = light.t_ns.len();
             light.t_ns.extend(knots.iter().map(|(t, _, _)| t));
             // As it was posed: in the photocurrent of the event pixel, and with what effects add to it.
@@ -364,9 +365,10 @@ fn together<'a>(
     setting: &RowSetting,
     meta: &TracksMeta,
     row: u32,
-    parts: impl Iterator<Item = (&'a [usize], &'a Part)>,
+    parts: impl Iterator<Item = (&'a [usize], &'a Part)> + Clone,
 ) -> (TrackBand, MapBand) {
     let mut tracks = TrackBand::begin(row, meta.extent.width);
+    tracks.reserve(parts.clone().map(|(_, part)| part.knots.len()).sum(), setting.options.with_sigma);
     let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
     // As it stays where a pixel has no frame.
     for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default(), 0.0).into_iter().enumerate() {
@@ -512,47 +514,71 @@ pub(crate) fn problem<'a>(
     }
 }
 
-/// Keeps as few knots as join up to the same light, without what effects add to it and times `light_ratio`,
-/// within [`THINNED_TO`], and to the same standard deviation, where there is one, times `sigma_factor`,
-/// within [`SIGMA_THINNED_TO`].
-///
-/// Light is held at what is plausible; its standard deviation is then at least as large as what was removed.
-fn thin(
-    solution: &MapSolution<'_>,
-    undo: &Undo,
-    light_ratio: f64,
-    sigma_factor: f64,
-    plausible: Plausible,
-    knots: &mut Vec<(i64, f32, f32)>,
-) {
-    let (t, sum, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
-    let u = |k: usize| undo.own(sum[k]);
-    // A small relative change of the sum is a larger one of the pixel's own part.
-    let log_sigma =
-        |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance) + sum[k] - u(k));
-    let mut keep = |k: usize| {
-        let (photocurrent, sigma) = (libm::exp(u(k)) * light_ratio, libm::exp(log_sigma(k)) * sigma_factor);
-        let held = plausible.held(photocurrent);
-        let sigma = if held < photocurrent { f64::max(sigma, libm::log(photocurrent / held)) } else { sigma };
-        knots.push((t[k], held as f32, sigma as f32));
-    };
-    keep(0);
-    let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
-    for k in 1..t.len() {
-        let rise = |anchor: usize| (u(k) - u(anchor), log_sigma(k) - log_sigma(anchor));
-        let run = |anchor: usize| (t[k] - t[anchor]) as f64;
-        let (of_light, of_sigma) = rise(anchor);
-        if !light.holds(of_light / run(anchor)) || !sigma.holds(of_sigma / run(anchor)) {
-            anchor = k - 1;
-            keep(anchor);
-            (light, sigma) = (Corridor::OPEN, Corridor::OPEN);
+/// Leaves knots away; keeps its memory from pixel to pixel.
+#[derive(Default)]
+struct Thinner {
+    /// Log photocurrent of the pixel's own at each knot, and the log of its standard deviation.
+    log: Vec<f64>,
+    log_sigma: Vec<f64>,
+}
+
+impl Thinner {
+    /// Keeps as few knots as join up to the same light, without what effects add to it and times a ratio,
+    /// within [`THINNED_TO`], and to the same standard deviation, where there is one, times a factor, within
+    /// [`SIGMA_THINNED_TO`]; gives the brightest photocurrent of all knots, times the ratio.
+    ///
+    /// Light is held at what is plausible; its standard deviation is then at least as large as what was
+    /// removed. Standard deviations are rounded to 16 bits.
+    fn thin(
+        &mut self,
+        solution: &MapSolution<'_>,
+        undo: &Undo,
+        (light_ratio, sigma_factor): (f64, f64),
+        plausible: Plausible,
+        knots: &mut Vec<(i64, f32, f32)>,
+    ) -> f64 {
+        self.fill(solution, undo);
+        let (t, log, log_sigma) = (solution.t_ns, &self.log[..], &self.log_sigma[..]);
+        let mut keep = |k: usize| {
+            let (photocurrent, sigma) = (exp(log[k]) * light_ratio, exp(log_sigma[k]) * sigma_factor);
+            let held = plausible.held(photocurrent);
+            let sigma =
+                if held < photocurrent { f64::max(sigma, libm::log(photocurrent / held)) } else { sigma };
+            knots.push((t[k], held as f32, to_bfloat16(sigma as f32)));
+        };
+        keep(0);
+        let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
+        for k in 1..t.len() {
+            let rise = |anchor: usize| (log[k] - log[anchor], log_sigma[k] - log_sigma[anchor]);
+            let run = |anchor: usize| (t[k] - t[anchor]) as f64;
+            let (of_light, of_sigma) = rise(anchor);
+            if !light.holds(of_light / run(anchor)) || !sigma.holds(of_sigma / run(anchor)) {
+                anchor = k - 1;
+                keep(anchor);
+                (light, sigma) = (Corridor::OPEN, Corridor::OPEN);
+            }
+            let (of_light, of_sigma) = rise(anchor);
+            light = light.narrowed(of_light, THINNED_TO, run(anchor));
+            sigma = sigma.narrowed(of_sigma, SIGMA_THINNED_TO, run(anchor));
         }
-        let (of_light, of_sigma) = rise(anchor);
-        light = light.narrowed(of_light, THINNED_TO, run(anchor));
-        sigma = sigma.narrowed(of_sigma, SIGMA_THINNED_TO, run(anchor));
+        if t.len() > 1 {
+            keep(t.len() - 1);
+        }
+        exp(log.iter().copied().fold(f64::NEG_INFINITY, f64::max)) * light_ratio
     }
-    if t.len() > 1 {
-        keep(t.len() - 1);
+
+    fn fill(&mut self, solution: &MapSolution<'_>, undo: &Undo) {
+        let (sum, variance) = (solution.log_photocurrent, solution.variance);
+        undo.own_of(sum, &mut self.log);
+        estimate::log_sigmas(variance, &mut self.log_sigma);
+        self.log_sigma.resize(sum.len(), 0.0);
+        if variance.is_empty() {
+            return;
+        }
+        // A small relative change of the sum is a larger one of the pixel's own part.
+        for ((log_sigma, sum), own) in self.log_sigma.iter_mut().zip(sum).zip(&self.log) {
+            *log_sigma += sum - own;
+        }
     }
 }
 

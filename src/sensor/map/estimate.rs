@@ -12,6 +12,8 @@ use super::options::{Evidence, MapOptions, MapSolution, MapTask, Second, SecondS
 use super::prior::{Local, Prior};
 use super::problem::{Hint, LoneEvents, MapFrame, MapProblem, Noise};
 use super::segment::collected_between;
+use crate::elementary::ln;
+use multiversion::multiversion;
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub(crate) const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
@@ -390,8 +392,23 @@ pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut Map
 }
 
 /// Natural log of the standard deviation of log light, from its variance.
+#[inline(always)]
 pub fn log_sigma(variance: f64) -> f64 {
-    0.5 * libm::log(f64::max(variance, LEAST_VARIANCE))
+    0.5 * ln(if variance > LEAST_VARIANCE { variance } else { LEAST_VARIANCE })
+}
+
+/// [`log_sigma`] of each.
+pub fn log_sigmas(variance: &[f64], log_sigmas: &mut Vec<f64>) {
+    log_sigmas.clear();
+    log_sigmas.extend_from_slice(variance);
+    to_log_sigmas(log_sigmas);
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn to_log_sigmas(variances: &mut [f64]) {
+    for variance in variances {
+        *variance = log_sigma(*variance);
+    }
 }
 
 /// By what factor standard deviations of light are too small: what misses show of it, at least 1 and at most

@@ -2,24 +2,90 @@
 //! run in parallel.
 //!
 //! Shuffle puts the first bytes of all numbers together, then the second bytes, and so on: neighbouring
-//! numbers share their high bytes, which deflate then finds. The result is bit for bit what `H5Dread` expects
-//! of a chunk with these two filters.
+//! numbers share their high bytes, which deflate then finds. The low bytes of measured numbers are noise, in
+//! which deflate finds nothing and takes longest: such a plane of bytes becomes blocks of the stream that are
+//! stored as they are. The result is bit for bit what `H5Dread` expects of a chunk with these two filters.
+//!
+//! Source of the stream: RFC 1950 (its head and checksum) and RFC 1951 (its blocks).
 
-use flate2::{Compress, Compression, FlushCompress, Status};
+use flate2::{Compress, Compression, FlushCompress};
 
 /// Bit of the filter mask that says "deflate (the second filter) was left out for this chunk".
 const WITHOUT_DEFLATE: u32 = 0b10;
+
+/// Head of a zlib stream: deflate, a window of 32 KiB, the quickest level.
+const HEAD: [u8; 2] = [0x78, 0x01];
+
+/// Most bytes of a block that is stored as it is.
+const LONGEST_STORED: usize = 0xFFFF;
+
+/// The last block of a stream, empty.
+const LAST: [u8; 5] = [1, 0, 0, 0xFF, 0xFF];
+
+/// Bytes of a plane that are tried before all of it is deflated; a plane below four times as much is not
+/// tried.
+const TRIED: usize = 4096;
+
+/// A plane is stored where its part that was tried shrinks by less than one in so many.
+const SHRINKS_BY_ONE_IN: usize = 32;
 
 /// Shuffles and deflates one chunk; also gives the filter mask, since a chunk that does not shrink is kept
 /// shuffled only.
 pub(crate) fn pack<T: bytemuck::Pod>(values: &[T]) -> (Vec<u8>, u32) {
     let shuffled = shuffle(bytemuck::cast_slice(values), size_of::<T>());
     let mut packed = Vec::with_capacity(shuffled.len());
-    let mut deflate = Compress::new(Compression::new(1), true);
-    // `compress_vec` never grows its output: not reaching the end means that the chunk does not shrink.
-    match deflate.compress_vec(&shuffled, &mut packed, FlushCompress::Finish) {
-        Ok(Status::StreamEnd) => (packed, 0),
-        _ => (shuffled, WITHOUT_DEFLATE),
+    packed.extend(HEAD);
+    let mut deflate = Compress::new(Compression::new(1), false);
+    for plane in shuffled.chunks(values.len().max(1)) {
+        if !push_deflated(&mut deflate, plane, &mut packed) {
+            push_stored(plane, &mut packed);
+        }
+    }
+    packed.extend(LAST);
+    packed.extend(simd_adler32::adler32(&shuffled.as_slice()).to_be_bytes());
+    if packed.len() < shuffled.len() { (packed, 0) } else { (shuffled, WITHOUT_DEFLATE) }
+}
+
+/// Adds a plane to a stream in blocks of its own; false where that does not make it smaller, and nothing is
+/// added.
+fn push_deflated(deflate: &mut Compress, plane: &[u8], packed: &mut Vec<u8>) -> bool {
+    let begin = packed.len();
+    if plane.len() >= 4 * TRIED {
+        let middle = (plane.len() - TRIED) / 2;
+        let shrinks = push_blocks(deflate, &plane[middle..middle + TRIED], packed, SHRINKS_BY_ONE_IN);
+        packed.truncate(begin);
+        if !shrinks {
+            return false;
+        }
+    }
+    let shrinks = push_blocks(deflate, plane, packed, usize::MAX);
+    if !shrinks {
+        packed.truncate(begin);
+    }
+    shrinks
+}
+
+/// Adds bytes, deflated, up to the end of a byte; true where they come out shorter by one in `by`.
+fn push_blocks(deflate: &mut Compress, bytes: &[u8], packed: &mut Vec<u8>, by: usize) -> bool {
+    let begin = packed.len();
+    let most = bytes.len() - bytes.len() / by;
+    packed.resize(begin + most, 0);
+    deflate.reset();
+    // It never writes beyond the room: where that is used up, bytes or the end of a block may be missing.
+    let status = deflate.compress(bytes, &mut packed[begin..], FlushCompress::Sync);
+    let length = deflate.total_out() as usize;
+    packed.truncate(begin + length);
+    status.is_ok() && length < most && deflate.total_in() as usize == bytes.len()
+}
+
+/// Adds bytes as they are.
+fn push_stored(bytes: &[u8], packed: &mut Vec<u8>) {
+    for block in bytes.chunks(LONGEST_STORED) {
+        let length = block.len() as u16;
+        packed.push(0);
+        packed.extend(length.to_le_bytes());
+        packed.extend((!length).to_le_bytes());
+        packed.extend(block);
     }
 }
 
@@ -79,6 +145,28 @@ mod tests {
         let (packed, mask) = pack(&order);
         assert_eq!(mask, 0);
         assert!(packed.len() < 8 * 4096 / 3);
+    }
+
+    #[test]
+    fn planes_of_noise_are_stored_in_a_stream_that_any_reader_of_zlib_takes() {
+        let mut random = photocurrent_core::random::Random::new(1, &[]);
+        for length in [0, 1, 3, 5_000, 65_535, 65_536, 70_001] {
+            // Two planes of noise and six of order.
+            let values: Vec<i64> =
+                (0..length).map(|n| (n << 32) | (random.bits() & 0xFFFF) as i64).collect();
+            let (packed, mask) = pack(&values);
+            let mut back = vec![0i64; values.len()];
+            unpack(packed.clone(), mask, &mut back).unwrap();
+            assert_eq!(back, values);
+            if length > 5_000 {
+                assert_eq!(mask, 0);
+                let size = packed.len() as i64;
+                assert!((2 * length..3 * length).contains(&size), "{length}: {size}");
+                let mut other = Vec::new();
+                std::io::Read::read_to_end(&mut flate2::read::ZlibDecoder::new(&*packed), &mut other).unwrap();
+                assert_eq!(other, shuffle(bytemuck::cast_slice(&values), 8));
+            }
+        }
     }
 
     #[test]
