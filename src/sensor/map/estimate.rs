@@ -31,10 +31,13 @@ pub const FEWEST_FRAMES: usize = 4;
 /// saturation: in the dark, noise is not relative, and a few dark pixels whose light ran away must not pass
 /// for good.
 const DARK_SHARE: f64 = 0.2;
-/// Where there are many pixels, one in so many looks at all choices first.
-const LOOKS_FIRST: usize = 3;
-/// Fewer pixels than this do not look first.
-const FEWEST_FIRST: usize = 16;
+/// Where there are many pixels, choices are tried on one in six of them, then on another sixth, then on the
+/// others: of six pixels, these are first and second.
+const STAGES: usize = 6;
+const FIRST: usize = 1;
+const SECOND: usize = 4;
+/// Fewer pixels than this are one stage.
+const FEWEST_IN_STAGES: usize = 48;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 1.0;
 
@@ -50,9 +53,10 @@ const LEAST_VARIANCE: f64 = 1e-8;
 pub struct Choosing {
     /// What is not usual must lose less by this part, from 0 (any less) to 1 (never).
     pub clear_gain: f64,
-    /// Of many pixels a third looks first; the others look only at what loses at most this part more than the
-    /// best does there. Infinite: at everything.
-    pub reach: f64,
+    /// Of many pixels a sixth tries every choice, another sixth and the others only those whose mean loss is
+    /// not above that of the best, in the same pixels, by so many of the difference's standard errors.
+    /// Infinite: all pixels try every choice.
+    pub sure: f64,
 }
 
 /// What suits a recording.
@@ -79,8 +83,8 @@ pub(crate) const PRIORS: [Prior; 6] = [
 ];
 
 impl Choosing {
-    /// Suits most recordings: a third of the pixels may be mistaken by a tenth, and 3 % are more than chance.
-    pub const USUAL: Choosing = Choosing { clear_gain: 0.03, reach: 0.1 };
+    /// Suits most recordings: 3 % are more than chance.
+    pub const USUAL: Choosing = Choosing { clear_gain: 0.03, sure: 2.0 };
 
     /// What is not usual must lose less than the best times this.
     fn clearly_better(&self) -> f64 {
@@ -116,22 +120,21 @@ pub fn choose(
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
-    let none = Tally { loss: f64::INFINITY, ..Tally::default() };
-    let mut best = Best { choice: usual, tally: none, at_first: f64::INFINITY };
+    let stages = tried.stages();
+    let mut best = Best { choice: usual, tally: Tally::default() };
     // Takes a choice that is better by a factor.
     let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut Best| {
-        let (first, others) = tried.looks();
-        let at_first = tried.losses(&choices, &first, group);
-        let reach = at_first.iter().fold(best.at_first, |least, tally| f64::min(least, tally.loss))
-            * (1.0 + choosing.reach);
-        let (choices, at_first): (Vec<Choice>, Vec<Tally>) =
-            choices.into_iter().zip(at_first).filter(|(_, tally)| tally.loss <= reach).unzip();
-        for ((more, at_first), choice) in
-            tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices)
-        {
-            let tally = at_first.and(more);
-            if tally.loss < best.tally.loss * by(&best.choice) {
-                *best = Best { choice, tally, at_first: at_first.loss };
+        let mut left: Vec<Best> =
+            choices.into_iter().map(|choice| Best { choice, tally: Tally::default() }).collect();
+        for (n, stage) in stages.iter().enumerate() {
+            if n > 0 {
+                drop_losers(&mut left, best, by(&best.choice), choosing.sure);
+            }
+            tried.losses(&mut left, stage, group);
+        }
+        for one in left {
+            if best.tally.losses.is_empty() || one.tally.loss() < best.tally.loss() * by(&best.choice) {
+                *best = one;
             }
         }
     };
@@ -215,18 +218,17 @@ struct Tried<'a> {
     options: MapOptions,
 }
 
-/// The best choice so far.
+/// A choice, and what it loses in the problems that tried it.
 struct Best {
     choice: Choice,
     tally: Tally,
-    /// What it loses in those that look first.
-    at_first: f64,
 }
 
 /// What a choice loses in some problems.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Tally {
-    loss: f64,
+    /// In each of them.
+    losses: Vec<f64>,
     /// So many pixels were solved from a second start as well, ...
     tried: usize,
     /// ... and so many kept its answer.
@@ -234,26 +236,54 @@ struct Tally {
 }
 
 impl Tally {
-    fn and(self, other: Tally) -> Tally {
-        Tally { loss: self.loss + other.loss, tried: self.tried + other.tried, kept: self.kept + other.kept }
+    fn loss(&self) -> f64 {
+        self.losses.iter().sum()
     }
 }
 
+/// Drops choices that surely lose more than the best of them, or than `best` times a factor, in the problems
+/// that tried them.
+fn drop_losers(left: &mut Vec<Best>, best: &Best, by: f64, sure: f64) {
+    let least = |a: &&Best, b: &&Best| a.tally.loss().total_cmp(&b.tally.loss());
+    let Some(leader) = left.iter().min_by(least).map(|leader| leader.tally.losses.clone()) else { return };
+    left.retain(|one| {
+        let losses = &one.tally.losses;
+        !is_surely_more(losses, &leader, 1.0, sure) && !is_surely_more(losses, &best.tally.losses, by, sure)
+    });
+}
+
+/// Is the sum of `losses` above that of as many of `others`, times `by`, by more than `sure` standard errors of
+/// the difference? Not where there are no others.
+fn is_surely_more(losses: &[f64], others: &[f64], by: f64, sure: f64) -> bool {
+    let n = usize::min(losses.len(), others.len());
+    if n < 2 {
+        return false;
+    }
+    let differences = || losses.iter().zip(others).map(|(loss, other)| loss - by * other);
+    let sum: f64 = differences().sum();
+    let mean = sum / n as f64;
+    let squares: f64 = differences().map(|difference| (difference - mean) * (difference - mean)).sum();
+    sum > sure * (squares * n as f64 / (n - 1) as f64).sqrt()
+}
+
 impl Tried<'_> {
-    /// The problems that look first, and the others. Nobody looks first at evidence, whose losses have no
-    /// zero.
-    fn looks(&self) -> (Vec<usize>, Vec<usize>) {
-        let looks_first = self.kept.is_some() && self.problems.len() >= FEWEST_FIRST * LOOKS_FIRST;
-        (0..self.problems.len()).partition(|p| looks_first && p % LOOKS_FIRST == 1)
+    /// The problems, in stages. One stage where evidence decides: pixels alone do not show what it gains.
+    fn stages(&self) -> Vec<Vec<usize>> {
+        let all = 0..self.problems.len();
+        if self.kept.is_none() || all.len() < FEWEST_IN_STAGES {
+            return vec![all.collect()];
+        }
+        let of = |is_in: fn(usize) -> bool| all.clone().filter(|p| is_in(p % STAGES)).collect();
+        vec![of(|p| p == FIRST), of(|p| p == SECOND), of(|p| p != FIRST && p != SECOND)]
     }
 
-    /// What each choice loses in some problems: by the frames that were held out, else by the evidence.
+    /// Adds what each choice loses in some problems: by the frames that were held out, else by the evidence.
     ///
     /// Always from the usual start: from the light that another noise or prior has found, a few steps do not
     /// show what this one would find.
-    fn losses(&self, choices: &[Choice], looking: &[usize], group: &mut MapGroup) -> Vec<Tally> {
+    fn losses(&self, choices: &mut [Best], trying: &[usize], group: &mut MapGroup) {
         let task = |n: usize| {
-            let (p, choice) = (looking[n / choices.len()], &choices[n % choices.len()]);
+            let (p, choice) = (trying[n / choices.len()], &choices[n % choices.len()].choice);
             let problem = &self.problems[p];
             let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
             let noise = choice.noise;
@@ -262,25 +292,26 @@ impl Tried<'_> {
                 options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options },
             }
         };
-        let tasks: Vec<MapTask<'_>> = (0..looking.len() * choices.len()).map(task).collect();
-        let mut losses = vec![Tally::default(); tasks.len()];
+        let tasks: Vec<MapTask<'_>> = (0..trying.len() * choices.len()).map(task).collect();
+        let mut losses = vec![(0.0, Second::Untried); tasks.len()];
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
         group.solve_with(&tasks, evidence, |n, solution| {
-            let problem = &self.problems[looking[n / choices.len()]];
+            let problem = &self.problems[trying[n / choices.len()]];
             let loss = if self.kept.is_some() {
                 prediction_error(HoldOut::USUAL, problem, self.dark_dn, &solution)[0]
             } else {
                 -solution.outcome.log_evidence
             };
-            let second = solution.outcome.second;
-            let (tried, kept) = (second != Second::Untried, second == Second::Kept);
-            losses[n] = Tally { loss, tried: tried.into(), kept: kept.into() };
+            losses[n] = (loss, solution.outcome.second);
         });
         // Problem by problem, whatever order they were solved in.
-        let of_choice = |c: usize| {
-            losses.iter().skip(c).step_by(choices.len()).fold(Tally::default(), |sum, one| sum.and(*one))
-        };
-        (0..choices.len()).map(of_choice).collect()
+        let count = choices.len();
+        for (n, (loss, second)) in losses.into_iter().enumerate() {
+            let tally = &mut choices[n % count].tally;
+            tally.losses.push(loss);
+            tally.tried += usize::from(second != Second::Untried);
+            tally.kept += usize::from(second == Second::Kept);
+        }
     }
 }
 
