@@ -35,7 +35,7 @@ use photocurrent_core::{
     FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
+use photocurrent_sensor::exposure::{DigitalNumber, LogLinearTrack, ManyExposures};
 use photocurrent_solve::co_located::{channel_gains, gain_of};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -224,6 +224,7 @@ fn render_sigma(
 ) {
     let width = out.first().map_or(0, |values| values.len());
     let mut spread: Vec<f32> = Vec::new();
+    let mut many = ManyExposures::default();
     for x in 0..width {
         let track = band.pixel(left + x as u32, row);
         let gain = dn.at(left + x as u32, row).gain;
@@ -235,9 +236,11 @@ fn render_sigma(
             out.iter_mut().for_each(|values| values[x] = f32::NAN);
             continue;
         }
-        let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, &spread));
-        for ((values, exposure), seconds) in out.iter_mut().zip(exposures).zip(seconds) {
-            let sigma = gain * cursor.integral(*exposure) / exposure.seconds() * seconds;
+        let integrals = many.of(&LogLinearTrack::new(track.t, &spread), exposures);
+        for (((values, exposure), seconds), integral) in
+            out.iter_mut().zip(exposures).zip(seconds).zip(integrals)
+        {
+            let sigma = gain * integral / exposure.seconds() * seconds;
             values[x] = to_bfloat16(sigma as f32);
         }
     }
@@ -324,6 +327,7 @@ fn render_log_linear(
 ) {
     let width = out.first().map_or(0, |values| values.len());
     let mut tile = vec![[f32::NAN; COLUMNS]; exposures.len()];
+    let mut many = ManyExposures::default();
     for left in (0..width).step_by(COLUMNS) {
         let used = COLUMNS.min(width - left);
         for n in 0..used {
@@ -334,9 +338,11 @@ fn render_log_linear(
                 tile.iter_mut().for_each(|values| values[n] = f32::NAN);
                 continue;
             }
-            let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, track.photocurrent));
-            for ((values, exposure), seconds) in tile.iter_mut().zip(exposures.all()).zip(seconds) {
-                values[n] = dn.of(cursor.integral(*exposure) / exposure.seconds() * seconds) as f32;
+            let integrals = many.of(&LogLinearTrack::new(track.t, track.photocurrent), exposures.all());
+            for (((values, exposure), seconds), integral) in
+                tile.iter_mut().zip(exposures.all()).zip(seconds).zip(integrals)
+            {
+                values[n] = dn.of(integral / exposure.seconds() * seconds) as f32;
             }
         }
         for (values, out) in tile.iter().zip(out.iter_mut()) {

@@ -8,6 +8,8 @@
 //! its Taylor series after reduction to |r| < 0.35. Limits: the logarithm takes normal positive numbers; the
 //! exponential is flat beyond the range of normal numbers.
 
+use multiversion::multiversion;
+
 /// ln 2 in two parts; the first has trailing zeros, so that a whole multiple of it is exact.
 const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
 const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
@@ -103,6 +105,22 @@ pub fn ln(x: f64) -> f64 {
     let value = if x == f64::INFINITY { x } else { value };
     let value = if x == 0.0 { f64::NEG_INFINITY } else { value };
     if x >= 0.0 { value } else { f64::NAN }
+}
+
+/// Replaces each number by its exponential.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+pub fn exp_all(values: &mut [f64]) {
+    for value in values {
+        *value = exp(*value);
+    }
+}
+
+/// Replaces each number by its natural logarithm.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+pub fn ln_all(values: &mut [f64]) {
+    for value in values {
+        *value = ln(*value);
+    }
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use crate::track::PixelTrack;
 use photocurrent_core::series::to_bfloat16;
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::elementary::exp;
+use photocurrent_sensor::elementary::{exp, exp_all};
 use photocurrent_sensor::map::estimate::{HoldOut, Miss};
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
@@ -520,6 +520,10 @@ struct Thinner {
     /// Log photocurrent of the pixel's own at each knot, and the log of its standard deviation.
     log: Vec<f64>,
     log_sigma: Vec<f64>,
+    /// The knots that are kept.
+    kept: Vec<usize>,
+    /// Their photocurrents, and then its standard deviations.
+    of_kept: Vec<f64>,
 }
 
 impl Thinner {
@@ -539,30 +543,38 @@ impl Thinner {
     ) -> f64 {
         self.fill(solution, undo);
         let (t, log, log_sigma) = (solution.t_ns, &self.log[..], &self.log_sigma[..]);
-        let mut keep = |k: usize| {
-            let (photocurrent, sigma) = (exp(log[k]) * light_ratio, exp(log_sigma[k]) * sigma_factor);
+        self.kept.clear();
+        self.kept.push(0);
+        let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
+        for k in 1..t.len() {
+            let mut per_run = 1.0 / (t[k] - t[anchor]) as f64;
+            let (of_light, of_sigma) = (log[k] - log[anchor], log_sigma[k] - log_sigma[anchor]);
+            let (mut of_light, mut of_sigma) = (of_light * per_run, of_sigma * per_run);
+            if !light.holds(of_light) || !sigma.holds(of_sigma) {
+                anchor = k - 1;
+                self.kept.push(anchor);
+                (light, sigma) = (Corridor::OPEN, Corridor::OPEN);
+                per_run = 1.0 / (t[k] - t[anchor]) as f64;
+                of_light = (log[k] - log[anchor]) * per_run;
+                of_sigma = (log_sigma[k] - log_sigma[anchor]) * per_run;
+            }
+            light = light.narrowed(of_light, THINNED_TO * per_run);
+            sigma = sigma.narrowed(of_sigma, SIGMA_THINNED_TO * per_run);
+        }
+        if t.len() > 1 {
+            self.kept.push(t.len() - 1);
+        }
+        self.of_kept.clear();
+        self.of_kept.extend(self.kept.iter().map(|&k| log[k]));
+        self.of_kept.extend(self.kept.iter().map(|&k| log_sigma[k]));
+        exp_all(&mut self.of_kept);
+        let (light, sigma) = self.of_kept.split_at(self.kept.len());
+        for ((&k, light), sigma) in self.kept.iter().zip(light).zip(sigma) {
+            let (photocurrent, sigma) = (light * light_ratio, sigma * sigma_factor);
             let held = plausible.held(photocurrent);
             let sigma =
                 if held < photocurrent { f64::max(sigma, libm::log(photocurrent / held)) } else { sigma };
             knots.push((t[k], held as f32, to_bfloat16(sigma as f32)));
-        };
-        keep(0);
-        let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
-        for k in 1..t.len() {
-            let rise = |anchor: usize| (log[k] - log[anchor], log_sigma[k] - log_sigma[anchor]);
-            let run = |anchor: usize| (t[k] - t[anchor]) as f64;
-            let (of_light, of_sigma) = rise(anchor);
-            if !light.holds(of_light / run(anchor)) || !sigma.holds(of_sigma / run(anchor)) {
-                anchor = k - 1;
-                keep(anchor);
-                (light, sigma) = (Corridor::OPEN, Corridor::OPEN);
-            }
-            let (of_light, of_sigma) = rise(anchor);
-            light = light.narrowed(of_light, THINNED_TO, run(anchor));
-            sigma = sigma.narrowed(of_sigma, SIGMA_THINNED_TO, run(anchor));
-        }
-        if t.len() > 1 {
-            keep(t.len() - 1);
         }
         exp(log.iter().copied().fold(f64::NEG_INFINITY, f64::max)) * light_ratio
     }
@@ -596,10 +608,8 @@ impl Corridor {
         self.low <= slope && slope <= self.high
     }
 
-    fn narrowed(self, rise: f64, tolerance: f64, run: f64) -> Corridor {
-        Corridor {
-            low: f64::max(self.low, (rise - tolerance) / run),
-            high: f64::min(self.high, (rise + tolerance) / run),
-        }
+    /// Only slopes within `tolerance` of this one.
+    fn narrowed(self, slope: f64, tolerance: f64) -> Corridor {
+        Corridor { low: f64::max(self.low, slope - tolerance), high: f64::min(self.high, slope + tolerance) }
     }
 }

@@ -152,8 +152,7 @@ mod tests {
         let mut random = photocurrent_core::random::Random::new(1, &[]);
         for length in [0, 1, 3, 5_000, 65_535, 65_536, 70_001] {
             // Two planes of noise and six of order.
-            let values: Vec<i64> =
-                (0..length).map(|n| (n << 32) | (random.bits() & 0xFFFF) as i64).collect();
+            let values: Vec<i64> = (0..length).map(|n| (n << 32) | (random.bits() & 0xFFFF) as i64).collect();
             let (packed, mask) = pack(&values);
             let mut back = vec![0i64; values.len()];
             unpack(packed.clone(), mask, &mut back).unwrap();
@@ -163,7 +162,8 @@ mod tests {
                 let size = packed.len() as i64;
                 assert!((2 * length..3 * length).contains(&size), "{length}: {size}");
                 let mut other = Vec::new();
-                std::io::Read::read_to_end(&mut flate2::read::ZlibDecoder::new(&*packed), &mut other).unwrap();
+                std::io::Read::read_to_end(&mut flate2::read::ZlibDecoder::new(&*packed), &mut other)
+                    .unwrap();
                 assert_eq!(other, shuffle(bytemuck::cast_slice(&values), 8));
             }
         }
