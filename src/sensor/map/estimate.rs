@@ -36,8 +36,8 @@ const DARK_SHARE: f64 = 0.2;
 const STAGES: usize = 6;
 const FIRST: usize = 1;
 const SECOND: usize = 4;
-/// Fewer pixels than this are one stage.
-const FEWEST_IN_STAGES: usize = 48;
+/// Fewer pixels than this are one stage: of eighteen pixels, two standard errors dropped what was best.
+const FEWEST_IN_STAGES: usize = 192;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 1.0;
 
@@ -84,7 +84,7 @@ pub(crate) const PRIORS: [Prior; 6] = [
 
 impl Choosing {
     /// Suits most recordings: 3 % are more than chance.
-    pub const USUAL: Choosing = Choosing { clear_gain: 0.03, sure: 2.0 };
+    pub const USUAL: Choosing = Choosing { clear_gain: 0.03, sure: 3.0 };
 
     /// What is not usual must lose less than the best times this.
     fn clearly_better(&self) -> f64 {
