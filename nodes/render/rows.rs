@@ -17,7 +17,8 @@
 //!
 //! Where the tracks carry standard deviations, `sigma` is that of every value, in DN:
 //! `gain x integral of sigma(t) i(t)`, with the standard deviation `sigma(t)` of `ln i`. That is exact for
-//! short exposures; over long ones, where errors average out, it is an upper bound. Rounded to 16 bits, 0.4 %.
+//! short exposures; over long ones, where errors average out, it is an upper bound. It is rounded to 16 bits
+//! (0.4 %).
 //!
 //! Frames `at` captured ones are what the described camera would have read there, its `[effects]` on frames
 //! included ([`super::reading`]); all others show the light.

@@ -303,7 +303,7 @@ impl ManyExposures {
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 fn to_collected(first: &[f64], last: &[f64], length: &mut [f64]) {
     for ((first, last), length) in first.iter().zip(last).zip(length) {
-        *length = log_linear_mean(*first, *last) * *length;
+        *length *= log_linear_mean(*first, *last);
     }
 }
 
