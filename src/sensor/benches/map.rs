@@ -15,7 +15,8 @@ use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Pixel, PixelNoi
 use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::map::estimate::Choosing;
 use photocurrent_sensor::map::{
-    MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, PixelEvent, estimate, solve,
+    MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, PixelEvent, SecondStart,
+    estimate, solve,
 };
 
 const SPAN_NS: i64 = 250_000_000;
@@ -195,6 +196,13 @@ fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..five_steps() });
+}
+
+/// The same as `solve/map` has it where second starts are rarely kept, as on these pixels.
+#[divan::bench(args = KINDS)]
+fn events_solved_in_groups_with_sigma_seldom_again(bencher: Bencher<'_, '_>, kind: &str) {
+    let second = Some(SecondStart { least_misfit: 0.5, ..SecondStart::USUAL });
+    solve_in_groups(bencher, kind, MapOptions { with_sigma: true, second, ..five_steps() });
 }
 
 fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {

@@ -254,7 +254,7 @@ fn drop_losers(left: &mut Vec<Best>, best: &Best, by: f64, sure: f64) {
 
 /// Is the sum of `losses` above that of as many of `others`, times `by`, by more than `sure` standard errors
 /// of the difference? Not where there are no others.
-fn is_surely_more(losses: &[f64], others: &[f64], by: f64, sure: f64) -> bool {
+pub(super) fn is_surely_more(losses: &[f64], others: &[f64], by: f64, sure: f64) -> bool {
     let n = usize::min(losses.len(), others.len());
     if n < 2 {
         return false;

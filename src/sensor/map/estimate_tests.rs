@@ -10,20 +10,47 @@ use photocurrent_core::Exposure;
 use photocurrent_core::sensor::Reset;
 
 #[test]
-fn choices_that_a_third_of_many_pixels_leaves_away_would_not_be_chosen() {
+fn choices_that_stages_drop_would_not_be_chosen() {
     let mut group = MapGroup::default();
-    let options = few_steps();
     let recorded = recorded(Reset::Resample);
     let right = recorded.problem(Reset::Resample);
-    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    // Fewer than 48 pixels look at everything.
-    let [[right, right_in_turn], [wrong, wrong_in_turn]] = [right, wrong].map(|problem| {
-        [45, 48].map(|pixels| {
-            estimate::choose(&vec![problem; pixels], None, &Choosing::USUAL, &options, &mut group)
-        })
+    // Pixels whose thresholds are stated too large, each by a part of its own.
+    let stated = |n: usize, most: f64| {
+        let threshold_on = 0.2 * (1.0 + most * (n * 7 % 13) as f64 / 12.0);
+        MapProblem { sensor: MapSensor { threshold_on, ..right.sensor }, ..right }
+    };
+    let [right, wrong] = [0.02, 0.8].map(|most| {
+        let problems: Vec<MapProblem<'_>> = (0..192).map(|n| stated(n, most)).collect();
+        let [in_stages, all] = [Choosing::USUAL.sure, f64::INFINITY].map(|sure| {
+            let choosing = Choosing { sure, ..Choosing::USUAL };
+            estimate::choose(&problems, None, &choosing, &few_steps(), &mut group)
+        });
+        assert_eq!(in_stages, all, "{most}");
+        in_stages
     });
-    assert_eq!((right, wrong), (right_in_turn, wrong_in_turn));
-    assert!(wrong.noise.event > right.noise.event, "{} and {}", right.noise.event, wrong.noise.event);
+    assert!(wrong.noise != right.noise, "{:?} and {:?}", wrong.noise, right.noise);
+}
+
+#[test]
+fn a_sum_is_surely_more_by_standard_errors_of_the_differences() {
+    // Differences of -1 and 3: mean 1, standard deviation 2, so that the standard error of a sum of n is
+    // 2 sqrt(n), but for the factor of the sample.
+    let losses =
+        |n: usize| -> Vec<f64> { (0..n).map(|k| 10.0 + if k % 2 == 0 { -1.0 } else { 3.0 }).collect() };
+    for (n, by, sure, is_more) in [
+        (100, 1.0, 4.9, true),
+        (100, 1.0, 5.0, false),
+        (4, 1.0, 0.8, true),
+        (4, 1.0, 0.9, false),
+        (100, 1.05, 2.4, true),
+        (100, 1.05, 2.5, false),
+        (100, 1.2, 0.0, false),
+        (1, 0.1, 0.0, false),
+    ] {
+        let (losses, others) = (losses(n), vec![10.0; n]);
+        assert_eq!(estimate::is_surely_more(&losses, &others, by, sure), is_more, "{n} {by} {sure}");
+    }
+    assert!(!estimate::is_surely_more(&losses(4), &[], 1.0, 0.0));
 }
 
 #[test]
