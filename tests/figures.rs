@@ -274,7 +274,7 @@ fn every_table_of_numbers_says_what_makes_it_and_how_long_that_takes() {
         }
     }
     assert!(
-        count > 50 && silent.is_empty(),
+        count > 30 && silent.is_empty(),
         "below these tables stands no line `Made by COMMAND; TIME` or `No command makes it: WHY`:\n{}\n",
         silent.join("\n")
     );
