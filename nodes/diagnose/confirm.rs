@@ -54,7 +54,7 @@ impl Node for DiagnoseConfirm {
         kind: "diagnose/confirm",
         about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, \
                 proof on held-out frames, report.",
-        revision: 35,
+        revision: 36,
         grain: Grain::Whole,
         draws: true,
         exports: false,

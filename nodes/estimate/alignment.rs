@@ -371,7 +371,7 @@ impl Node for EstimateAlignment {
     const DECL: Decl = Decl {
         kind: "estimate/alignment",
         about: "How far an alignment of events and frames misses, to a fraction of a pixel, and one without.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -79,7 +79,7 @@ impl Node for EstimateThresholds {
         kind: "estimate/thresholds",
         about: "Contrast thresholds from the log change of frames an event, with intervals, and the \
                 description with those that held-out frames prefer.",
-        revision: 6,
+        revision: 7,
         grain: Grain::Whole,
         draws: false,
         exports: false,

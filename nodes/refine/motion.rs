@@ -138,7 +138,7 @@ impl Node for RefineMotion {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the \
                 motion.",
-        revision: 20,
+        revision: 21,
         grain: Grain::Whole,
         draws: false,
         exports: false,

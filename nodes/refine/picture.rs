@@ -93,7 +93,7 @@ impl Node for RefinePicture {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture that explains the frames, and with what \
                 neighbouring pixels saw.",
-        revision: 17,
+        revision: 18,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -31,7 +31,7 @@ impl Node for SolveMap {
         kind: "solve/map",
         about: "Solves for the photocurrent of every pixel from its events and frame values: the MAP \
                 estimate.",
-        revision: 21,
+        revision: 22,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

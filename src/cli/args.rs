@@ -479,7 +479,7 @@ pub struct NodesOptions {
     /// Print as JSON
     #[arg(long)]
     pub json: bool,
-    /// Print the whole manual as Markdown (docs/nodes.md)
+    /// Print all kinds as a Markdown table (docs/nodes.md)
     #[arg(long, conflicts_with_all = ["kind", "json"])]
     pub markdown: bool,
 }

@@ -295,7 +295,7 @@ impl Tried<'_> {
         let tasks: Vec<MapTask<'_>> = (0..trying.len() * choices.len()).map(task).collect();
         let mut losses = vec![(0.0, Second::Untried); tasks.len()];
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
-        group.solve_with(&tasks, evidence, |n, solution| {
+        group.solve_with(&tasks, evidence, &mut |n, solution| {
             let problem = &self.problems[trying[n / choices.len()]];
             let loss = if self.kept.is_some() {
                 prediction_error(HoldOut::USUAL, problem, self.dark_dn, &solution)[0]
@@ -342,7 +342,7 @@ pub fn prediction_errors_of(
         .collect();
     let mut errors = [vec![0.0; tasks.len()], vec![0.0; tasks.len()]];
     let dark_dn = dark_dn(problems);
-    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
+    group.solve_with(&tasks, Evidence::Unwanted, &mut |n, solution| {
         let found = prediction_error(hold, &problems[n], dark_dn, &solution);
         errors.iter_mut().zip(found).for_each(|(errors, found)| errors[n] = found);
     });
@@ -365,7 +365,7 @@ pub fn predictions(
         .map(|((_, hints), frames)| MapTask { problem: MapProblem { frames, hints, ..*problem }, options })
         .collect();
     let mut predictions = Vec::new();
-    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
+    group.solve_with(&tasks, Evidence::Unwanted, &mut |n, solution| {
         let of = |(l, frame): (usize, &MapFrame)| (l, predicted_dn(problem, frame, &solution));
         predictions.extend(held[n].0.held(problem.frames).map(of));
     });
@@ -394,7 +394,7 @@ pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut Map
         .map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options })
         .collect();
     let mut misses: Vec<(usize, Miss)> = Vec::new();
-    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
+    group.solve_with(&tasks, Evidence::Unwanted, &mut |n, solution| {
         let MapProblem { frames, sensor, .. } = problems[n];
         let spread: Vec<f64> = solution
             .log_photocurrent

@@ -295,3 +295,23 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
         );
     }
 }
+
+#[test]
+fn a_second_stretch_of_lost_events_is_found_once_the_first_is_known() {
+    for reset in [Reset::Resample, Reset::Advance] {
+        let whole = recorded(reset);
+        let holes = [10_000_000..17_500_000, 24_000_000..31_500_000];
+        let in_hole = |event: &PixelEvent| holes.iter().any(|hole| hole.contains(&event.t_in_ns));
+        let kept: Vec<PixelEvent> = whole.events.iter().copied().filter(|event| !in_hole(event)).collect();
+        let after = |end: i64| kept.partition_point(|event| event.t_in_ns < end) as u32;
+        let expected = holes.each_ref().map(|hole| after(hole.end)).to_vec();
+        let holed = Recorded { light: whole.light.clone(), frames: whole.frames.clone(), events: kept };
+        let task = MapTask {
+            problem: MapProblem { no_event_sigma: 0.03, ..holed.problem(reset) },
+            options: MapOptions { max_iterations: 8, ..MapOptions::default() },
+        };
+        let mut group = MapGroup::default();
+        let plain = losses::Plain::of(&group.solve_one(&task));
+        assert_eq!(losses::lost_before(&[task], &[plain], &mut group), [expected], "{reset:?}");
+    }
+}

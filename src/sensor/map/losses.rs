@@ -3,15 +3,15 @@
 //! A readout that is too busy, or a file with a hole, loses events. To the solver the pixel was then silent:
 //! light that stays within a threshold of an old reference, and a first event after it that is one threshold
 //! away from that. Frames say otherwise, and the wrong event bends light and thresholds far around. So where
-//! a measurement is far off, the pixel's longest gaps are tried: solved again as stretches in which events
-//! were lost. Nothing in them is trusted but frames, and the first event after them only takes the reference
-//! anew. What makes the measurements clearly more likely is kept.
+//! a measurement is far off, the pixel's longest gaps near by are tried: solved again as stretches in which
+//! events were lost. Nothing in them is trusted but frames, and the first event after them only takes the
+//! reference anew. What makes the measurements clearly more likely is kept.
 //!
 //! Limits: a stretch must hold the middle of an exposure and end with an event.
 
 use super::group::MapGroup;
 use super::options::{Evidence, MapOptions, MapOutcome, MapSolution, MapTask, Second};
-use super::problem::MapProblem;
+use super::problem::{MapFrame, MapProblem};
 
 /// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked
 /// at.
@@ -20,6 +20,8 @@ const SUSPICIOUS: f64 = 6.0;
 const MOST_TRIED: usize = 3;
 /// A gap is tried when it is so many times as long as the pixel's events are apart on average, ...
 const LONG: i64 = 3;
+/// ... and what is furthest off was measured in it, or away from it by so many times its length at most, ...
+const NEAR: i64 = 1;
 /// ... and events were lost there when the measurements become more likely by this much, natural-log units:
 /// an event that is left away saves 2 at most where it fits.
 const CLEAR_GAIN: f64 = 10.0;
@@ -29,6 +31,8 @@ const CLEAR_GAIN: f64 = 10.0;
 pub struct Plain {
     /// The square of the largest whitened residual.
     pub largest_square: f64,
+    /// When it was measured, ns.
+    pub largest_ns: i64,
     /// Log of the measurements' marginal likelihood.
     pub log_evidence: f64,
     /// What became of its second start.
@@ -38,8 +42,8 @@ pub struct Plain {
 impl Plain {
     /// Of a solution.
     pub fn of(solution: &MapSolution<'_>) -> Plain {
-        let MapOutcome { largest_square, log_evidence, second, .. } = solution.outcome;
-        Plain { largest_square, log_evidence, second }
+        let MapOutcome { largest_square, largest_ns, log_evidence, second, .. } = solution.outcome;
+        Plain { largest_square, largest_ns, log_evidence, second }
     }
 }
 
@@ -52,9 +56,7 @@ impl Plain {
 pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup) -> Vec<Vec<u32>> {
     let mut found = vec![Vec::new(); tasks.len()];
     let mut now = plain.to_vec();
-    let gaps = |(task, plain): (&MapTask<'_>, &Plain)| {
-        if plain.largest_square > SUSPICIOUS { long_gaps(&task.problem) } else { Vec::new() }
-    };
+    let gaps = |(task, plain): (&MapTask<'_>, &Plain)| long_gaps(&task.problem, plain, &[]);
     let mut left: Vec<Vec<u32>> = tasks.iter().zip(plain).map(gaps).collect();
     for _round in 0..MOST_TRIED {
         let suspects: Vec<(usize, Vec<u32>)> = left
@@ -79,7 +81,9 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
             })
             .collect();
         let mut came_out = vec![Plain::default(); trials.len()];
-        group.solve_with(&trials, Evidence::Wanted, |trial, solution| came_out[trial] = Plain::of(&solution));
+        group.solve_with(&trials, Evidence::Wanted, &mut |trial, solution| {
+            came_out[trial] = Plain::of(&solution)
+        });
         let mut best: Vec<Option<usize>> = vec![None; tasks.len()];
         for (trial, (n, _)) in suspects.iter().enumerate() {
             let to_beat =
@@ -92,10 +96,7 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
             match best[n] {
                 Some(trial) => {
                     (found[n], now[n]) = (suspects[trial].1.clone(), came_out[trial]);
-                    left.retain(|event| !found[n].contains(event));
-                    if now[n].largest_square <= SUSPICIOUS {
-                        left.clear();
-                    }
+                    *left = long_gaps(&tasks[n].problem, &now[n], &found[n]);
                 }
                 None => left.clear(),
             }
@@ -104,22 +105,28 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
     found
 }
 
-/// The events that end the longest gaps with the middle of an exposure inside, at most [`MOST_TRIED`].
-fn long_gaps(problem: &MapProblem<'_>) -> Vec<u32> {
+/// The events that end the longest gaps with the middle of an exposure inside and near what is furthest off, at
+/// most [`MOST_TRIED`] besides those that are found; none where nothing is far off.
+fn long_gaps(problem: &MapProblem<'_>, plain: &Plain, found: &[u32]) -> Vec<u32> {
     let MapProblem { events, frames, start_ns, end_ns, .. } = *problem;
+    if plain.largest_square <= SUSPICIOUS {
+        return Vec::new();
+    }
     let apart_ns = (end_ns - start_ns) / (events.len() as i64 + 1);
+    let middle = |frame: &MapFrame| frame.start_ns + (frame.end_ns - frame.start_ns) / 2;
     let mut gaps: Vec<(i64, u32)> = Vec::new();
-    for (k, pair) in events.windows(2).enumerate() {
+    for (event, pair) in (1..).zip(events.windows(2)) {
         let (from, to) = (pair[0].t_off_ns + problem.sensor.refractory_ns, pair[1].t_in_ns);
+        let reach_ns = NEAR * (to - from);
         if to - from > LONG * apart_ns
-            && frames
-                .iter()
-                .any(|frame| (from..to).contains(&(frame.start_ns + (frame.end_ns - frame.start_ns) / 2)))
+            && (from - reach_ns..=to + reach_ns).contains(&plain.largest_ns)
+            && frames.iter().any(|frame| (from..to).contains(&middle(frame)))
+            && !found.contains(&event)
         {
-            gaps.push((from - to, k as u32 + 1));
+            gaps.push((to - from, event));
         }
     }
-    gaps.sort_unstable_by_key(|no_event| std::cmp::Reverse(*no_event));
+    gaps.sort_unstable_by_key(|gap| std::cmp::Reverse(*gap));
     gaps.truncate(MOST_TRIED);
     gaps.into_iter().map(|(_, event)| event).collect()
 }

@@ -139,6 +139,8 @@ pub struct MapOutcome {
     pub misfit: Misfit,
     /// The largest of the squares that the misfit sums up.
     pub largest_square: f64,
+    /// When that event fired or that exposure ended, ns; the first knot where nothing was measured.
+    pub largest_ns: i64,
     /// Whether it was solved from a second start.
     pub second: Second,
 }

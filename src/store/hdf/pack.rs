@@ -22,9 +22,11 @@ const LONGEST_STORED: usize = 0xFFFF;
 /// The last block of a stream, empty.
 const LAST: [u8; 5] = [1, 0, 0, 0xFF, 0xFF];
 
-/// Bytes of a plane that are tried before all of it is deflated; a plane below four times as much is not
-/// tried.
-const TRIED: usize = 4096;
+/// One in so many bytes of a plane is tried before all of it is deflated: of a chunk of eight frames two, so that what repeats from frame to frame is found.
+const TRIED_ONE_IN: usize = 4;
+
+/// A plane of fewer bytes than this is not tried.
+const FEWEST_TRIED: usize = 16384;
 
 /// A plane is stored where its part that was tried shrinks by less than one in so many.
 const SHRINKS_BY_ONE_IN: usize = 32;
@@ -50,9 +52,10 @@ pub(crate) fn pack<T: bytemuck::Pod>(values: &[T]) -> (Vec<u8>, u32) {
 /// added.
 fn push_deflated(deflate: &mut Compress, plane: &[u8], packed: &mut Vec<u8>) -> bool {
     let begin = packed.len();
-    if plane.len() >= 4 * TRIED {
-        let middle = (plane.len() - TRIED) / 2;
-        let shrinks = push_blocks(deflate, &plane[middle..middle + TRIED], packed, SHRINKS_BY_ONE_IN);
+    if plane.len() >= FEWEST_TRIED {
+        let tried = plane.len() / TRIED_ONE_IN;
+        let middle = (plane.len() - tried) / 2;
+        let shrinks = push_blocks(deflate, &plane[middle..middle + tried], packed, SHRINKS_BY_ONE_IN);
         packed.truncate(begin);
         if !shrinks {
             return false;

@@ -37,7 +37,7 @@ impl<const W: usize> InStep<W> {
         all: &[MapTask<'_>],
         is_last: bool,
         evidence: Evidence,
-        take: &mut impl FnMut(usize, MapSolution<'_>),
+        take: &mut dyn FnMut(usize, MapSolution<'_>),
     ) {
         while self.waiting.places.len() >= if is_last { 1 } else { W } {
             let count = usize::min(self.waiting.places.len(), W);
@@ -51,7 +51,7 @@ impl<const W: usize> InStep<W> {
         all: &[MapTask<'_>],
         count: usize,
         evidence: Evidence,
-        take: &mut impl FnMut(usize, MapSolution<'_>),
+        take: &mut dyn FnMut(usize, MapSolution<'_>),
     ) {
         let places: [usize; W] = from_fn(|l| self.waiting.places[usize::min(l, count - 1)]);
         let tasks = lanes_of(all, &places[..count]);

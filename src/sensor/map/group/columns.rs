@@ -396,18 +396,20 @@ pub(super) fn run<const W: usize>(
 }
 
 /// How far each pixel's events and frames are from the predictions, and the largest of the squares that are
-/// summed up; those that carry no information
+/// summed up with its step; those that carry no information
 /// (unarmed events, lower bounds that hold) are left away.
-pub(super) fn misfits<const W: usize>(lines: &[Line<W>]) -> [(Misfit, f64); W] {
-    let mut misfits = [(Misfit::default(), 0.0); W];
-    for line in lines {
-        for (l, (misfit, largest)) in misfits.iter_mut().enumerate() {
+pub(super) fn misfits<const W: usize>(lines: &[Line<W>]) -> [(Misfit, f64, usize); W] {
+    let mut misfits = [(Misfit::default(), 0.0, 0); W];
+    for (j, line) in lines.iter().enumerate() {
+        for (l, (misfit, largest, at)) in misfits.iter_mut().enumerate() {
             let sight = line.sight.0[l];
             if sight & (EVENT | FRAME) == 0 {
                 continue;
             }
             let square = line.residual.0[l] * line.residual.0[l] * (1.0 / line.variance.0[l]);
-            *largest = f64::max(*largest, square);
+            if square > *largest {
+                (*largest, *at) = (square, j);
+            }
             misfit.add(&if sight & EVENT != 0 {
                 Misfit { event_square: square, events: 1, ..Misfit::default() }
             } else {

@@ -81,8 +81,8 @@ impl MapGroup {
     ///
     /// Quickest when pixels with about equally many events are among them; eight or more, of one front end
     /// and one family of priors.
-    pub fn solve(&mut self, tasks: &[MapTask<'_>], take: impl FnMut(usize, MapSolution<'_>)) {
-        self.solve_with(tasks, Evidence::Wanted, take);
+    pub fn solve(&mut self, tasks: &[MapTask<'_>], mut take: impl FnMut(usize, MapSolution<'_>)) {
+        self.solve_with(tasks, Evidence::Wanted, &mut take);
     }
 
     /// Solves one pixel.
@@ -105,7 +105,7 @@ impl MapGroup {
         &mut self,
         tasks: &[MapTask<'_>],
         evidence: Evidence,
-        mut take: impl FnMut(usize, MapSolution<'_>),
+        take: &mut dyn FnMut(usize, MapSolution<'_>),
     ) {
         let mut order = std::mem::take(&mut self.order);
         order.clear();
@@ -130,13 +130,13 @@ impl MapGroup {
             let (group, later) = rest.split_at(count);
             rest = later;
             if count == 1 {
-                self.alone.group(tasks, group, evidence, &mut take);
-                self.alone.again(tasks, true, evidence, &mut take);
+                self.alone.group(tasks, group, evidence, take);
+                self.alone.again(tasks, true, evidence, take);
             } else {
-                self.side_by_side.group(tasks, group, evidence, &mut take);
+                self.side_by_side.group(tasks, group, evidence, take);
             }
             let is_last = rest.first().is_none_or(|&next| !alike(next));
-            self.side_by_side.again(tasks, is_last, evidence, &mut take);
+            self.side_by_side.again(tasks, is_last, evidence, take);
         }
         self.order = order;
     }
@@ -148,7 +148,7 @@ impl<const W: usize> InStep<W> {
         all: &[MapTask<'_>],
         group: &[usize],
         evidence: Evidence,
-        take: &mut impl FnMut(usize, MapSolution<'_>),
+        take: &mut dyn FnMut(usize, MapSolution<'_>),
     ) {
         let tasks = lanes_of(all, group);
         let common = self.begin(&tasks, group.len());
@@ -173,7 +173,7 @@ impl<const W: usize> InStep<W> {
         first: Wide<W>,
         evidence: Evidence,
         place: impl Fn(usize) -> Option<usize>,
-        take: &mut impl FnMut(usize, MapSolution<'_>),
+        take: &mut dyn FnMut(usize, MapSolution<'_>),
     ) {
         if (0..W).all(|l| place(l).is_none()) {
             return;
@@ -189,7 +189,7 @@ impl<const W: usize> InStep<W> {
         if is_judged && (has_hints || !with_sigma) {
             log_evidence = self.judge_all(common, first, is_exact, false);
         }
-        let misfits = if is_judged { misfits(&self.lines) } else { [(Misfit::default(), 0.0); W] };
+        let misfits = if is_judged { misfits(&self.lines) } else { [(Misfit::default(), 0.0, 0); W] };
         if with_sigma {
             self.widen_hints();
             let of_all = self.judge_all(common, first, is_exact, true);
@@ -203,11 +203,20 @@ impl<const W: usize> InStep<W> {
             } else {
                 self.of_pixel.clear();
             }
-            let (log_evidence, (misfit, largest_square)) =
+            let (log_evidence, (misfit, largest_square, at)) =
                 (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
-            let outcome =
-                MapOutcome { offsets, status, iterations, log_evidence, misfit, largest_square, second };
             let (t_ns, log_photocurrent, variance) = (&lane.knots.t_ns, &lane.u, &self.of_pixel);
+            let largest_ns = t_ns[lane.stream.steps[at].knot as usize];
+            let outcome = MapOutcome {
+                offsets,
+                status,
+                iterations,
+                log_evidence,
+                misfit,
+                largest_square,
+                largest_ns,
+                second,
+            };
             take(n, MapSolution { t_ns, log_photocurrent, variance, outcome });
         }
     }
