@@ -45,10 +45,10 @@ fn pooled(path: &Path) -> BTreeMap<(String, String, String), f64> {
     lines(path).iter().map(|line| (key(line), line["value"].as_f64().expect("a number"))).collect()
 }
 
-/// The README shows what the command prints, digit for digit.
-fn in_the_readme(printed: &str) {
-    let readme = std::fs::read_to_string(support::root().join("README.md")).expect("README.md");
-    assert!(readme.contains(printed.trim()), "README.md should show\n{printed}");
+/// A page shows what the command prints, digit for digit.
+fn in_the_page(page: &str, printed: &str) {
+    let text = std::fs::read_to_string(support::root().join(page)).expect("the page is there");
+    assert!(text.contains(printed.trim()), "{page} should show\n{printed}");
 }
 
 #[test]
@@ -79,7 +79,7 @@ fn the_quickstart_shows_what_compensation_brings() {
             .unwrap_or_else(|| panic!("{label} is missing from {}", done.stdout));
         assert!(row.ends_with(&format!("  {:.3}", values["psnr_db"])), "{row}");
     }
-    in_the_readme(&done.stdout);
+    in_the_page("README.md", &done.stdout);
     assert!(
         done.stderr.contains("22 nodes executed, 0 reused from the cache")
             && done.stderr.contains("files are in out/quickstart"),
@@ -137,7 +137,7 @@ fn an_ablation_prints_one_row_a_variant_with_its_gain() {
         [("off", "off"), ("off", "on"), ("on", "off"), ("on", "on")]
     );
     assert_eq!(rows[2][3], "+0.000");
-    in_the_readme(&done.stdout);
+    in_the_page("docs/ablation.md", &done.stdout);
     let number = |row: usize, column: usize| rows[row][column].parse::<f64>().expect("a number");
     for row in 3..6 {
         // Both are rounded to three digits.

@@ -105,8 +105,8 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
     found
 }
 
-/// The events that end the longest gaps with the middle of an exposure inside and near what is furthest off, at
-/// most [`MOST_TRIED`] besides those that are found; none where nothing is far off.
+/// The events that end the longest gaps with the middle of an exposure inside and near what is furthest off,
+/// at most [`MOST_TRIED`] besides those that are found; none where nothing is far off.
 fn long_gaps(problem: &MapProblem<'_>, plain: &Plain, found: &[u32]) -> Vec<u32> {
     let MapProblem { events, frames, start_ns, end_ns, .. } = *problem;
     if plain.largest_square <= SUSPICIOUS {

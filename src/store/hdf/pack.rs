@@ -22,7 +22,8 @@ const LONGEST_STORED: usize = 0xFFFF;
 /// The last block of a stream, empty.
 const LAST: [u8; 5] = [1, 0, 0, 0xFF, 0xFF];
 
-/// One in so many bytes of a plane is tried before all of it is deflated: of a chunk of eight frames two, so that what repeats from frame to frame is found.
+/// One in so many bytes of a plane is tried before all of it is deflated: of a chunk of eight frames two, so
+/// that what repeats from frame to frame is found.
 const TRIED_ONE_IN: usize = 4;
 
 /// A plane of fewer bytes than this is not tried.
