@@ -195,6 +195,17 @@ impl Value {
         }
     }
 
+    /// Are all of its rows in memory as one band? No for frames, which are read by time as well.
+    pub fn is_in_memory(&self) -> bool {
+        match self {
+            Value::Events(value) => value.borrowed().is_some(),
+            Value::Tracks(value) => value.borrowed().is_some(),
+            Value::Light(value) => value.borrowed().is_some(),
+            Value::Map(value) => value.borrowed().is_some(),
+            _ => false,
+        }
+    }
+
     /// Bytes that some rows take when they are read: counted where that is possible, else that share of the
     /// estimate. Of all of it where nothing is banded.
     pub fn bytes(&self, rows: Rows) -> u64 {

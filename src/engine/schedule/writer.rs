@@ -96,7 +96,8 @@ fn append<'a>(
         std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
         std::collections::btree_map::Entry::Vacant(entry) => entry.insert(cache.writer(meta)?),
     };
-    let Some(rows) = value.rows().filter(|rows| !rows.is_empty()) else { return Ok(writer.append(value)?) };
+    let is_read = |rows: &Rows| !rows.is_empty() && !value.is_in_memory();
+    let Some(rows) = value.rows().filter(is_read) else { return Ok(writer.append(value)?) };
     // A reader's value may be a whole recording that is read only now: piece by piece, or it would fill the
     // memory.
     let per_row = meta.estimated_bytes() / meta.rows().map_or(1, |all| all.len() as u64).max(1);

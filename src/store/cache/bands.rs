@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! <identity>-<first row>-<end row>.toml        rows, notes, and length and BLAKE3 of every file below
-//! <identity>-<first row>-<end row>-<port>.h5   those rows as a value by itself
+//! <identity>-<first row>-<end row>-<port>.h5   those rows as a value by itself, not packed
 //! ```
 //!
 //! The identity says what the result is a function of, so bands of one identity belong together whoever made
@@ -117,10 +117,7 @@ impl BandStore {
             KeptBand { identity, start: rows.start, end: rows.end, texts, counts, outputs: BTreeMap::new() };
         for (port, value) in outputs {
             let temporary = Temporary(self.temporary());
-            let alone = value.alone();
-            let mut writer = ValueWriter::create(&temporary.0, &alone.meta())?;
-            writer.append(&alone)?;
-            let (_, bytes) = writer.finish()?;
+            let bytes = ValueWriter::keep(&temporary.0, value)?;
             sync(&temporary.0)?;
             let blake3 = hash_file(&temporary.0)?;
             rename(&temporary.0, &self.file(&band, port))?;

@@ -55,6 +55,8 @@ pub(crate) struct Opened {
     pub bytes: u64,
     /// The size that the file states, where it ends earlier: what lies behind its end is lost.
     pub stated_bytes: Option<u64>,
+    /// Are chunks packed that are written?
+    pub packs: bool,
 }
 
 impl Opened {
@@ -79,7 +81,7 @@ impl Opened {
             None => Opened::whole(path, bytes),
             Some(superblock) => {
                 let file = cut::open(path, superblock, bytes)?;
-                Ok(Opened { path: path.into(), file, bytes, stated_bytes: Some(superblock.end) })
+                Ok(Opened { path: path.into(), file, bytes, stated_bytes: Some(superblock.end), packs: true })
             }
         }
     }
@@ -90,7 +92,7 @@ impl Opened {
             found: format!("the HDF5 library cannot open the file: {}", short(&error)),
             hint: hint_for(&short(&error)).into(),
         })?;
-        Ok(Opened { path: path.into(), file, bytes, stated_bytes: None })
+        Ok(Opened { path: path.into(), file, bytes, stated_bytes: None, packs: true })
     }
 
     /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end.
@@ -106,7 +108,7 @@ impl Opened {
             doing: "create the file",
             detail: short(&error),
         })?;
-        Ok(Opened { path: path.into(), file, bytes: 0, stated_bytes: None })
+        Ok(Opened { path: path.into(), file, bytes: 0, stated_bytes: None, packs: true })
     }
 
     /// Turns a library error into ours.

@@ -12,6 +12,8 @@ use flate2::{Compress, Compression, FlushCompress};
 
 /// Bit of the filter mask that says "deflate (the second filter) was left out for this chunk".
 const WITHOUT_DEFLATE: u32 = 0b10;
+/// The same of both filters.
+pub(super) const AS_IT_IS: u32 = 0b11;
 
 /// Head of a zlib stream: deflate, a window of 32 KiB, the quickest level.
 const HEAD: [u8; 2] = [0x78, 0x01];

@@ -1,6 +1,6 @@
 //! Writing numbers: chunks packed in parallel, then handed to the library as raw bytes in a fixed order.
 
-use super::pack::pack;
+use super::pack::{AS_IT_IS, pack};
 use super::{Item, Opened, locked};
 use crate::error::StoreError;
 use crate::threads;
@@ -61,38 +61,46 @@ impl GridWriter {
         &self.dataset
     }
 
-    /// Writes whole chunks, each with its origin and padded to full size; packs them in parallel.
+    /// Writes whole chunks, each with its origin and padded to full size; packs them in parallel where the
+    /// file packs.
     pub(crate) fn write<T: Item, C: AsRef<[T]> + Sync>(
         &self,
         chunks: &[(Vec<usize>, C)],
     ) -> Result<(), StoreError> {
-        let packed: Vec<(Vec<u8>, u32)> = threads::map(chunks, |(_, values)| pack(values.as_ref()));
-        for ((origin, _), (bytes, mask)) in chunks.iter().zip(packed) {
-            let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
-            let defaults = hdf5_sys::h5p::H5P_DEFAULT;
-            // SAFETY: the dataset is open and chunked, `offset` has one entry per dimension, and the buffer
-            // its stated length.
-            let status = locked(|| unsafe {
-                hdf5_sys::h5d::H5Dwrite_chunk(
-                    self.dataset.id(),
-                    defaults,
-                    mask,
-                    offset.as_ptr(),
-                    bytes.len(),
-                    bytes.as_ptr().cast(),
-                )
+        if !self.opened.packs {
+            return chunks.iter().try_for_each(|(origin, values)| {
+                self.write_chunk(origin, bytemuck::cast_slice(values.as_ref()), AS_IT_IS)
             });
-            if status < 0 {
-                let detail = format!("the chunk at {origin:?} was refused; is the disk full?");
-                return Err(StoreError::Library {
-                    path: self.opened.path.clone(),
-                    at: self.at.clone(),
-                    doing: "write numbers",
-                    detail,
-                });
-            }
         }
-        Ok(())
+        let packed: Vec<(Vec<u8>, u32)> = threads::map(chunks, |(_, values)| pack(values.as_ref()));
+        let mut packed = chunks.iter().zip(packed);
+        packed.try_for_each(|((origin, _), (bytes, mask))| self.write_chunk(origin, &bytes, mask))
+    }
+
+    fn write_chunk(&self, origin: &[usize], bytes: &[u8], mask: u32) -> Result<(), StoreError> {
+        let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
+        let defaults = hdf5_sys::h5p::H5P_DEFAULT;
+        // SAFETY: the dataset is open and chunked, `offset` has one entry per dimension, and the buffer its
+        // stated length.
+        let status = locked(|| unsafe {
+            hdf5_sys::h5d::H5Dwrite_chunk(
+                self.dataset.id(),
+                defaults,
+                mask,
+                offset.as_ptr(),
+                bytes.len(),
+                bytes.as_ptr().cast(),
+            )
+        });
+        if status >= 0 {
+            return Ok(());
+        }
+        Err(StoreError::Library {
+            path: self.opened.path.clone(),
+            at: self.at.clone(),
+            doing: "write numbers",
+            detail: format!("the chunk at {origin:?} was refused; is the disk full?"),
+        })
     }
 
     fn grow(&self, length: usize) -> Result<(), StoreError> {
@@ -126,25 +134,38 @@ impl<T: Item> ColumnWriter<T> {
         self.written + self.pending.len()
     }
 
-    /// Adds numbers.
-    pub(crate) fn append(&mut self, values: &[T]) -> Result<(), StoreError> {
-        for part in values.chunks(COLUMN_BATCH * COLUMN_CHUNK) {
-            self.pending.extend_from_slice(part);
-            if self.pending.len() >= COLUMN_BATCH * COLUMN_CHUNK {
-                let whole = self.pending.len() - self.pending.len() % COLUMN_CHUNK;
-                self.flush(whole, COLUMN_CHUNK)?;
-            }
+    /// Adds numbers. Many at once are packed from where they are.
+    pub(crate) fn append(&mut self, mut values: &[T]) -> Result<(), StoreError> {
+        const BATCH: usize = COLUMN_BATCH * COLUMN_CHUNK;
+        if !self.pending.is_empty() && self.pending.len() + values.len() >= BATCH {
+            let (first, rest) = values.split_at(values.len().min(self.missing_of_chunk()));
+            self.pending.extend_from_slice(first);
+            let pending = std::mem::take(&mut self.pending);
+            self.write(&pending, COLUMN_CHUNK)?;
+            (self.pending, values) = (pending, rest);
+            self.pending.clear();
         }
+        while self.pending.is_empty() && values.len() >= BATCH {
+            let (batch, rest) = values.split_at(BATCH);
+            self.write(batch, COLUMN_CHUNK)?;
+            values = rest;
+        }
+        self.pending.extend_from_slice(values);
         Ok(())
     }
 
-    fn flush(&mut self, count: usize, chunk: usize) -> Result<(), StoreError> {
+    /// Numbers that the last chunk of what is pending has room for.
+    fn missing_of_chunk(&self) -> usize {
+        self.pending.len().next_multiple_of(COLUMN_CHUNK) - self.pending.len()
+    }
+
+    fn write(&mut self, values: &[T], chunk: usize) -> Result<(), StoreError> {
         let writer = match self.writer.take() {
             Some(writer) => writer,
             None => GridWriter::create::<T>(&self.opened, &self.name, &[0], &[chunk], true)?,
         };
-        writer.grow(self.written + count)?;
-        let chunks: Vec<(Vec<usize>, std::borrow::Cow<[T]>)> = self.pending[..count]
+        writer.grow(self.written + values.len())?;
+        let chunks: Vec<(Vec<usize>, std::borrow::Cow<[T]>)> = values
             .chunks(chunk)
             .enumerate()
             .map(|(i, part)| {
@@ -156,9 +177,7 @@ impl<T: Item> ColumnWriter<T> {
             })
             .collect();
         writer.write(&chunks)?;
-        drop(chunks);
-        self.written += count;
-        self.pending.drain(..count);
+        self.written += values.len();
         self.writer = Some(writer);
         Ok(())
     }
@@ -169,7 +188,8 @@ impl<T: Item> ColumnWriter<T> {
             // A short column gets one chunk of its own length.
             let chunk =
                 if self.writer.is_some() { COLUMN_CHUNK } else { self.pending.len().min(COLUMN_CHUNK) };
-            self.flush(self.pending.len(), chunk)?;
+            let pending = std::mem::take(&mut self.pending);
+            self.write(&pending, chunk)?;
         }
         match self.writer {
             Some(writer) => Ok(writer),

@@ -9,7 +9,7 @@ use crate::threads;
 use photocurrent_core::handle::InTime;
 use photocurrent_core::handle::{Band, BandMeta, BandSource, Handle};
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows, TimeSpan};
+use photocurrent_core::{DataError, EventBand, EventStream, EventsMeta, Rows, TimeSpan};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -21,20 +21,25 @@ const SEARCHED: usize = 1 << 16;
 
 pub(super) const DAMAGED: &str = "the artefact is damaged: run the pipeline again";
 
-/// Reads a part band by band and adds its rows to the digest.
+/// Reads a part band by band and adds its rows to the digest, where one is made. What is in memory is one
+/// band, and not copied.
 pub(super) fn each_band<M: BandMeta>(
     part: &Handle<M>,
-    digest: &mut ValueDigest,
-    mut take: impl FnMut(M::Band) -> Result<(), StoreError>,
+    mut digest: Option<&mut ValueDigest>,
+    mut take: impl FnMut(&M::Band) -> Result<(), StoreError>,
 ) -> Result<(), StoreError> {
-    for rows in part.rows().bands(ROWS_AT_ONCE) {
-        let band = part.read(rows).map_err(StoreError::Source)?;
-        let digests: Vec<Digest> =
-            threads::map(&rows.iter().collect::<Vec<u32>>(), |row| band.row_digest(*row));
-        digest.add_rows(&digests);
-        take(band)?;
+    let mut take = |band: &M::Band| {
+        if let Some(digest) = &mut digest {
+            let rows: Vec<u32> = band.rows().iter().collect();
+            digest.add_rows(&threads::map(&rows, |row| band.row_digest(*row)));
+        }
+        take(band)
+    };
+    if let Some(band) = part.borrowed() {
+        return take(band);
     }
-    Ok(())
+    let mut bands = part.rows().bands(ROWS_AT_ONCE).into_iter();
+    bands.try_for_each(|rows| take(&part.read(rows).map_err(StoreError::Source)?))
 }
 
 /// Events being written.
@@ -64,7 +69,7 @@ impl EventsBody {
         &mut self,
         opened: &Opened,
         part: &EventStream,
-        digest: &mut ValueDigest,
+        digest: Option<&mut ValueDigest>,
     ) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             if band.t_in.is_some() != self.t_in.is_some() || band.step.is_some() != self.step.is_some() {

@@ -11,9 +11,7 @@ use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::map::MapBand;
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{
-    DataError, Digest, FrameBlock, FrameSequence, FramesMeta, MapMeta, MapSet, Meta, Rows,
-};
+use photocurrent_core::{DataError, FrameBlock, FrameSequence, FramesMeta, MapMeta, MapSet, Meta, Rows};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -158,13 +156,14 @@ impl FramesBody {
     pub(super) fn append(
         &mut self,
         part: &FrameSequence,
-        digest: &mut ValueDigest,
+        mut digest: Option<&mut ValueDigest>,
     ) -> Result<(), StoreError> {
         for rows in part.rows().bands(self.0.rows_at_once()) {
             let block = part.read_rows(rows).map_err(StoreError::Source)?;
-            let digests: Vec<Digest> =
-                threads::map(&rows.iter().collect::<Vec<u32>>(), |row| block.row_digest(*row));
-            digest.add_rows(&digests);
+            if let Some(digest) = &mut digest {
+                let rows: Vec<u32> = rows.iter().collect();
+                digest.add_rows(&threads::map(&rows, |row| block.row_digest(*row)));
+            }
             self.0.append(&block, |dn| dn)?;
         }
         Ok(())
@@ -201,7 +200,11 @@ impl MapBody {
         Ok(MapBody { writer, chunk_rows, row_values: planes * width, first_row: 0, pending: Vec::new() })
     }
 
-    pub(super) fn append(&mut self, part: &MapSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append(
+        &mut self,
+        part: &MapSet,
+        digest: Option<&mut ValueDigest>,
+    ) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             self.pending.extend_from_slice(&band.values);
             if self.pending.len() >= QUEUE * self.chunk_rows * self.row_values {

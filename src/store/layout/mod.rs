@@ -45,7 +45,8 @@ pub(crate) const FORMAT: &str = "photocurrent-artefact/1";
 pub struct ValueWriter {
     opened: Opened,
     meta: Meta,
-    digest: ValueDigest,
+    /// None for a band that is kept: nobody asks for its digest.
+    digest: Option<ValueDigest>,
     /// Rows still to come; empty for what is not banded.
     missing: Rows,
     body: Body,
@@ -61,12 +62,52 @@ enum Body {
     Whole(Option<Value>),
 }
 
+impl Body {
+    fn create(opened: &Opened, meta: &Meta) -> Result<Body, StoreError> {
+        Ok(match meta {
+            Meta::Events(meta) => Body::Events(Box::new(EventsBody::create(opened, meta)?)),
+            Meta::Frames(meta) | Meta::Truth(meta) => Body::Frames(FramesBody::create(opened, meta)?),
+            Meta::Tracks(meta) => Body::Series(Box::new(SeriesBody::create(opened, &**meta)?)),
+            Meta::Light(meta) => Body::Series(Box::new(SeriesBody::create(opened, &**meta)?)),
+            Meta::Map(meta) => Body::Map(MapBody::create(opened, meta)?),
+            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => Body::Whole(None),
+        })
+    }
+}
+
 impl ValueWriter {
     /// Creates the file, replacing what is there.
     ///
     /// # Errors
     /// When the file cannot be created, or `meta` says that there is nothing to write.
     pub fn create(path: &Path, meta: &Meta) -> Result<ValueWriter, StoreError> {
+        let opened = ValueWriter::opened(path, meta)?;
+        let body = Body::create(&opened, meta)?;
+        let missing = meta.rows().unwrap_or(Rows { start: 0, end: 0 });
+        let digest = Some(ValueDigest::new(meta));
+        Ok(ValueWriter { digest, opened, meta: without_hint(meta), missing, body })
+    }
+
+    /// Writes the rows of a value as all rows of one by itself ([`Value::alone`]), as they are: neither packed
+    /// nor digested. Gives the size of the file in bytes.
+    ///
+    /// # Errors
+    /// When the value cannot be read or the file cannot be written.
+    pub(crate) fn keep(path: &Path, value: &Value) -> Result<u64, StoreError> {
+        let alone = value.alone();
+        // Columns have no number of their first row: they are written from where they are.
+        let is_columns = matches!(value, Value::Events(_) | Value::Tracks(_) | Value::Light(_));
+        let part = if is_columns { value } else { &alone };
+        let opened = Opened { packs: false, ..ValueWriter::opened(path, &alone.meta())? };
+        let body = Body::create(&opened, &alone.meta())?;
+        let missing = part.rows().unwrap_or(Rows { start: 0, end: 0 });
+        let meta = without_hint(&part.meta());
+        let mut writer = ValueWriter { digest: None, opened, meta, missing, body };
+        writer.append(part)?;
+        writer.complete().map(|(_, bytes)| bytes)
+    }
+
+    fn opened(path: &Path, meta: &Meta) -> Result<Opened, StoreError> {
         if let Meta::Absent { data_type, why } = meta {
             return Err(StoreError::Misuse {
                 path: path.into(),
@@ -88,16 +129,7 @@ impl ValueWriter {
         let json = serde_json::to_string(&without_hint(meta))
             .map_err(|error| StoreError::Misuse { path: path.into(), what: error.to_string() })?;
         opened.set_text("meta", &json)?;
-        let body = match meta {
-            Meta::Events(meta) => Body::Events(Box::new(EventsBody::create(&opened, meta)?)),
-            Meta::Frames(meta) | Meta::Truth(meta) => Body::Frames(FramesBody::create(&opened, meta)?),
-            Meta::Tracks(meta) => Body::Series(Box::new(SeriesBody::create(&opened, &**meta)?)),
-            Meta::Light(meta) => Body::Series(Box::new(SeriesBody::create(&opened, &**meta)?)),
-            Meta::Map(meta) => Body::Map(MapBody::create(&opened, meta)?),
-            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => Body::Whole(None),
-        };
-        let missing = meta.rows().unwrap_or(Rows { start: 0, end: 0 });
-        Ok(ValueWriter { digest: ValueDigest::new(meta), opened, meta: without_hint(meta), missing, body })
+        Ok(opened)
     }
 
     /// Adds the next rows; what is not banded comes in one piece.
@@ -132,14 +164,15 @@ impl ValueWriter {
             }
             self.missing.start = rows.end;
         }
+        let digest = self.digest.as_mut();
         match (&mut self.body, part) {
-            (Body::Events(body), Value::Events(part)) => body.append(&self.opened, part, &mut self.digest),
+            (Body::Events(body), Value::Events(part)) => body.append(&self.opened, part, digest),
             (Body::Frames(body), Value::Frames(part) | Value::Truth(Truth(part))) => {
-                body.append(part, &mut self.digest)
+                body.append(part, digest)
             }
-            (Body::Series(body), Value::Tracks(part)) => body.append(part, &mut self.digest),
-            (Body::Series(body), Value::Light(part)) => body.append(part, &mut self.digest),
-            (Body::Map(body), Value::Map(part)) => body.append(part, &mut self.digest),
+            (Body::Series(body), Value::Tracks(part)) => body.append(part, digest),
+            (Body::Series(body), Value::Light(part)) => body.append(part, digest),
+            (Body::Map(body), Value::Map(part)) => body.append(part, digest),
             (Body::Whole(whole @ None), part) => {
                 *whole = Some(part.clone());
                 Ok(())
@@ -152,11 +185,21 @@ impl ValueWriter {
     ///
     /// # Errors
     /// When rows are missing or the file cannot be written.
-    pub fn finish(self) -> Result<(Digest, u64), StoreError> {
+    pub fn finish(mut self) -> Result<(Digest, u64), StoreError> {
+        let (digest, path) = (self.digest.take(), self.opened.path.clone());
+        let (whole, bytes) = self.complete()?;
+        let misuse = |what: String| StoreError::Misuse { path: path.clone(), what };
+        let digest = digest.ok_or_else(|| misuse("the value was written without a digest".into()))?;
+        Ok((digest.finish(&whole).map_err(|error| misuse(error.message))?, bytes))
+    }
+
+    /// Writes the rest of the file; gives what of the value its digest still needs, and the size of the file
+    /// in bytes.
+    fn complete(self) -> Result<(Value, u64), StoreError> {
         if !self.missing.is_empty() {
             return Err(self.misuse(format!("the value is not complete: {} are missing", self.missing)));
         }
-        let ValueWriter { opened, meta, digest, body, .. } = self;
+        let ValueWriter { opened, meta, body, .. } = self;
         // The digest of banded data is complete already and only asks that the value has rows.
         let mut whole = banded();
         match body {
@@ -181,13 +224,10 @@ impl ValueWriter {
         }
         let path = opened.path.clone();
         close(opened)?;
-        let digest = digest
-            .finish(&whole)
-            .map_err(|error| StoreError::Misuse { path: path.clone(), what: error.message })?;
         let bytes = std::fs::metadata(&path)
             .map_err(|error| StoreError::io(&path, "read the file's size", error))?
             .len();
-        Ok((digest, bytes))
+        Ok((whole, bytes))
     }
 
     fn misuse(&self, what: String) -> StoreError {

@@ -36,7 +36,7 @@ impl SeriesBody {
     pub(super) fn append<M: SeriesMeta>(
         &mut self,
         part: &Handle<M>,
-        digest: &mut ValueDigest,
+        digest: Option<&mut ValueDigest>,
     ) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             let before = self.t.len() as u64;
