@@ -9,6 +9,7 @@
 //! Source of the stream: RFC 1950 (its head and checksum) and RFC 1951 (its blocks).
 
 use flate2::{Compress, Compression, FlushCompress};
+use multiversion::multiversion;
 
 /// Bit of the filter mask that says "deflate (the second filter) was left out for this chunk".
 const WITHOUT_DEFLATE: u32 = 0b10;
@@ -32,7 +33,7 @@ const TRIED_ONE_IN: usize = 4;
 const FEWEST_TRIED: usize = 16384;
 
 /// A plane is stored where its part that was tried shrinks by less than one in so many.
-const SHRINKS_BY_ONE_IN: usize = 32;
+const SHRINKS_BY_ONE_IN: usize = 8;
 
 /// Shuffles and deflates one chunk; also gives the filter mask, since a chunk that does not shrink is kept
 /// shuffled only.
@@ -75,12 +76,12 @@ fn push_deflated(deflate: &mut Compress, plane: &[u8], packed: &mut Vec<u8>) -> 
 fn push_blocks(deflate: &mut Compress, bytes: &[u8], packed: &mut Vec<u8>, by: usize) -> bool {
     let begin = packed.len();
     let most = bytes.len() - bytes.len() / by;
-    packed.resize(begin + most, 0);
+    packed.reserve(most);
     deflate.reset();
-    // It never writes beyond the room: where that is used up, bytes or the end of a block may be missing.
-    let status = deflate.compress(bytes, &mut packed[begin..], FlushCompress::Sync);
-    let length = deflate.total_out() as usize;
-    packed.truncate(begin + length);
+    // It writes into what is reserved and no further: where that is used up, bytes or the end of a block may
+    // be missing.
+    let status = deflate.compress_vec(bytes, packed, FlushCompress::Sync);
+    let length = packed.len() - begin;
     status.is_ok() && length < most && deflate.total_in() as usize == bytes.len()
 }
 
@@ -96,18 +97,42 @@ fn push_stored(bytes: &[u8], packed: &mut Vec<u8>) {
 }
 
 fn shuffle(bytes: &[u8], item: usize) -> Vec<u8> {
-    if item == 1 {
-        return bytes.to_vec();
-    }
     let mut out = vec![0; bytes.len()];
-    let n = bytes.len() / item;
-    for (j, plane) in out.chunks_exact_mut(n.max(1)).enumerate() {
-        for (to, from) in plane.iter_mut().zip(bytes[j..].iter().step_by(item)) {
-            *to = *from;
+    match item {
+        1 => out.copy_from_slice(bytes),
+        4 => shuffle_of_4(bytes.as_chunks().0, &mut out),
+        8 => shuffle_of_8(bytes.as_chunks().0, &mut out),
+        _ => {
+            let n = bytes.len() / item;
+            for (j, plane) in out.chunks_exact_mut(n.max(1)).enumerate() {
+                for (to, from) in plane.iter_mut().zip(bytes[j..].iter().step_by(item)) {
+                    *to = *from;
+                }
+            }
         }
     }
     out
 }
+
+/// Plane by plane; a byte is what a shifted number leaves of itself, which vectors do for many at once.
+macro_rules! shuffle_of {
+    ($name:ident, $number:ty) => {
+        #[multiversion(targets(
+            "x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd",
+            "x86_64+avx2",
+            "aarch64+neon"
+        ))]
+        fn $name(items: &[[u8; size_of::<$number>()]], out: &mut [u8]) {
+            for (j, plane) in out.chunks_exact_mut(items.len().max(1)).enumerate() {
+                for (to, from) in plane.iter_mut().zip(items) {
+                    *to = (<$number>::from_le_bytes(*from) >> (8 * j)) as u8;
+                }
+            }
+        }
+    };
+}
+shuffle_of!(shuffle_of_4, u32);
+shuffle_of!(shuffle_of_8, u64);
 
 #[cfg(test)]
 mod tests {
