@@ -123,6 +123,7 @@ fn no_link_is_dead() {
     pages.extend(
         [
             "CHANGELOG.md",
+            "CONTRIBUTING.md",
             "data/README.md",
             "data/concealed/README.md",
             "data/diagnosis/README.md",
