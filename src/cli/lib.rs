@@ -15,6 +15,7 @@ mod convert;
 mod declared;
 mod diagnose;
 mod effects;
+pub mod embed;
 mod failure;
 mod file_kind;
 mod graph;
@@ -37,7 +38,7 @@ mod terminal;
 use crate::terminal::say;
 use args::{Args, Command};
 use clap::FromArgMatches;
-use failure::Failure;
+use failure::{Done, Failure};
 use std::ffi::OsString;
 
 /// Runs one command to its end and returns the exit code. `arguments` begin with the name of the program;
@@ -45,7 +46,11 @@ use std::ffi::OsString;
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let args = Args::from_arg_matches(&help::command().get_matches_from(arguments))
         .unwrap_or_else(|error| error.exit());
-    let done = match &args.command {
+    code_of(execute(&args.command))
+}
+
+fn execute(command: &Command) -> Done {
+    match command {
         Command::Init(options) => init::init(options),
         Command::Convert(options) => convert::convert(options),
         Command::Run(options) => run::run(options),
@@ -64,7 +69,11 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Man(options) => help::man(options),
         Command::Completions(options) => help::completions(options),
         Command::Cache(options) => cache::cache(options),
-    };
+    }
+}
+
+/// The exit code; why there is no other is reported on stderr.
+fn code_of(done: Done) -> u8 {
     match done {
         Ok(code) => code,
         Err(Failure::Problems(found)) => {

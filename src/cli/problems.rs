@@ -4,11 +4,10 @@
 //! are shown and the rest is counted.
 
 use crate::numbers::{grouped, print_count};
-use crate::terminal::say;
+use crate::terminal::{is_terminal, say};
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use photocurrent_core::document::Problem;
 use std::collections::BTreeMap;
-use std::io::IsTerminal;
 
 /// Mistakes of one kind that are shown.
 const SHOWN: usize = 20;
@@ -21,7 +20,7 @@ pub fn show(problems: &[Problem]) {
 
 /// Writes all problems to stderr.
 pub fn render(problems: &[Problem]) {
-    let coloured = std::io::stderr().is_terminal()
+    let coloured = is_terminal()
         && std::env::var_os("NO_COLOR").is_none()
         && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
     let renderer = if coloured { Renderer::styled() } else { Renderer::plain() };

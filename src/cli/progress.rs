@@ -3,18 +3,17 @@
 
 use crate::args::ProgressStyle as Style;
 use crate::numbers::{human_bytes, human_seconds};
-use crate::terminal::say;
+use crate::terminal::{host_observer, is_terminal, say};
 use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 use photocurrent_engine::{End, Observer, Plan, TaskId};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::io::IsTerminal;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Who watches a run.
-pub enum Watcher {
+/// Who watches a run of a process of ours.
+enum Watcher {
     /// A person at a terminal.
     Bars(Bars),
     /// A log.
@@ -25,11 +24,16 @@ pub enum Watcher {
     Quiet,
 }
 
+/// Who watches a run: the program that the command runs in, otherwise a [`Watcher`].
+pub fn watcher(plan: &Plan, style: Style, quiet: bool) -> Arc<dyn Observer + Send + Sync> {
+    host_observer().unwrap_or_else(|| Arc::new(Watcher::new(plan, style, quiet)))
+}
+
 impl Watcher {
     /// As asked for; by itself bars on a terminal and plain lines elsewhere, and nothing when `quiet`.
-    pub fn new(plan: &Plan, style: Style, quiet: bool) -> Watcher {
+    fn new(plan: &Plan, style: Style, quiet: bool) -> Watcher {
         let labels = plan.tasks.iter().map(|task| (task.label.clone(), task.decl.kind)).collect();
-        match (style, std::io::stderr().is_terminal()) {
+        match (style, is_terminal()) {
             (Style::Auto, _) if quiet => Watcher::Quiet,
             (Style::None, _) => Watcher::Quiet,
             (Style::Json, _) => Watcher::Lines(Lines { labels, done: Mutex::default() }),
@@ -59,7 +63,7 @@ fn word(end: End) -> &'static str {
 }
 
 /// One bar a running node.
-pub struct Bars {
+struct Bars {
     multi: MultiProgress,
     running: Mutex<BTreeMap<TaskId, Running>>,
     labels: Labels,
@@ -79,7 +83,7 @@ impl Bars {
 }
 
 /// One JSON object a line.
-pub struct Lines {
+struct Lines {
     labels: Labels,
     /// Progress is worth ten lines a node, not thousands.
     done: Mutex<BTreeMap<TaskId, Done>>,

@@ -4,10 +4,10 @@ use crate::args::{MergeOptions, RunOptions};
 use crate::common::failed_nodes;
 use crate::failure::{Done, Failure};
 use crate::numbers::{human_bytes, human_seconds};
-use crate::progress::Watcher;
+use crate::progress::watcher;
 use crate::run_record::RunRecord;
 use crate::tables::draw;
-use crate::terminal::{print, print_json, say};
+use crate::terminal::{host_cancel, print, print_json, say};
 use photocurrent_core::document::Problem;
 use photocurrent_core::error::Trouble;
 use photocurrent_core::{NodeError, Rows, Table, Value};
@@ -20,28 +20,42 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+/// A run that came to its end, and where its results are.
+pub struct Ran {
+    /// What came of every node.
+    pub outcome: Outcome,
+    /// Holds the results.
+    pub cache: Cache,
+    /// Holds files for the user.
+    pub out_dir: PathBuf,
+    /// From start to end.
+    pub seconds: f64,
+}
+
 /// Runs a pipeline or an ablation.
 pub fn run(options: &RunOptions) -> Done {
+    Ok(run_with(options, &[])?.0)
+}
+
+/// The same; gives the results as well, unless only some rows were run.
+pub fn run_and_keep(options: &RunOptions) -> Result<(u8, Option<Ran>), Failure> {
     run_with(options, &[])
 }
 
 /// Joins parts and runs what is left.
 pub fn merge(options: &MergeOptions) -> Done {
-    let (target, running) = (options.target.clone(), options.running.clone());
-    run_with(
-        &RunOptions { target, running, force: Vec::new(), band_rows: None, rows: None, part: None },
-        &options.parts,
-    )
+    let (target, running, parts) = (options.target.clone(), options.running.clone(), options.parts.clone());
+    let options = RunOptions { target, running, force: Vec::new(), band_rows: None, rows: None, part: None };
+    Ok(run_with(&options, &parts)?.0)
 }
 
-fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
+fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Result<(u8, Option<Ran>), Failure> {
     let (project, plan) = options.target.plan(if parts.is_empty() { "run" } else { "merge" })?;
     check_forced(options, &plan)?;
     if options.part.is_none() {
         options.target.check_out_dir()?;
     }
-    let cancel = Arc::new(AtomicBool::new(false));
-    stop_on_signal(&cancel, None)?;
+    let cancel = stop_on_signal(None)?;
     let cache = Cache::open(&options.target.cache)?;
     let out_dir = options.target.out_dir();
     let parts = if parts.is_empty() {
@@ -63,23 +77,24 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
         parts,
     };
     let started = Instant::now();
-    let watcher = Watcher::new(&plan, options.running.progress, options.running.quiet);
+    let watcher = watcher(&plan, options.running.progress, options.running.quiet);
     if let (Some(rows), Some(folder)) = (options.rows, &options.part) {
-        let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &watcher, &cancel)
+        let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &*watcher, &cancel)
             .map_err(refused)?;
         let all = plan.rows().map_err(refused)?;
-        return part_report(options, (rows, all), folder, end, started.elapsed().as_secs_f64());
+        let seconds = started.elapsed().as_secs_f64();
+        return Ok((part_report(options, (rows, all), folder, end, seconds)?, None));
     }
     // Before hours are spent on what could not be put down.
     std::fs::create_dir_all(&out_dir).map_err(|error| {
         Failure::other(format!("{}: cannot make the folder: {error}; --out names another", out_dir.display()))
     })?;
-    let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
+    let outcome = photocurrent_engine::run(&plan, &cache, &how, &*watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
     RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds)
         .save(&out_dir)?;
     report(options, &project, &outcome, &cache, &out_dir, seconds)?;
-    Ok(outcome.exit_code())
+    Ok((outcome.exit_code(), Some(Ran { outcome, cache, out_dir, seconds })))
 }
 
 /// What came of a part.
@@ -143,9 +158,14 @@ fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {
 const PATIENCE: Duration = Duration::from_millis(1500);
 
 /// The first Ctrl-C (or SIGTERM) lets running nodes stop at their next step; a second one ends the process,
-/// and so does [`PATIENCE`]: the cache survives that too. `leave` is then cleared away.
-pub fn stop_on_signal(cancel: &Arc<AtomicBool>, leave: Option<&Path>) -> Result<(), Failure> {
-    let (cancel, leave) = (cancel.clone(), leave.map(Path::to_path_buf));
+/// and so does [`PATIENCE`]: the cache survives that too. `leave` is then cleared away. Signals of a host
+/// are the host's.
+pub fn stop_on_signal(leave: Option<&Path>) -> Result<Arc<AtomicBool>, Failure> {
+    if let Some(cancel) = host_cancel() {
+        return Ok(cancel);
+    }
+    let flag = Arc::new(AtomicBool::new(false));
+    let (cancel, leave) = (flag.clone(), leave.map(Path::to_path_buf));
     let end = move || {
         // What cannot be cleared away is no reason to stay.
         let _ = leave.as_ref().map(std::fs::remove_dir_all);
@@ -163,7 +183,8 @@ pub fn stop_on_signal(cancel: &Arc<AtomicBool>, leave: Option<&Path>) -> Result<
             end();
         });
     })
-    .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))
+    .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))?;
+    Ok(flag)
 }
 
 fn report(

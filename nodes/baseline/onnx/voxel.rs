@@ -95,6 +95,16 @@ impl Timeline {
         Timeline(all)
     }
 
+    /// Of columns of one length, in any order: times in one unit, columns, rows, and 1 for ON.
+    pub fn from_columns(t: &[i64], x: &[u16], y: &[u16], on: &[u8]) -> Timeline {
+        let at = |k: usize| Fired { t: t[k], x: x[k], y: y[k], is_on: on[k] != 0 };
+        let mut all: Vec<Fired> = (0..t.len()).map(at).collect();
+        if !all.is_sorted_by_key(|event| event.t) {
+            all.sort_by_key(|event| event.t);
+        }
+        Timeline(all)
+    }
+
     /// The first and the last stamp, ns.
     pub fn span(&self) -> Option<(i64, i64)> {
         Some((self.0.first()?.t, self.0.last()?.t))

@@ -5,15 +5,13 @@ use super::given::Given;
 use crate::args::DiagnoseOptions;
 use crate::common::failed_nodes;
 use crate::failure::{Failure, usage};
-use crate::progress::Watcher;
+use crate::progress::watcher;
 use crate::run::stop_on_signal;
 use photocurrent_core::{Digest, Node, Sensor};
 use photocurrent_engine::{End, Options, Outcome, Plan, Selection};
 use photocurrent_nodes::diagnose::target::{DiagnoseTarget, Params as TargetParams};
 use photocurrent_store::Cache;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 /// How the stages are wired; there is no other place.
 const WIRING: &str = include_str!("../../../pipelines/diagnose/recording.toml");
@@ -43,8 +41,7 @@ pub fn run(
     folder: &Path,
 ) -> Result<Result<Answered, u8>, Failure> {
     let plan = plan(options, given, sensor, folder)?;
-    let cancel = Arc::new(AtomicBool::new(false));
-    stop_on_signal(&cancel, Some(folder))?;
+    let cancel = stop_on_signal(Some(folder))?;
     // An answer does not hang on what is kept of it.
     let mut warnings = Vec::new();
     let cache = Cache::open(&options.cache).or_else(|error| {
@@ -66,7 +63,7 @@ pub fn run(
         &plan,
         &cache,
         &how,
-        &Watcher::new(&plan, options.progress, options.quiet),
+        &*watcher(&plan, options.progress, options.quiet),
         &cancel,
     );
     if outcome.exit_code() != 0 {

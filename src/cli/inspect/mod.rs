@@ -13,7 +13,7 @@ use crate::declared::refused;
 use crate::failure::{Done, Failure};
 use crate::file_kind::need_data;
 use crate::parts::Parts;
-use crate::terminal::{print, print_json, say};
+use crate::terminal::{is_terminal, print, print_json, say};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Value;
 use photocurrent_formats::hazard::{self, Finding, Limits};
@@ -22,7 +22,6 @@ use photocurrent_formats::survey::{Most, Survey, survey};
 use photocurrent_formats::{Declared, Format, FormatError, Probe, joined, recognise};
 use photocurrent_store::open_value;
 use serde_json::json;
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 /// The exit code of damaged data.
@@ -143,7 +142,7 @@ pub fn look(
         .filter_map(|file| std::fs::metadata(file).ok())
         .map(|metadata| metadata.len())
         .sum();
-    let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(1000));
+    let bar = (!quiet && is_terminal()).then(|| ProgressBar::new(1000));
     if let Some(bar) = &bar {
         bar.set_style(
             ProgressStyle::with_template("reading {wide_bar} {eta}")
