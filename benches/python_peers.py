@@ -1,6 +1,6 @@
 """The package next to other Python packages: reading events, and simulating them.
 
-`python benches/python_peers.py [--events 100000000] [--folder out/peers]`
+`python benches/python_peers.py [--events 20000000] [--folder out/peers]`
 
 Makes one recording of events that move along rows, in EVT3, AEDAT4 (where faery is installed, whose writer
 is used), DSEC's HDF5 and the project's own, and times how long each package takes to give all events as an
@@ -187,7 +187,7 @@ def simulating(folder: Path) -> None:
 def main() -> None:
     """Everything."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--events", type=int, default=100_000_000)
+    parser.add_argument("--events", type=int, default=20_000_000)
     parser.add_argument("--folder", type=Path, default=Path("out/peers"))
     options = parser.parse_args()
     reading(recording(options.folder, options.events))
