@@ -1,10 +1,10 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-# Both install what is missing first, through apt: Debian's libhdf5, and for tests its chromium (pages) and python3-h5py (readers). With npm, tests of pages fetch axe-core too. Rust itself must be there: https://rustup.rs
+# Both install what is missing first, through apt: Debian's libhdf5, and for tests its chromium (pages) and python3-h5py (readers) and mesa-vulkan-drivers (a graphics card in software). With npm, tests of pages fetch axe-core too. Rust itself must be there: https://rustup.rs
 
 # Where cargo builds, unless it CARGO_TARGET_DIR says otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test test-python wheel browser axe readers lint figures calibrate refine-weights test-training setup clean
+.PHONY: demo test test-python wheel browser axe readers gpu lint figures calibrate refine-weights test-training setup clean
 
 demo: setup
 	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
@@ -21,12 +21,12 @@ demo: setup
 	@echo "  $(BIN) init data/recordings/davis346_cradle.aedat4 -o my.toml          # a manifest for any recording, yours too"
 	@echo "  $(BIN) diagnose data/recordings/davis346_traffic.aedat4 --sensor data/sensors/davis346_sheet.toml --direct   # what a description lacks"
 
-test: setup browser readers
-	cargo test --workspace --locked
+test: setup browser readers gpu
+	cargo test --workspace --features gpu --locked
 
 lint: setup
 	cargo fmt --all --check
-	cargo clippy --workspace --all-targets --locked -- -D warnings
+	cargo clippy --workspace --all-targets --features gpu --locked -- -D warnings
 
 # The Python package in a virtual environment of its own, its tests, and the notebooks of docs/python, run from top to bottom.
 PYTHON := out/python
@@ -128,6 +128,15 @@ readers:
 		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
 		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends python3-h5py; \
 		else echo "No apt-get here, and the tests of docs/readers are skipped: pip install h5py brings them back."; fi; \
+	fi
+
+# A Vulkan driver for the tests of the graphics card: lavapipe runs on the processor, and brings 112 MB of LLVM. Nothing happens when there is a driver.
+gpu:
+	@if [ -z "$$(ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json 2>/dev/null)" ]; then \
+		echo "Installing mesa-vulkan-drivers ..."; \
+		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
+		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends mesa-vulkan-drivers libvulkan1; \
+		else echo "No apt-get here, and the tests of the graphics card are skipped: a Vulkan driver brings them back."; fi; \
 	fi
 
 clean:

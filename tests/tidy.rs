@@ -12,10 +12,11 @@ use std::path::Path;
 use std::process::Command;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-pub const DIRECTION: [(&str, &str, &[&str]); 12] = [
+pub const DIRECTION: [(&str, &str, &[&str]); 13] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
+    ("src/gpu", "photocurrent-gpu", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/scene", "photocurrent-scene", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/page", "photocurrent-page", &[]),
     (
@@ -48,6 +49,7 @@ pub const DIRECTION: [(&str, &str, &[&str]); 12] = [
             "photocurrent-core",
             "photocurrent-sensor",
             "photocurrent-solve",
+            "photocurrent-gpu",
             "photocurrent-scene",
             "photocurrent-diagnosis",
             "photocurrent-store",
@@ -68,8 +70,9 @@ pub const DIRECTION: [(&str, &str, &[&str]); 12] = [
     ),
 ];
 
-/// Built for a Python, which a bare `cargo build` may not find: its tests are Python's.
-const FOR_PYTHON: &str = "src/python";
+/// Not part of a bare `cargo build`: what is built for a Python, whose tests are Python's, and what is built
+/// with the feature `gpu`, which brings sixty crates.
+const ON_DEMAND: [&str; 2] = ["src/python", "src/gpu"];
 
 /// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can
 /// examine them.
@@ -362,8 +365,9 @@ fn the_workspace_lists_its_members_one_by_one() {
     );
     assert_eq!(members, folders, "the packages that there are (right) are the workspace's members (left)");
     let mut tested = list("default-members");
-    assert!(!tested.contains(FOR_PYTHON), "a bare `cargo build` needs no Python");
-    tested.insert(FOR_PYTHON.into());
+    for folder in ON_DEMAND {
+        assert!(tested.insert(folder.into()), "a bare `cargo build` needs no {folder}");
+    }
     assert!(
         members.is_subset(&tested) && tested.contains("."),
         "default-members has the root and every other member, so that a bare `cargo test` runs all"
@@ -423,6 +427,12 @@ fn networks_are_run_in_one_place() {
             "networks are run through the one trait of nodes/onnx",
         );
     }
+}
+
+#[test]
+fn cards_are_used_in_one_place() {
+    only_in("wgpu", &["src/gpu"]);
+    refuse(&["wgpu::"], &["src", "nodes"], |file| is_under(file, &["src/gpu"]), "only src/gpu knows cards");
 }
 
 #[test]

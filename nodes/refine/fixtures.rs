@@ -98,7 +98,7 @@ pub(super) fn every_pixel_for_itself(x: usize, y: usize, ms: f64) -> f64 {
 }
 
 pub(super) fn solve(events: &EventStream, frames: &FrameSequence) -> TrackSet {
-    let node = SolveMap::build(SolveOptions::default()).unwrap();
+    let node = SolveMap::build(SolveOptions::default().into()).unwrap();
     let input = solve::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
     testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks
 }

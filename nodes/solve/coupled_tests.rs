@@ -57,7 +57,7 @@ fn record(sensor: &Arc<Sensor>, log_light: impl Fn(u32, u32, i64) -> f64) -> sim
 }
 
 fn solve(recorded: &simulated::Out, description: &Arc<Sensor>) -> (TrackBand, Vec<String>) {
-    let node = SolveMap::build(SolveOptions::default()).unwrap();
+    let node = SolveMap::build(SolveOptions::default().into()).unwrap();
     let input =
         In { events: recorded.events.clone(), frames: recorded.frames.clone(), sensor: description.clone() };
     let (out, notes) = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx));
@@ -202,7 +202,8 @@ fn neighbours_change_no_bit_with_bands_and_threads() {
     });
     let description =
         sensor("misalignment = { shift_x = 0.2, shift_y = 0.9 }\ncrosstalk = { fraction = 0.1 }");
-    let node = SolveMap::build(SolveOptions { undo_rounds: Some(2), ..SolveOptions::default() }).unwrap();
+    let node =
+        SolveMap::build(SolveOptions { undo_rounds: Some(2), ..SolveOptions::default() }.into()).unwrap();
     let run = |rows: Rows, band: Rows| {
         let input = In { events: events.cut(rows), frames: frames.cut(rows), sensor: description.clone() };
         testing::with_context(band, &["tracks", "map"], |cx| node.run(input, cx))
@@ -234,7 +235,7 @@ fn neighbours_change_no_bit_with_bands_and_threads() {
 fn a_queue_makes_the_recording_one_piece_and_says_so_when_it_is_too_late() {
     let description = sensor("readout_queue = { service = \"1 us\" }");
     let recorded = record(&description, pulses);
-    let node = SolveMap::build(SolveOptions::default()).unwrap();
+    let node = SolveMap::build(SolveOptions::default().into()).unwrap();
     let band = Rows { start: 0, end: 2 };
     assert_eq!(given(&node, &recorded.events, &recorded.frames, &description, band), EXTENT.rows());
     let input =

@@ -4,6 +4,7 @@
 //! All frames and events of a pixel at once, with knots that are finer than the events, the exact reset and a
 //! prior ([`photocurrent_solve::solve_rows`]); events, frames and tracks as in [`photocurrent_solve`].
 
+use super::backend::{Backend, Machine, OnMachine};
 use super::{In, Out, out};
 use crate::spans::{check_covered, check_one_clock, check_steps};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TimeSpan};
@@ -11,11 +12,35 @@ use photocurrent_sensor::map::COARSEST;
 use photocurrent_solve::co_located::CoLocated;
 use photocurrent_solve::shares::Colours;
 use photocurrent_solve::{Model, SolveOptions, halo, map_meta, solve_rows};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// Parameters of `solve/map`.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+#[schemars(extend("additionalProperties" = false))]
+pub struct Params {
+    /// How pixels are solved.
+    #[serde(flatten)]
+    pub options: SolveOptions,
+    /// What solves them; absent = `cpu`, this processor. `gpu` is a graphics card, for programs built with the
+    /// feature `gpu`: without either it is an error. Noise and prior are chosen, effects undone and lost
+    /// events found on the processor then too.
+    #[serde(skip_serializing_if = "Backend::is_cpu")]
+    pub backend: Backend,
+}
+
+impl From<SolveOptions> for Params {
+    fn from(options: SolveOptions) -> Params {
+        Params { options, backend: Backend::Cpu }
+    }
+}
 
 /// The node.
 pub struct SolveMap {
     options: SolveOptions,
+    machine: Machine,
 }
 
 /// Refuses a span in which even quiet pixels would have more knots than can be.
@@ -46,13 +71,17 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "sen
 "#,
     };
     const LOCAL_IN_TIME: bool = true;
-    type Params = SolveOptions;
+    type Params = Params;
     type In = In;
     type Out = Out;
 
-    fn build(options: SolveOptions) -> Result<Self, NodeError> {
+    fn build(Params { options, backend }: Params) -> Result<Self, NodeError> {
         options.check()?;
-        Ok(SolveMap { options })
+        Ok(SolveMap { options, machine: Machine::new(backend)? })
+    }
+
+    fn machine(&self) -> Option<String> {
+        self.machine.name().map(String::from)
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -82,7 +111,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "sen
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         cx.begin(cx.rows().len() as u64, "rows");
-        let solution = solve_rows(&input.recording(), &self.options, cx.rows(), cx)?;
+        let host = OnMachine::new(cx, &self.machine)?;
+        let solution = solve_rows(&input.recording(), &self.options, cx.rows(), &host)?;
         Ok(out(solution, self.options.plausible_range, cx))
     }
 }

@@ -3,6 +3,7 @@
 //! Two kinds take the same inputs and give the same outputs, so that one stands in for the other: [`map`],
 //! the MAP estimate, and [`paper`], Eq. (13) of the paper. What they compute is in [`photocurrent_solve`].
 
+mod backend;
 #[cfg(test)]
 mod colour_tests;
 #[cfg(test)]

@@ -98,7 +98,7 @@ fn solve(events: Vec<Event>, frames: &FrameSequence, latency_min: Option<i64>) -
 }
 
 fn solve_stream(events: EventStream, frames: &FrameSequence, latency_min: Option<i64>) -> TrackBand {
-    let node = SolveMap::build(SolveOptions::default()).unwrap();
+    let node = SolveMap::build(SolveOptions::default().into()).unwrap();
     let input = In { events, frames: frames.clone(), sensor: sensor(latency_min) };
     let out = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap();
     out.tracks.read(EXTENT.rows()).unwrap()

@@ -35,7 +35,7 @@ pub(super) enum Way {
 impl Way {
     pub(super) fn run(self, input: In, cx: &Context) -> Result<Out, NodeError> {
         match self {
-            Way::Map(options) => SolveMap::build(options)?.run(input, cx),
+            Way::Map(options) => SolveMap::build(options.into())?.run(input, cx),
             Way::Paper(options) => SolvePaper::build(options)?.run(input, cx),
         }
     }

@@ -98,7 +98,7 @@ fn part(frames: &FrameSequence, is_held: bool) -> FrameSequence {
 /// DN.
 fn errors(recorded: &(Vec<Event>, FrameSequence), description: &Arc<Sensor>) -> (f64, f64) {
     let (events, frames) = recorded;
-    let node = SolveMap::build(SolveOptions::default()).unwrap();
+    let node = SolveMap::build(SolveOptions::default().into()).unwrap();
     let input = In {
         events: testing::stream(EXTENT, events.clone()),
         frames: part(frames, false),

@@ -99,6 +99,12 @@ pub trait Node: Sized + Send + Sync + 'static {
     fn files(&self) -> Vec<FileRef> {
         Vec::new()
     }
+
+    /// What does its work where that is not the processor and decides bits of the output: a card with its
+    /// driver and version. It becomes the parameter `machine` of the node's key.
+    fn machine(&self) -> Option<String> {
+        None
+    }
 }
 
 /// A node with its types erased.
@@ -171,9 +177,13 @@ impl Kind {
             build: |params| {
                 let params: N::Params =
                     serde_json::from_value(params).map_err(|error| NodeError::usage(error.to_string()))?;
-                let canonical =
+                let mut canonical =
                     serde_json::to_value(&params).map_err(|error| NodeError::usage(error.to_string()))?;
-                Ok(Built { node: Box::new(Erased(N::build(params)?)), params: canonical })
+                let node = N::build(params)?;
+                if let (Some(machine), Some(params)) = (node.machine(), canonical.as_object_mut()) {
+                    params.insert("machine".into(), machine.into());
+                }
+                Ok(Built { node: Box::new(Erased(node)), params: canonical })
             },
         }
     }

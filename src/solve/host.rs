@@ -1,7 +1,9 @@
-//! What a solution takes from its caller: whether to go on, and what other bands of the same recording chose.
+//! What a solution takes from its caller: whether to go on, what other bands of the same recording chose, and
+//! which processor solves.
 
 use crate::row::RowSetting;
 use photocurrent_core::{Context, NodeError};
+use photocurrent_sensor::map::Elsewhere;
 
 /// Settings that bands of a recording share, and interruptions. `()` shares nothing and never interrupts.
 pub trait Host: Sync {
@@ -20,6 +22,14 @@ pub trait Host: Sync {
     fn advance(&self, _rows: u64) -> Result<(), NodeError> {
         Ok(())
     }
+
+    /// Where the pixels of [`crate::solve_rows`] are solved; none = on this processor.
+    fn elsewhere(&self) -> Option<&dyn Elsewhere> {
+        None
+    }
+
+    /// So many pixels were solved on this processor, since the other one does not take them.
+    fn left_here(&self, _pixels: u64) {}
 }
 
 impl Host for () {}

@@ -52,6 +52,7 @@
 #![warn(unreachable_pub)]
 
 pub mod co_located;
+mod elsewhere;
 mod host;
 mod model;
 pub mod neighbours;
@@ -77,6 +78,7 @@ pub use model::Model;
 pub use options::{
     FirstKnot, FrontEndModel, Joint, PaperOptions, Precision, ReadoutModel, SolveOptions, TauChoice,
 };
+pub use photocurrent_sensor::map::Elsewhere;
 pub use pixel::solve_pixel;
 pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
 pub use status::{EVENT_RESIDUAL, PLANES, Report, map_meta};

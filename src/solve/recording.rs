@@ -1,6 +1,7 @@
 //! A whole recording, or some rows of it: cut into pixels, solved side by side, put together.
 
 use crate::co_located::{CoLocated, CoLocatedEvents, values_of};
+use crate::elsewhere::rows_elsewhere;
 use crate::host::Host;
 use crate::model::{Model, late_description};
 use crate::options::{PaperOptions, SolveOptions};
@@ -99,6 +100,10 @@ impl Reader<'_> {
     }
 }
 
+/// Pixels that are solved elsewhere at once, in whole rows: enough for a card, and every thread holds as many
+/// laid out, some 100 MB where they have 200 knots.
+const BATCH_PIXELS: usize = 8_192;
+
 /// Rows in memory at a time where a block is read in parts.
 const HELD_ROWS: u32 = 4;
 
@@ -168,6 +173,23 @@ pub fn solve_rows(
         host.advance(1)?;
         Ok((tracks, of_pixels(map, &meta)))
     };
+    if let Some(elsewhere) = host.elsewhere() {
+        let all: Vec<u32> = rows.iter().collect();
+        let at_once = (BATCH_PIXELS / reader.wide.extent.width.max(1) as usize).max(1);
+        let solve = |rows: &[u32]| {
+            let known = known.as_ref();
+            let (solved, left) = rows_elsewhere(elsewhere, &model, &settings, &recorded, rows, known)?;
+            host.left_here(left as u64);
+            host.advance(rows.len() as u64)?;
+            Ok(solved.into_iter().map(|(tracks, map)| (tracks, of_pixels(map, &meta))).collect())
+        };
+        let solved: Result<Vec<Vec<_>>, NodeError> = all.par_chunks(at_once).map(solve).collect();
+        return Ok(together(
+            meta.clone(),
+            solved?.into_iter().flatten().collect(),
+            model.not_modelled(recording.sensor),
+        ));
+    }
     // Of a low band, the pixels of each row are shared out over the threads, one row after the other.
     let solved: Result<Vec<_>, NodeError> = if is_low {
         let mut memory = Default::default();

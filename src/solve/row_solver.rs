@@ -43,13 +43,25 @@ const SHARED_OUT: usize = 128;
 
 /// Some pixels of a row, solved.
 #[derive(Default)]
-struct Part {
+pub(crate) struct Part {
     /// Knots of the pixels with their standard deviations, in the order in which they were solved, and where
     /// each pixel's stand.
     knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
     thinner: Thinner,
     planes: Vec<[f32; PLANES.len()]>,
+    /// How each came out when nothing was taken for lost.
+    plain: Vec<Plain>,
+}
+
+/// Pixels of a row, posed.
+pub(crate) struct Posed<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) setting: &'a RowSetting,
+    pub(crate) data: &'a RowData,
+    /// Those that have a frame.
+    pub(crate) lit: &'a [usize],
+    pub(crate) tasks: Vec<MapTask<'a>>,
 }
 
 impl Part {
@@ -63,49 +75,62 @@ impl Part {
         lit: &[usize],
         hints: Option<&[Vec<Hint>]>,
     ) {
-        let (Taken { data, given }, Part { knots, knots_of, thinner, planes: of_pixels }) = (taken, self);
-        knots.clear();
-        knots_of.clear();
-        knots_of.resize(lit.len(), 0..0);
-        of_pixels.clear();
-        of_pixels.resize(lit.len(), [0.0; PLANES.len()]);
+        let Taken { data, given } = taken;
         let hints_of = |x: usize| hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
         let tasks: Vec<MapTask<'_>> =
             lit.iter().map(|&x| task(model, setting, data, x, hints_of(x))).collect();
         let known = known_of(model, &tasks, lit, data, given, group);
-        let tasks = with_known(&tasks, &known);
-        let mut plain = vec![Plain::default(); tasks.len()];
-        let mut put = |n: usize, solution: &MapSolution<'_>| {
-            let begin = knots.len();
-            let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
-            let brightest =
-                thinner.thin(solution, &model.undo, (ratio, setting.sigma_factor), plausible, knots);
-            knots_of[n] = begin..knots.len();
-            let status = match solution.outcome.status {
-                MapStatus::Failed => Status::FellBack,
-                _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
-                MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
-            };
-            of_pixels[n] = planes(
-                status,
-                solution.outcome.iterations,
-                -solution.outcome.log_evidence,
-                &solution.outcome.misfit,
-                plausible.excess(brightest),
-            );
+        let posed = Posed { model, setting, data, lit, tasks: with_known(&tasks, &known) };
+        self.begin(lit.len());
+        group.solve(&posed.tasks, |n, solution| self.put(&posed, n, &solution));
+        self.solve_losses(&posed, group);
+    }
+
+    /// Of so many pixels, none of them solved.
+    pub(crate) fn begin(&mut self, pixels: usize) {
+        self.knots.clear();
+        self.knots_of.clear();
+        self.knots_of.resize(pixels, 0..0);
+        self.planes.clear();
+        self.planes.resize(pixels, [0.0; PLANES.len()]);
+        self.plain.clear();
+        self.plain.resize(pixels, Plain::default());
+    }
+
+    /// Takes the answer of a pixel.
+    pub(crate) fn put(&mut self, posed: &Posed<'_>, n: usize, solution: &MapSolution<'_>) {
+        let Posed { model, setting, data, lit, tasks } = posed;
+        self.plain[n] = Plain::of(solution);
+        let begin = self.knots.len();
+        let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
+        let widened = (ratio, setting.sigma_factor);
+        let brightest = self.thinner.thin(solution, &model.undo, widened, plausible, &mut self.knots);
+        self.knots_of[n] = begin..self.knots.len();
+        let status = match solution.outcome.status {
+            MapStatus::Failed => Status::FellBack,
+            _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
+            MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
         };
-        group.solve(&tasks, |n, solution| {
-            plain[n] = Plain::of(&solution);
-            put(n, &solution);
-        });
-        let lost = losses::lost_before(&tasks, &plain, group);
+        self.planes[n] = planes(
+            status,
+            solution.outcome.iterations,
+            -solution.outcome.log_evidence,
+            &solution.outcome.misfit,
+            plausible.excess(brightest),
+        );
+    }
+
+    /// Solves again the pixels that have lost events.
+    pub(crate) fn solve_losses(&mut self, posed: &Posed<'_>, group: &mut MapGroup) {
+        let tasks = &posed.tasks;
+        let lost = losses::lost_before(tasks, &self.plain, group);
         let again: Vec<usize> = (0..tasks.len()).filter(|&n| !lost[n].is_empty()).collect();
         let with_losses = |&n: &usize| MapTask {
             problem: MapProblem { lost_before: &lost[n], ..tasks[n].problem },
             ..tasks[n]
         };
         let with_losses: Vec<MapTask<'_>> = again.iter().map(with_losses).collect();
-        group.solve(&with_losses, |n, solution| put(again[n], &solution));
+        group.solve(&with_losses, |n, solution| self.put(posed, again[n], &solution));
     }
 }
 
@@ -215,7 +240,7 @@ impl RowSolver {
     }
 
     /// The pixels that have a frame.
-    fn lit(&self) -> Vec<usize> {
+    pub(crate) fn lit(&self) -> Vec<usize> {
         let data = &self.taken.data;
         (0..data.width()).filter(|&x| !data.frames_of(x).is_empty()).collect()
     }
@@ -248,6 +273,17 @@ impl RowSolver {
         let done = with(self);
         std::mem::swap(&mut self.taken, taken);
         done
+    }
+
+    /// What is known of the events of the pixels `lit` of the loaded row, which `tasks` pose.
+    pub(crate) fn known(
+        &self,
+        model: &Model,
+        tasks: &[MapTask<'_>],
+        lit: &[usize],
+        group: &mut MapGroup,
+    ) -> Vec<Known> {
+        known_of(model, tasks, lit, &self.taken.data, &self.taken.given, group)
     }
 
     /// Estimates of the pixels of the loaded row, without more than what was given.
@@ -361,7 +397,7 @@ impl RowSolver {
 }
 
 /// The parts of a row, left to right, as one.
-fn together<'a>(
+pub(crate) fn together<'a>(
     setting: &RowSetting,
     meta: &TracksMeta,
     row: u32,
@@ -396,7 +432,7 @@ fn together<'a>(
 }
 
 /// The problem of pixel x of a row.
-fn task<'a>(
+pub(crate) fn task<'a>(
     model: &Model,
     setting: &RowSetting,
     data: &'a RowData,

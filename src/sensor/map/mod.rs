@@ -61,12 +61,14 @@
 //! ```
 
 mod curvature;
+mod elsewhere;
 pub mod estimate;
 #[cfg(test)]
 mod estimate_tests;
 pub mod frame_noise;
 mod group;
 mod knots;
+pub mod laid;
 pub mod losses;
 #[cfg(test)]
 mod misfit_tests;
@@ -81,6 +83,7 @@ mod tests;
 mod thresholds;
 
 pub use crate::comparator::PixelEvent;
+pub use elsewhere::Elsewhere;
 pub use group::MapGroup;
 pub use knots::COARSEST;
 pub use options::{MapOptions, MapOutcome, MapSolution, MapStatus, MapTask, Second, SecondStart};

@@ -66,7 +66,7 @@ impl Default for Prior {
 }
 
 /// Variance of the first slope of an integrated walk, per second squared: any speed will do.
-pub(super) const FIRST_SLOPE_VARIANCE: f64 = 1e6;
+pub const FIRST_SLOPE_VARIANCE: f64 = 1e6;
 
 /// The prior of each segment of one pixel: entry j belongs to the segment that ends at knot j; entry 0 to
 /// none.

@@ -188,11 +188,20 @@ const RUN_AWAY: f64 = 2.5;
 
 /// Is the light anywhere implausible, given what the frames collected?
 pub(super) fn has_run_away(problem: &MapProblem<'_>, u: &[f64]) -> bool {
+    let limit = brightest(problem);
+    u.iter().any(|&u| u > limit)
+}
+
+/// The brightest log light that is plausible, given what the frames collected; infinite where one of them is
+/// a lower bound.
+pub(super) fn brightest(problem: &MapProblem<'_>) -> f64 {
+    if problem.frames.iter().any(|frame| frame.saturated) {
+        return f64::INFINITY;
+    }
     let collected = |frame: &MapFrame| frame.dn - problem.sensor.black_level_dn + 3.0 * frame.sigma_dn;
     let brightest = problem
         .frames
         .iter()
         .fold(0.0, |most, frame| f64::max(most, collected(frame) / (frame.end_ns - frame.start_ns) as f64));
-    let limit = libm::log(brightest * 1e9 / problem.sensor.gain) + RUN_AWAY;
-    !problem.frames.iter().any(|frame| frame.saturated) && u.iter().any(|&u| u > limit)
+    libm::log(brightest * 1e9 / problem.sensor.gain) + RUN_AWAY
 }

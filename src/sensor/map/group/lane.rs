@@ -12,11 +12,11 @@ use super::stream::Stream;
 use crate::wide::Wide;
 
 /// Attempts at a step before no step goes down any more.
-const ATTEMPTS: usize = 6;
+pub const ATTEMPTS: usize = 6;
 /// First damping: a standard deviation of a change of a tenth.
-const FIRST_DAMPING: f64 = 100.0;
+pub const FIRST_DAMPING: f64 = 100.0;
 /// The step from which the no-event constraint counts, from 1.
-const NO_EVENT_FROM: usize = 4;
+pub const NO_EVENT_FROM: usize = 4;
 
 /// One pixel of a group.
 #[derive(Clone, Debug, Default)]

@@ -12,10 +12,12 @@ mod passes;
 mod solve;
 #[cfg(test)]
 mod step_tests;
-mod stream;
+pub(super) mod stream;
 #[cfg(test)]
 mod tests;
 mod variance;
 mod waiting;
 
+pub use lane::{ATTEMPTS, FIRST_DAMPING, NO_EVENT_FROM};
 pub use solve::MapGroup;
+pub use solve::{FIRST_VARIANCE, LOG_LIMIT, LONGEST_STEP};

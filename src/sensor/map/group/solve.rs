@@ -16,11 +16,11 @@ use crate::misfit::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
 
 /// Variance of the first log light around the start value: free for all practical light.
-const FIRST_VARIANCE: f64 = 9.0;
+pub const FIRST_VARIANCE: f64 = 9.0;
 /// Steps longer than this are cut, natural-log units.
-const LONGEST_STEP: f64 = 1.5;
+pub const LONGEST_STEP: f64 = 1.5;
 /// Log light stays inside plus and minus this.
-const LOG_LIMIT: f64 = 40.0;
+pub const LOG_LIMIT: f64 = 40.0;
 
 /// Solves many pixels; keeps its memory from call to call.
 ///
@@ -100,7 +100,7 @@ impl MapGroup {
         MapSolution { t_ns, log_photocurrent, variance, outcome: outcome.expect("every task has one answer") }
     }
 
-    /// Solves `tasks`, with the evidence or without.
+    /// Solves `tasks`, with the evidence or without. Not generic, so that the passes are compiled once, and here.
     pub(crate) fn solve_with(
         &mut self,
         tasks: &[MapTask<'_>],
