@@ -61,6 +61,7 @@ pub(crate) struct Place {
     event_square: f32,
     frame_square: f32,
     largest: f32,
+    largest_step: u32,
     events: u32,
     frames: u32,
     iterations: u32,
@@ -280,7 +281,7 @@ impl Batch {
             if with_sigma(cut.place) {
                 variance.extend(cut.last_steps.iter().map(|&s| f64::from(variances[at(s as usize)])));
             }
-            let outcome = state.outcome();
+            let outcome = state.outcome(cut);
             take(
                 cut.place,
                 MapSolution { t_ns: &cut.t_ns, log_photocurrent: &log, variance: &variance, outcome },
@@ -304,7 +305,9 @@ impl Pixel {
 }
 
 impl State {
-    fn outcome(&self) -> MapOutcome {
+    fn outcome(&self, cut: &Cut) -> MapOutcome {
+        let until = &cut.steps[..=self.here.largest_step as usize];
+        let begun = until.iter().filter(|step| step.what & laid::SEGMENT != 0).count();
         let Place { reference, on, off, event_square, frame_square, events, frames, .. } = self.here;
         MapOutcome {
             offsets: Offsets { reference: reference.into(), on: on.into(), off: off.into() },
@@ -322,6 +325,7 @@ impl State {
                 frames: frames as usize,
             },
             largest_square: self.here.largest.into(),
+            largest_ns: cut.t_ns[begun - 1],
             second: match self.second {
                 REFUSED => Second::Refused,
                 KEPT => Second::Kept,

@@ -67,6 +67,8 @@ struct Place {
     event_square: f32,
     frame_square: f32,
     largest: f32,
+    // The step of the largest square.
+    largest_step: u32,
     events: u32,
     frames: u32,
     iterations: u32,

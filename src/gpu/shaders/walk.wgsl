@@ -43,6 +43,7 @@ fn walk(at: Place, moves_light: bool, share: f32) -> Cost {
     cost.place.event_square = 0.0;
     cost.place.frame_square = 0.0;
     cost.place.largest = 0.0;
+    cost.place.largest_step = 0u;
     cost.place.events = 0u;
     cost.place.frames = 0u;
     var along = begin_along();
@@ -83,13 +84,15 @@ fn walk(at: Place, moves_light: bool, share: f32) -> Cost {
         if (seen.what & EVENT) != 0u {
             cost.place.event_square += square;
             cost.place.events += 1u;
-            cost.place.largest = max(cost.place.largest, square);
         } else if (seen.what & FRAME) != 0u {
             cost.place.frame_square += square;
             cost.place.frames += 1u;
-            cost.place.largest = max(cost.place.largest, square);
         } else if (seen.what & NO_EVENT) != 0u {
             cost.place.no_event_square += seen.residual * seen.residual;
+        }
+        if (seen.what & (EVENT | FRAME)) != 0u && square > cost.place.largest {
+            cost.place.largest = square;
+            cost.place.largest_step = s;
         }
         turn(&chain, what, s, on, off);
     }
