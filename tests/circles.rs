@@ -4,7 +4,8 @@
 //! `use` and paths in production files count, parents and children included. The root of a crate only
 //! re-exports: a name imported from there counts for the module that it comes from.
 
-use crate::tidy::{DIRECTION, files, is_test_file, read, working_code};
+use crate::direction::DIRECTION;
+use crate::tidy::{files, is_test_file, read, working_code};
 use std::collections::{BTreeMap, BTreeSet};
 
 type Imports = BTreeMap<String, BTreeSet<String>>;

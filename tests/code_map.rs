@@ -1,6 +1,7 @@
 //! The code map of docs/architecture.md names every module and folder, and no other.
 
-use crate::tidy::{DIRECTION, files, is_test_file, is_under, read};
+use crate::direction::DIRECTION;
+use crate::tidy::{files, is_test_file, is_under, read};
 use std::collections::BTreeSet;
 
 /// The modules that a table of the code map names: what stands between backticks in the first cell of each

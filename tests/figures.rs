@@ -246,6 +246,7 @@ fn says_how(line: &str) -> bool {
     let is_named = [
         "`photocurrent ",
         "`cargo ",
+        "`python ",
         "above",
         "same command",
         "commands at the top",

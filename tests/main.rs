@@ -33,7 +33,7 @@
 //! - `situations`: what real users met: units, sizes, pauses, strays, mirrored and shifted pictures; `disc`
 //!   makes their recording.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
-//! - `tidy`: the invariants of docs/architecture.md.
+//! - `direction`: which crate may depend on which; `tidy`: the invariants of docs/architecture.md.
 //! - `words`: the words of docs/vocabulary.md, and none that were retired.
 
 mod browser;
@@ -46,6 +46,7 @@ mod conformance;
 mod crash;
 mod determinism;
 mod diagnosis;
+mod direction;
 mod disc;
 mod examples;
 mod figures;

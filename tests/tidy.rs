@@ -5,70 +5,12 @@
 //! failure says what to do. The compiler and clippy see more than a search does (`clippy.toml` refuses the
 //! platform's functions by type); a search also sees what is not compiled on this machine.
 
+use crate::direction::DIRECTION;
 use crate::support::root;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-
-/// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-pub const DIRECTION: [(&str, &str, &[&str]); 13] = [
-    ("src/core", "photocurrent-core", &[]),
-    ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
-    ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
-    ("src/gpu", "photocurrent-gpu", &["photocurrent-core", "photocurrent-sensor"]),
-    ("src/scene", "photocurrent-scene", &["photocurrent-core", "photocurrent-sensor"]),
-    ("src/page", "photocurrent-page", &[]),
-    (
-        "src/diagnosis",
-        "photocurrent-diagnosis",
-        &[
-            "photocurrent-core",
-            "photocurrent-sensor",
-            "photocurrent-solve",
-            "photocurrent-scene",
-            "photocurrent-page",
-        ],
-    ),
-    ("src/store", "photocurrent-store", &["photocurrent-core"]),
-    (
-        "src/formats",
-        "photocurrent-formats",
-        &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"],
-    ),
-    ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
-    (
-        "src/calibrate",
-        "photocurrent-calibrate",
-        &["photocurrent-core", "photocurrent-scene", "photocurrent-diagnosis"],
-    ),
-    (
-        "nodes",
-        "photocurrent-nodes",
-        &[
-            "photocurrent-core",
-            "photocurrent-sensor",
-            "photocurrent-solve",
-            "photocurrent-gpu",
-            "photocurrent-scene",
-            "photocurrent-diagnosis",
-            "photocurrent-store",
-            "photocurrent-formats",
-        ],
-    ),
-    (
-        "src/python",
-        "photocurrent-python",
-        &[
-            "photocurrent",
-            "photocurrent-core",
-            "photocurrent-store",
-            "photocurrent-formats",
-            "photocurrent-engine",
-            "photocurrent-nodes",
-        ],
-    ),
-];
 
 /// Not part of a bare `cargo build`: what is built for a Python, whose tests are Python's, and what is built
 /// with the feature `gpu`, which brings sixty crates.
@@ -567,7 +509,7 @@ fn truth_is_seen_by_scorers_and_by_those_who_make_show_and_store_it() {
         "nodes/write/recording.rs",
         "nodes/write/contact_sheet.rs",
     ];
-    let carries = ["src/core", "src/store", "src/engine"];
+    let carries = ["src/core", "src/store", "src/engine", "src/python"];
     let allowed = |name: &str| is_under(name, &makes_or_shows) || is_under(name, &carries);
     refuse(
         &["Truth"],

@@ -70,7 +70,8 @@ impl Body {
             Meta::Tracks(meta) => Body::Series(Box::new(SeriesBody::create(opened, &**meta)?)),
             Meta::Light(meta) => Body::Series(Box::new(SeriesBody::create(opened, &**meta)?)),
             Meta::Map(meta) => Body::Map(MapBody::create(opened, meta)?),
-            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => Body::Whole(None),
+            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) => Body::Whole(None),
+            Meta::Absent { .. } => Body::Whole(None),
         })
     }
 }
@@ -88,8 +89,8 @@ impl ValueWriter {
         Ok(ValueWriter { digest, opened, meta: without_hint(meta), missing, body })
     }
 
-    /// Writes the rows of a value as all rows of one by itself ([`Value::alone`]), as they are: neither packed
-    /// nor digested. Gives the size of the file in bytes.
+    /// Writes the rows of a value as all rows of one by itself ([`Value::alone`]), as they are: neither
+    /// packed nor digested. Gives the size of the file in bytes.
     ///
     /// # Errors
     /// When the value cannot be read or the file cannot be written.

@@ -100,7 +100,7 @@ impl MapGroup {
         MapSolution { t_ns, log_photocurrent, variance, outcome: outcome.expect("every task has one answer") }
     }
 
-    /// Solves `tasks`, with the evidence or without. Not generic, so that the passes are compiled once, and here.
+    /// Solves `tasks`, with the evidence or without. Not generic, so that the passes are compiled once, here.
     pub(crate) fn solve_with(
         &mut self,
         tasks: &[MapTask<'_>],

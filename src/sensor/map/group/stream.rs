@@ -10,31 +10,31 @@ use crate::wide::Wide;
 use photocurrent_core::sensor::Reset;
 
 /// An event: voltage is reference plus or minus a threshold.
-pub(in super::super) const EVENT: u64 = 1;
+pub(crate) const EVENT: u64 = 1;
 /// A frame value: collected light is the target.
-pub(in super::super) const FRAME: u64 = 2;
+pub(crate) const FRAME: u64 = 2;
 /// Log light is the target.
-pub(in super::super) const LIGHT: u64 = 4;
+pub(crate) const LIGHT: u64 = 4;
 /// NoEvent: voltage and reference are less than a threshold apart.
-pub(in super::super) const NO_EVENT: u64 = 8;
+pub(crate) const NO_EVENT: u64 = 8;
 /// With [`FRAME`]: the value is a lower bound.
-pub(in super::super) const BOUND: u64 = 16;
+pub(crate) const BOUND: u64 = 16;
 /// No measurement: the reference moves by a threshold.
-pub(in super::super) const MOVE: u64 = 32;
+pub(crate) const MOVE: u64 = 32;
 /// After the measurement an exposure begins.
-pub(in super::super) const EXPOSE: u64 = 64;
+pub(crate) const EXPOSE: u64 = 64;
 /// After it the reference becomes the voltage of now.
-pub(in super::super) const LATCH: u64 = 128;
+pub(crate) const LATCH: u64 = 128;
 /// The step has a segment.
-pub(in super::super) const SEGMENT: u64 = 256;
+pub(crate) const SEGMENT: u64 = 256;
 /// With [`EVENT`] and [`MOVE`]: the polarity is ON.
-pub(in super::super) const RISE: u64 = 512;
+pub(crate) const RISE: u64 = 512;
 /// All that can be at a step but once.
 const TAKES: u64 = EVENT | FRAME | LIGHT | NO_EVENT | MOVE;
 
 /// A step of one pixel.
 #[derive(Clone, Copy, Debug)]
-pub(in super::super) struct Step {
+pub(crate) struct Step {
     pub knot: u32,
     /// What is there, of the bits above. The first step of a pixel counts as one that has a segment.
     pub what: u64,
@@ -48,7 +48,7 @@ pub(in super::super) struct Step {
 
 /// The steps of one pixel; kept from pixel to pixel for its memory.
 #[derive(Clone, Debug, Default)]
-pub(in super::super) struct Stream {
+pub(crate) struct Stream {
     pub steps: Vec<Step>,
     /// The first step of each knot.
     pub first_step: Vec<u32>,
@@ -56,7 +56,7 @@ pub(in super::super) struct Stream {
 
 impl Stream {
     /// Writes down what happens at `knots`.
-    pub(in super::super) fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots) {
+    pub(crate) fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots) {
         let MapProblem { sensor, noise, frames, hints, .. } = problem;
         self.steps.clear();
         self.first_step.clear();
@@ -114,19 +114,14 @@ impl Stream {
 
     /// Of the values of a lane at each step, those at each knot: all steps of a knot have one light, and its
     /// last what is known after all that happens there.
-    pub(in super::super) fn of_knots<const W: usize>(
-        &self,
-        steps: &[Wide<W>],
-        lane: usize,
-        knots: &mut Vec<f64>,
-    ) {
+    pub(crate) fn of_knots<const W: usize>(&self, steps: &[Wide<W>], lane: usize, knots: &mut Vec<f64>) {
         let ends = self.first_step.iter().skip(1).map(|first| *first as usize).chain([self.steps.len()]);
         knots.clear();
         knots.extend(ends.map(|end| steps[end - 1].0[lane]));
     }
 
     /// A lane of the values at each step becomes those at the knots; behind the pixel's end the last.
-    pub(in super::super) fn spread<const W: usize>(&self, knots: &[f64], lane: usize, steps: &mut [Wide<W>]) {
+    pub(crate) fn spread<const W: usize>(&self, knots: &[f64], lane: usize, steps: &mut [Wide<W>]) {
         for (s, value) in steps.iter_mut().enumerate() {
             value.0[lane] =
                 self.steps.get(s).map_or(knots[knots.len() - 1], |step| knots[step.knot as usize]);
