@@ -18,13 +18,6 @@ pub enum Backend {
     Gpu,
 }
 
-impl Backend {
-    /// Nothing is written of the processor: results of before keep their keys.
-    pub(super) fn is_cpu(&self) -> bool {
-        *self == Backend::Cpu
-    }
-}
-
 /// What solves, with its name.
 pub(super) struct Machine {
     card: Option<String>,
@@ -34,7 +27,7 @@ impl Machine {
     /// # Errors
     /// When a card is wanted, and there is none or the program was built without.
     pub(super) fn new(backend: Backend) -> Result<Machine, NodeError> {
-        Ok(Machine { card: if backend.is_cpu() { None } else { Some(card::name()?) } })
+        Ok(Machine { card: if backend == Backend::Cpu { None } else { Some(card::name()?) } })
     }
 
     /// Of a card: its name, driver and version.

@@ -24,11 +24,9 @@ pub struct Params {
     /// How pixels are solved.
     #[serde(flatten)]
     pub options: SolveOptions,
-    /// What solves them: `cpu`, this processor, or `gpu`, a graphics card, for programs built with the feature
-    /// `gpu`; without either it is an error. Noise and prior are chosen, effects undone and lost events found
-    /// on the processor then too.
-    #[serde(skip_serializing_if = "Backend::is_cpu")]
-    #[schemars(extend("default" = "cpu"))]
+    /// What solves them: `cpu`, this processor, or `gpu`, a graphics card, for programs built with the
+    /// feature `gpu`; without either it is an error. Noise and prior are chosen, effects undone and lost
+    /// events found on the processor then too.
     pub backend: Backend,
 }
 

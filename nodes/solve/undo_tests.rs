@@ -159,7 +159,7 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
         // A gain that all frames share is in the light and in the predicted frames alike: those cannot
         // decide.
         let is_predicted = after.1 < before.1 || (is_of_frames && after.1 < 1.1 * clean.1 + 0.5);
-        if !(after.0 < 0.55 * before.0 && is_predicted) {
+        if !(after.0 < 0.6 * before.0 && is_predicted) {
             failed.push(format!("{effects}: clean {clean:.3?}, nominal {before:.3?}, fitted {after:.3?}"));
         }
     }
