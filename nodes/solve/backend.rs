@@ -144,10 +144,10 @@ mod tests {
     }
 
     #[test]
-    fn the_processor_has_no_part_in_keys() {
+    fn which_processor_it_is_has_no_part_in_keys() {
         let of = |params: &Params| serde_json::to_value(params).unwrap();
         assert!(SolveMap::build(Params::default()).unwrap().machine().is_none());
-        assert!(of(&Params::default()).get("backend").is_none());
+        assert_eq!(of(&Params::default())["backend"], "cpu");
         let gpu = Params { backend: Backend::Gpu, ..Params::default() };
         assert_eq!(of(&gpu)["backend"], "gpu");
     }
