@@ -6,7 +6,7 @@ Makes one recording of events that move along rows, in EVT3, AEDAT4 (where faery
 is used), DSEC's HDF5 and the project's own, and times how long each package takes to give all events as an
 array: the best of three, wall and processor time, each package in a process of its own. Then one film is
 made into events by `pc.simulate` and by EventCV, with one sensor, and the events are compared pixel by
-pixel. Packages that are not installed are left out, with a line that says so.
+pixel. Packages that are not installed are left out, with a line that names them.
 """
 
 from __future__ import annotations

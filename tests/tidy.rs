@@ -374,7 +374,7 @@ fn networks_are_run_in_one_place() {
 #[test]
 fn cards_are_used_in_one_place() {
     only_in("wgpu", &["src/gpu"]);
-    refuse(&["wgpu::"], &["src", "nodes"], |file| is_under(file, &["src/gpu"]), "only src/gpu knows cards");
+    refuse(&["wgpu::"], &["src", "nodes"], |file| is_under(file, &["src/gpu"]), "only src/gpu opens cards");
 }
 
 #[test]

@@ -136,19 +136,21 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
     let stated = sensor("");
     let clean = errors(&record(&stated), &stated);
     let mut failed = Vec::new();
-    for effects in [
-        "second_pole = { tau = \"700 us\" }",
-        "leak_events = { rate = \"40 Hz\" }",
-        "dark_current = { current = 25 }",
-        "high_pass_front_end = { tau = \"30 ms\" }",
-        "reset_memory = { fraction = 0.4 }",
-        "threshold_gradient = { fraction = 0.6 }",
-        "clock_drift = { rate = 0.01 }",
-        "row_skew = { per_row = \"150 us\" }",
-        "exposure_time = { difference = \"1 ms\" }",
-        "image_lag = { fraction = 0.15 }",
-        "vignetting = { falloff = 0.4 }",
-        "frame_nonlinearity = { fraction = 0.1 }",
+    // What is left of the error of log light, at most. A gradient that is not stated does less harm than the
+    // other effects: 0.0145, of which 0.0083 are left.
+    for (effects, left) in [
+        ("second_pole = { tau = \"700 us\" }", 0.1),
+        ("leak_events = { rate = \"40 Hz\" }", 0.3),
+        ("dark_current = { current = 25 }", 0.4),
+        ("high_pass_front_end = { tau = \"30 ms\" }", 0.25),
+        ("reset_memory = { fraction = 0.4 }", 0.5),
+        ("threshold_gradient = { fraction = 0.6 }", 0.6),
+        ("clock_drift = { rate = 0.01 }", 0.1),
+        ("row_skew = { per_row = \"150 us\" }", 0.15),
+        ("exposure_time = { difference = \"1 ms\" }", 0.1),
+        ("image_lag = { fraction = 0.15 }", 0.25),
+        ("vignetting = { falloff = 0.4 }", 0.1),
+        ("frame_nonlinearity = { fraction = 0.1 }", 0.1),
     ] {
         let actual = sensor(effects);
         let recorded = record(&actual);
@@ -159,7 +161,7 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
         // A gain that all frames share is in the light and in the predicted frames alike: those cannot
         // decide.
         let is_predicted = after.1 < before.1 || (is_of_frames && after.1 < 1.1 * clean.1 + 0.5);
-        if !(after.0 < 0.6 * before.0 && is_predicted) {
+        if !(after.0 < left * before.0 && is_predicted) {
             failed.push(format!("{effects}: clean {clean:.3?}, nominal {before:.3?}, fitted {after:.3?}"));
         }
     }

@@ -4,7 +4,7 @@
 //! what it does not read any more is let go. Any other trouble with stdout, such as a full disk, is an error;
 //! trouble with stderr has nobody left to hear of it.
 //!
-//! A program that runs commands in its own process ([`crate::embed`]) hears both streams instead.
+//! A program that runs commands in its own process ([`crate::embed`]) receives both streams instead.
 
 use crate::failure::Failure;
 use photocurrent_engine::Observer;
@@ -48,13 +48,13 @@ pub fn host_observer() -> Option<Arc<dyn Observer + Send + Sync>> {
     HOST.with(|host| host.borrow().as_ref().and_then(|host| host.observer.clone()))
 }
 
-/// Is stderr a terminal that a person sits at? Never where a host hears it.
+/// Is stderr a terminal that a person sits at? Never where a host receives it.
 pub fn is_terminal() -> bool {
     host_cancel().is_none() && std::io::stderr().is_terminal()
 }
 
-/// Adds text to what a host hears; false without one.
-fn heard(add: impl FnOnce(&mut Host)) -> bool {
+/// Adds text to what a host receives; false without one.
+fn received(add: impl FnOnce(&mut Host)) -> bool {
     HOST.with(|host| host.borrow_mut().as_mut().map(add).is_some())
 }
 
@@ -68,7 +68,7 @@ pub(crate) use say;
 
 /// What [`say`] does.
 pub fn talk(line: std::fmt::Arguments<'_>) {
-    if heard(|host| host.err.push_str(&format!("{line}\n"))) {
+    if received(|host| host.err.push_str(&format!("{line}\n"))) {
         return;
     }
     let mut stderr = std::io::stderr().lock();
@@ -79,7 +79,7 @@ pub fn talk(line: std::fmt::Arguments<'_>) {
 /// Writes data to stdout, whole; a line's end is added where there is none.
 pub fn print(text: &str) -> Result<(), Failure> {
     let end = if text.ends_with('\n') { "" } else { "\n" };
-    if heard(|host| host.out.extend([text, end])) {
+    if received(|host| host.out.extend([text, end])) {
         return Ok(());
     }
     match written(&mut std::io::stdout().lock(), text) {

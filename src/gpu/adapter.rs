@@ -29,7 +29,7 @@ fn described(info: &wgpu::AdapterInfo) -> String {
     format!("{}, {}, {:?}", info.name, driver.trim(), info.backend)
 }
 
-/// All cards of this machine, in words.
+/// All cards of this machine, software last.
 pub(crate) fn adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::VULKAN;

@@ -1,9 +1,9 @@
 //! Batches of pixels on the card.
 
 use crate::adapter::{self, Opened};
-use crate::layout::{Batch, Cut, Pixel, State, batches, cells_of, cut, variant};
+use crate::layout::{Batch, Cut, batches, cells_of, cut, variant};
+use crate::structs::{Params, Pixel, State};
 use crate::template::{BINDINGS, LARGEST_BINDING, Real, Variant, columns, descend, last};
-use bytemuck::{Pod, Zeroable};
 use photocurrent_core::NodeError;
 use photocurrent_sensor::map::laid::{ATTEMPTS, Laid};
 use photocurrent_sensor::map::{Elsewhere, MapSolution, MapTask};
@@ -34,23 +34,10 @@ impl Default for CardOptions {
 
 /// Threads of a workgroup, as the shaders state them.
 const WORKGROUP: u32 = 64;
-/// Attempts at steps between two looks at how many pixels are still on their way.
+/// Attempts at steps after which the pixels that are still on their way are counted.
 const BURST: usize = 5;
 /// Bytes of a cell: what is given and happens, work, and what steps keep at seven states.
 const CELL_BYTES: u64 = 4 * (columns::GIVEN as u64 + 1 + columns::WORK as u64 + columns::MOVE as u64 + 3 * 8);
-
-/// `Params` of shaders/pixel.wgsl.
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-#[repr(C)]
-struct Params {
-    first: u32,
-    end: u32,
-    cells: u32,
-    zero: u32,
-    with_evidence: u32,
-    with_variance: u32,
-    unused: [u32; 2],
-}
 
 /// Why a task was left to the processor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -308,7 +295,7 @@ impl Card {
     }
 
     /// The first `count` numbers of a buffer, when all that was submitted is done.
-    fn read<T: Pod>(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<T>, NodeError> {
+    fn read<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<T>, NodeError> {
         let slice = buffer.slice(..(count * size_of::<T>()) as u64);
         slice.map_async(wgpu::MapMode::Read, |_| {});
         let waited = self.opened.device.poll(wgpu::PollType::wait_indefinitely());

@@ -1,9 +1,9 @@
 //! Pixels as the shaders read them: laid out by the solver's own code, rounded to single precision, side by
 //! side in groups.
 
+use crate::structs::{Pixel, Place, State};
 use crate::template::codes::{CONVERGED, KEPT, REFUSED, UNFINISHED};
 use crate::template::{Family, LANES, Variant, columns};
-use bytemuck::{Pod, Zeroable};
 use photocurrent_sensor::map::laid::{self, Laid};
 use photocurrent_sensor::map::{
     MapOptions, MapOutcome, MapProblem, MapSolution, MapStatus, MapTask, Offsets, Prior, Second,
@@ -13,79 +13,6 @@ use rayon::prelude::*;
 
 /// Distances between steps that fit where the neighbourhoods of the prior stand.
 const FARTHEST: usize = 0xffff;
-
-/// `Pixel` of shaders/pixel.wgsl.
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-#[repr(C)]
-pub(crate) struct Pixel {
-    pub cell: u32,
-    pub steps: u32,
-    max_iterations: u32,
-    second_steps: u32,
-    start: f32,
-    limit: f32,
-    tolerance: f32,
-    tau_0_s: f32,
-    alpha_s: f32,
-    on: f32,
-    off: f32,
-    event: f32,
-    reference_variance: f32,
-    threshold_variance: f32,
-    no_event_sigma: f32,
-    stamp_sigma_s: f32,
-    /// Local variance: square of the floor; Student's t: degrees of freedom times the variance.
-    spread: f32,
-    /// Local variance: memory, s; Student's t: degrees of freedom and one.
-    tails: f32,
-    second_event: f32,
-    least_misfit: f32,
-    most_misfit: f32,
-    second_keeps: f32,
-    measured: f32,
-    rising: f32,
-    falling: f32,
-}
-
-/// `Place` of shaders/pixel.wgsl.
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-#[repr(C)]
-pub(crate) struct Place {
-    u0: f32,
-    reference: f32,
-    on: f32,
-    off: f32,
-    no_event_sigma: f32,
-    measured: f32,
-    no_event_square: f32,
-    event_square: f32,
-    frame_square: f32,
-    largest: f32,
-    largest_step: u32,
-    events: u32,
-    frames: u32,
-    iterations: u32,
-    status: u32,
-}
-
-/// `State` of shaders/pixel.wgsl.
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-#[repr(C)]
-pub(crate) struct State {
-    here: Place,
-    plain: Place,
-    is_stepping: u32,
-    stage: u32,
-    second: u32,
-    attempts: u32,
-    damping: f32,
-    cost: f32,
-    expected_on: f32,
-    expected_off: f32,
-    event: f32,
-    column: u32,
-    evidence: f32,
-}
 
 /// A step, rounded: a number for each column that is given.
 #[derive(Clone, Copy, Debug, Default)]
@@ -258,7 +185,7 @@ impl Batch {
     }
 
     /// Gives each answer, with its place among the tasks, to `take`; `fetched` has the increments of log
-    /// light, then, where `with_sigma` says so of a task, its variances.
+    /// light, then, where `with_sigma` is true of a task, its variances.
     pub(crate) fn answers(
         &self,
         states: &[State],

@@ -20,6 +20,7 @@
 mod adapter;
 mod card;
 mod layout;
+mod structs;
 mod template;
 
 pub use adapter::ADAPTER_VARIABLE;

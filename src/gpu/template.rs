@@ -5,6 +5,7 @@
 //! `$N`, `$HALF` and the states `$U`, `$Z`, `$V`, `$S`, `$R`, `$ON`, `$OFF` are numbers everywhere. So every
 //! index is a constant, and states stay in registers.
 
+use crate::structs;
 use photocurrent_sensor::map::laid;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -107,7 +108,7 @@ fn shader(variant: Variant, real: Real, own: &str) -> String {
         Real::Pair => ("vec2<f32>", include_str!("shaders/pair.wgsl")),
     };
     let constants = constants(variant.states());
-    let texts = [constants.as_str(), PIXEL, arithmetic, STATES, WALK, own];
+    let texts = [constants.as_str(), structs::WGSL, PIXEL, arithmetic, STATES, WALK, own];
     // An alias would be a type of its own inside arrays.
     let texts = texts.join("\n").replace("REAL", name);
     let family = match variant.family {

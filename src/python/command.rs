@@ -15,7 +15,7 @@ pub fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 }
 
 /// Runs a command, without the name of the program, and gives its exit code, stdout and stderr. `progress`
-/// is called as [`wait`] says.
+/// is called as [`wait`] states.
 #[pyfunction]
 #[pyo3(signature = (arguments, progress=None))]
 pub fn command(

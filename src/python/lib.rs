@@ -5,7 +5,7 @@
 //! data: an opened file (`source`), the results of a run (`run`), a value (`values`).
 //!
 //! - `command`: every command of the program, with its streams as texts.
-//! - `waiting`: work in a thread of its own, while Python gets its signals and hears of progress.
+//! - `waiting`: work in a thread of its own, while Python receives its signals and progress.
 //! - `events`: events as structured arrays, in the order of time.
 //! - `arrays`: arrays as a recording in a file; events as voxel grids.
 

@@ -1,5 +1,5 @@
 // The last pass: evidence and posterior variances of log light, in REAL. `group/variance.rs` and
-// `curvature.rs` of photocurrent-sensor say what it does.
+// `curvature.rs` of photocurrent-sensor have the algebra.
 
 // Filters forward at the answer; gives the evidence.
 fn forward() -> f32 {
@@ -11,19 +11,7 @@ fn forward() -> f32 {
     var sum = 0.0;
     for (var s = 0u; s < pixel.steps; s++) {
         let what = whats[cell(s)] & 0xffffu;
-        if (what & SEGMENT) != 0u && s > 0u {
-            let length_s = given_at(LENGTH, s);
-            let w = work_at(state.column, s);
-            let e = go_along(&along, s, length_s, w, w);
-            let move_ = advance(&chain, s, w, length_s, e);
-            predict(&f, move_, e.fresh, -along.surprise);
-            keep_move(move_, s);
-        }
-        var seen = sight(chain, what, s, on, off);
-        if (seen.what & NO_EVENT) != 0u && state.here.no_event_sigma == 0.0 {
-            seen.what = 0u;
-        }
-        whats[cell(s)] = what | (seen.what << 16u);
+        let seen = arrive(&f, &chain, &along, s, on, off);
         if seen.what != 0u {
             // `take` gives the pull, innovation times information.
             let weight = see(&f, seen);

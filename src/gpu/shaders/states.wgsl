@@ -227,3 +227,29 @@ fn transposed(m: Move, c: array<REAL, 4>) -> array<REAL, 4> {
         c[3],
     );
 }
+
+// Predicts to a step and finds what counts there, at the light of now; what is seen stands at the step as well.
+fn arrive(
+    f: ptr<function, Filtered>,
+    chain: ptr<function, Chain>,
+    along: ptr<function, Along>,
+    s: u32,
+    on: f32,
+    off: f32,
+) -> Sight {
+    let what = whats[cell(s)] & 0xffffu;
+    if (what & SEGMENT) != 0u && s > 0u {
+        let length_s = given_at(LENGTH, s);
+        let w = work_at(state.column, s);
+        let e = go_along(along, s, length_s, w, w);
+        let move_ = advance(chain, s, w, length_s, e);
+        predict(f, move_, e.fresh, -(*along).surprise);
+        keep_move(move_, s);
+    }
+    var seen = sight(*chain, what, s, on, off);
+    if (seen.what & NO_EVENT) != 0u && state.here.no_event_sigma == 0.0 {
+        seen.what = 0u;
+    }
+    whats[cell(s)] = what | (seen.what << 16u);
+    return seen;
+}

@@ -33,7 +33,7 @@ fn no_event_cost(sigma: f32, square: f32) -> f32 {
 }
 
 // Goes along the light of now, moved by `share` of its change where `moves_light`: that light is then written
-// to the other column, with its energies. `at` says where it begins and with which offsets. The prior's cost
+// to the other column, with its energies. `at` is where it begins, with its offsets. The prior's cost
 // is at the scales of the light of now.
 fn walk(at: Place, moves_light: bool, share: f32) -> Cost {
     var chain = begin_chain(at.u0, at.reference);

@@ -38,7 +38,7 @@ class Parameter:
 @dataclass(frozen=True)
 class Finding:
     """An effect that the description lacks: its id in the catalogue (docs/effects.md), in plain words, its
-    equation, its size, and everything else that the report says of it (`detail`)."""
+    equation, its size, and everything else that the report has of it (`detail`)."""
 
     id: str
     plain: str

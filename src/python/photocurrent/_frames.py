@@ -81,7 +81,7 @@ class Frames:
     dn : float32 array, [frame, y, x] or [frame, y, x, 3]
         Linear digital numbers; NaN where a value is not known.
     sigma : float32 array of the same shape, or None
-        Standard deviation of every value, DN, where the method knows it.
+        Standard deviation of every value, DN, where the method estimates one.
     exposures : float64 array, [frame, 2]
         Start and end of row 0, us.
     row_time : float

@@ -253,7 +253,7 @@ def export(step: Step) -> Path:
 
 
 def heard(ran: _native.Run) -> None:
-    """Logs what nodes had to say, and raises what failed."""
+    """Logs the notes of nodes, and raises what failed."""
     for warning in ran.warnings:
         log.warning("%s", warning)
     if ran.code != 0:

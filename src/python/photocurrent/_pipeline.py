@@ -32,7 +32,7 @@ class Run:
     table : str
         The table that the command prints.
     notes : str
-        What the command says on stderr.
+        What the command writes to stderr.
     """
 
     def __init__(self, native: _native.Run) -> None:

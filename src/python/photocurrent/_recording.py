@@ -74,7 +74,7 @@ class Recording:
         Width and height of the event array; the smallest that holds every event, or the frames', unless
         given. Frames have this size or a whole multiple of it.
     colour
-        `"mono"`, `"rgb"` or a mosaic such as `"bayer_rggb"`; what the shape of `frames` says unless given.
+        `"mono"`, `"rgb"` or a mosaic such as `"bayer_rggb"`; from the shape of `frames` unless given.
     sensor
         The sensor description.
     time_unit
@@ -280,7 +280,7 @@ class Recording:
     # What is done with it.
 
     def inspect(self) -> Inspection:
-        """What it holds and what is suspicious about it, as the command `inspect` says."""
+        """What it holds and what is suspicious about it, as the command `inspect` finds it."""
         arguments = self._arguments()
         found = Inspection(json.loads(command(["inspect", "--json", *arguments], (0, 3))[1])["files"][0])
         found.text = command(["inspect", *arguments], (0, 3))[1]
@@ -410,7 +410,7 @@ class Recording:
         start, end
             The window, its end left out; the whole recording unless given.
         normalise
-            Whether cells are divided as the layout says.
+            Whether cells are divided as the layout states.
 
         Returns
         -------
@@ -590,7 +590,7 @@ def _options(params: Mapping[str, Any]) -> list[str]:
 def _opened(path: Path, params: dict[str, Any]) -> Recording:
     source = _native.Source.open(path, json.dumps({"path": str(path), **params}))
     if source is None:
-        # The command says what it is instead.
+        # The command's message names what it is instead.
         command(["inspect", "--json", str(path)])
         raise _errors.UsageError(
             f"error: {path}: this is a stored artefact, no recording\n  hint: pc.run gives its value"
@@ -608,7 +608,7 @@ def open(path: str | os.PathLike[str], **declared: Any) -> Recording:
     path
         A file or folder; its content decides what it is.
     **declared
-        What the file does not say, by the names of the readers' parameters (docs/nodes.md):
+        What the file does not state, by the names of the readers' parameters (docs/nodes.md):
         `time_unit="us"`, `extent=(width, height)`, `frames="folder"`, `stamps="times.txt"`,
         `exposure="5 ms"`, `stamp="start"`, `transfer="srgb"`, `row_time="0 us"`, `camera="left"` ...
 
@@ -662,11 +662,11 @@ def init(
     described.unlink(missing_ok=True)
     arguments = ["init", *files, "-o", str(manifest), "--force"]
     arguments += [f"--accept={name}" for name in accept]
-    said = command(arguments, (0, 3))[2]
+    notes = command(arguments, (0, 3))[2]
     if described.exists():
         sensor = Sensor.parse(described.read_text(encoding="utf-8"))
     else:
         whole = recording if isinstance(recording, Recording) else open(files[0])
         sensor = whole.sensor or Sensor()
-    sensor.notes = [line for line in said.splitlines() if line.startswith(("note: ", "set: ", "check: "))]
+    sensor.notes = [line for line in notes.splitlines() if line.startswith(("note: ", "set: ", "check: "))]
     return sensor

@@ -1,4 +1,4 @@
-"""Where results are kept, how the machine is used, who hears of progress."""
+"""Where results are kept, how the machine is used, where progress goes."""
 
 from __future__ import annotations
 

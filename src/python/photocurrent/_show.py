@@ -37,7 +37,7 @@ def limits(values: npt.NDArray[np.float32]) -> tuple[float, float]:
 
 
 def grey(values: npt.NDArray[np.float32], low: float, high: float) -> Grey:
-    """Linear values as 8 bits for looking, by a square root as eyes want it; what is not known is black."""
+    """Linear values as 8 bits for display, by a square root; unknown values are black."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     made: Grey = np.nan_to_num(255.0 * np.sqrt(part)).astype(np.uint8)
     return made

@@ -45,7 +45,7 @@ def scene(name: str, sensor: Described, **params: Any) -> Light:
         `"pellet"`, `"fan"`, `"checkerboard"`, `"siemens_disk"`, `"texture"` ... (docs/nodes.md, node
         `simulate/scene`).
     sensor
-        The sensor that looks at it: its photocurrent per lux and its gain.
+        The sensor that records it: its photocurrent per lux and its gain.
     **params
         Parameters of the node, such as `width=128`, `height=96`, `duration="80 ms"`,
         `illuminance="800 lx"`.
@@ -73,12 +73,12 @@ def film(
     ----------
     frames
         An array [frame, y, x], or [frame, y, x, 3] of uint8 in colour; or a folder of pictures, or a Y4M
-        file. uint8 and uint16 count from black to full white, and are sRGB unless `transfer` says otherwise;
+        file. uint8 and uint16 count from black to full white, and are sRGB unless `transfer` states another curve;
         floats are linear light from 0 to 1, kept in steps of 1/65535.
     sensor
-        The sensor that looks at it.
+        The sensor that records it.
     rate
-        Frames per second at which it was taken; needed unless a Y4M file says so.
+        Frames per second at which it was taken; needed unless a Y4M file states it.
     **params
         Parameters of the node `simulate/video` (docs/nodes.md): `illuminance="1000 lx"` on full white,
         `transfer="linear"`, `black=0.01`, `truth_rate="1 kHz"`, `start=`, `duration=`.
@@ -180,7 +180,7 @@ def simulate(
     """
     if not isinstance(light, Light):
         if sensor is None:
-            raise _errors.UsageError("error: a film needs the sensor that looks at it\n  hint: sensor=")
+            raise _errors.UsageError("error: a film needs the sensor that records it\n  hint: sensor=")
         made = globals()["film"]
         light = made(light, sensor, rate, **{"exposure": time_text(exposure), **(film or {})})
     assert isinstance(light, Light)

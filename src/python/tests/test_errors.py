@@ -33,7 +33,7 @@ def test_a_mistake_in_a_manifest_is_shown_as_the_command_shows_it(tmp_path: Path
 def test_a_node_that_fails_raises_what_the_command_says(
     root: Path, tmp_path: Path, recording: pc.Recording, cli: Command
 ) -> None:
-    bare = pc.Sensor({"name": "knows nothing"})
+    bare = pc.Sensor({"name": "bare"})
     with pytest.raises(pc.UsageError, match="threshold") as raised:
         pc.solve(recording, bare)
     assert "does not state" in str(raised.value)

@@ -5,7 +5,9 @@
 //! iteration again, and nothing of what comes before them.
 
 use super::group::stream::{self, Stream};
-pub use super::group::{ATTEMPTS, FIRST_DAMPING, FIRST_VARIANCE, LOG_LIMIT, LONGEST_STEP, NO_EVENT_FROM};
+pub use super::group::{
+    ATTEMPTS, FIRST_DAMPING, FIRST_VARIANCE, LOG_LIMIT, LOG_TWO_PI, LONGEST_STEP, NO_EVENT_FROM,
+};
 use super::knots::Knots;
 use super::options::MapTask;
 pub use super::prior::FIRST_SLOPE_VARIANCE;
@@ -17,8 +19,6 @@ use super::start::Start;
 pub const EVENT: u32 = stream::EVENT as u32;
 /// A frame value: collected light is the target.
 pub const FRAME: u32 = stream::FRAME as u32;
-/// Log light is the target.
-pub const LIGHT: u32 = stream::LIGHT as u32;
 /// No event: voltage and reference are less than a threshold apart.
 pub const NO_EVENT: u32 = stream::NO_EVENT as u32;
 /// With [`FRAME`]: the value is a lower bound.
@@ -35,8 +35,6 @@ pub const SEGMENT: u32 = stream::SEGMENT as u32;
 pub const RISE: u32 = stream::RISE as u32;
 /// The step is the last of a knot.
 pub const LAST: u32 = 1024;
-/// Natural log of twice pi.
-pub const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
 
 /// A step of a pixel: at most a segment, then at most one measurement, then at most a new exposure and a new
 /// reference.

@@ -4,7 +4,7 @@
 //! light that stays within a threshold of an old reference, and a first event after it that is one threshold
 //! away from that. Frames say otherwise, and the wrong event bends light and thresholds far around. So where
 //! a measurement is far off, the pixel's longest gaps near by are tried: solved again as stretches in which
-//! events were lost. Nothing in them is trusted but frames, and the first event after them only takes the
+//! events were lost. Nothing in them counts but frames, and the first event after them only takes the
 //! reference anew. What makes the measurements clearly more likely is kept.
 //!
 //! Limits: a stretch must hold the middle of an exposure and end with an event.

@@ -45,7 +45,7 @@ pub(crate) const FORMAT: &str = "photocurrent-artefact/1";
 pub struct ValueWriter {
     opened: Opened,
     meta: Meta,
-    /// None for a band that is kept: nobody asks for its digest.
+    /// None for a band that is kept: its digest is not used.
     digest: Option<ValueDigest>,
     /// Rows still to come; empty for what is not banded.
     missing: Rows,

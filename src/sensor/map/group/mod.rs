@@ -19,5 +19,6 @@ mod variance;
 mod waiting;
 
 pub use lane::{ATTEMPTS, FIRST_DAMPING, NO_EVENT_FROM};
+pub use passes::LOG_TWO_PI;
 pub use solve::MapGroup;
 pub use solve::{FIRST_VARIANCE, LOG_LIMIT, LONGEST_STEP};

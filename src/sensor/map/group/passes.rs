@@ -135,6 +135,9 @@ pub(super) struct Ask<'a, const W: usize> {
     pub threshold_variance: Wide<W>,
 }
 
+/// Natural log of twice pi.
+pub const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
+
 /// Sums that make the evidence.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Evidence<const W: usize> {
@@ -152,7 +155,6 @@ impl<const W: usize> Evidence<W> {
 
     /// Log of the marginal likelihood of a lane's measurements.
     pub(super) fn log(&self, lane: usize) -> f64 {
-        const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
         let log_information =
             libm::log(self.mantissa.0[lane]) + self.exponent.0[lane] * std::f64::consts::LN_2;
         -0.5 * (self.count.0[lane] * LOG_TWO_PI - log_information + self.squares.0[lane])

@@ -130,8 +130,8 @@ fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
                 assert_eq!(found.log_photocurrent, expected.log_photocurrent, "{reset:?} {n}");
                 assert_eq!(found.variance, expected.variance, "{reset:?} {n}");
                 assert_eq!(
-                    (found.outcome.misfit, found.outcome.largest_square),
-                    (expected.outcome.misfit, expected.outcome.largest_square),
+                    (found.outcome.misfit, found.outcome.largest_square, found.outcome.largest_ns),
+                    (expected.outcome.misfit, expected.outcome.largest_square, expected.outcome.largest_ns),
                     "{reset:?} {n}"
                 );
                 assert_eq!(found.outcome.log_evidence, expected.outcome.log_evidence, "{reset:?} {n}");
