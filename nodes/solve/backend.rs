@@ -51,7 +51,7 @@ impl<'a> OnMachine<'a> {
         let Some(name) = machine.name() else { return Ok(OnMachine { cx, elsewhere: None }) };
         let elsewhere = card::open(name)?;
         cx.note(format!(
-            "solved on {name}; noise and prior were chosen and lost events found on the processor"
+            "solved on {name}; noise and prior were chosen, effects undone and lost events found on the processor"
         ));
         Ok(OnMachine { cx, elsewhere: Some(elsewhere) })
     }
