@@ -131,7 +131,7 @@ impl Node for SimulateSensor {
         kind: "simulate/sensor",
         about: "What a described sensor records of a given light: events and frames, with the effects of \
                 its description.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Row { halo: HALO_ROWS },
         draws: true,
         exports: false,

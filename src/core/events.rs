@@ -111,26 +111,37 @@ impl EventBand {
     ///
     /// # Errors
     /// When an event lies outside `rows`.
-    pub fn from_events(rows: Rows, mut events: Vec<Event>) -> Result<EventBand, DataError> {
+    pub fn from_events(rows: Rows, events: Vec<Event>) -> Result<EventBand, DataError> {
         if let Some(event) = events.iter().find(|e| !(rows.start..rows.end).contains(&e.y.into())) {
             return Err(DataError::new(format!("an event at row {} does not belong to {rows}", event.y)));
         }
-        events.sort_by_key(|e| (e.y, e.t, e.x));
+        let row_of = |event: &Event| event.y as usize - rows.start as usize;
         let mut offsets = vec![0; rows.len() + 1];
         for event in &events {
-            offsets[event.y as usize - rows.start as usize + 1] += 1;
+            offsets[row_of(event) + 1] += 1;
         }
         for i in 1..offsets.len() {
             offsets[i] += offsets[i - 1];
         }
+        // Rows by counting; in a row, stamp, column and place in the given order are the digits of one number.
+        let mut next = offsets.clone();
+        let mut order = vec![0_u128; events.len()];
+        for (place, event) in events.iter().enumerate() {
+            let to = &mut next[row_of(event)];
+            let stamp = event.t as u64 ^ (1 << 63);
+            order[*to] = u128::from(stamp) << 64 | u128::from(event.x) << 48 | place as u128;
+            *to += 1;
+        }
+        offsets.windows(2).for_each(|row| order[row[0]..row[1]].sort_unstable());
+        let sorted = || order.iter().map(|digits| &events[(digits & 0xFFFF_FFFF_FFFF) as usize]);
         Ok(EventBand {
             start_row: rows.start,
-            offsets,
-            x: events.iter().map(|e| e.x).collect(),
-            on: events.iter().map(|e| (e.polarity == Polarity::On) as u8).collect(),
-            t: events.iter().map(|e| e.t).collect(),
-            t_in: events.iter().map(|e| e.t_in).collect(),
+            x: sorted().map(|e| e.x).collect(),
+            on: sorted().map(|e| (e.polarity == Polarity::On) as u8).collect(),
+            t: sorted().map(|e| e.t).collect(),
+            t_in: sorted().map(|e| e.t_in).collect(),
             step: None,
+            offsets,
         })
     }
 

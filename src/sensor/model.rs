@@ -13,7 +13,7 @@ use photocurrent_core::sensor::Reset;
 
 /// The usual step: a crossing is then exact to a part in 100,000 of the time that the light takes for the
 /// step, some nanoseconds.
-pub const LOG_STEP: f64 = 0.025;
+pub const LOG_STEP: f64 = 0.15;
 
 /// What the simulated pixel is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]

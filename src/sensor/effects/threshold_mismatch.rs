@@ -15,6 +15,7 @@ use super::{
     Unit, threshold_scale,
 };
 use photocurrent_core::random::Random;
+use std::cell::Cell;
 
 /// The catalogue entry.
 pub(super) const KIND: EffectKind = EffectKind {
@@ -66,6 +67,20 @@ pub(super) struct ThresholdMismatch {
     pub sigma: f64,
 }
 
+/// The two standard normal numbers of a pixel. Those of the last one are kept: a pixel needs them at every event.
+fn normals(site: &Site) -> [f64; 2] {
+    thread_local! {
+        static LAST: Cell<Option<(Site, [f64; 2])>> = const { Cell::new(None) };
+    }
+    if let Some((_, drawn)) = LAST.get().filter(|(of, _)| of == site) {
+        return drawn;
+    }
+    let mut own = site.random(KIND.decl.id);
+    let drawn = [own.normal(), own.normal()];
+    LAST.set(Some((*site, drawn)));
+    drawn
+}
+
 impl Effect for ThresholdMismatch {
     fn id(&self) -> &'static str {
         KIND.decl.id
@@ -79,9 +94,9 @@ impl Effect for ThresholdMismatch {
         _t_reset_ns: i64,
         thresholds: &mut Thresholds,
     ) {
-        let mut own = site.random(KIND.decl.id);
-        thresholds.on += self.sigma * own.normal();
-        thresholds.off += self.sigma * own.normal();
+        let [on, off] = normals(site);
+        thresholds.on += self.sigma * on;
+        thresholds.off += self.sigma * off;
     }
 
     fn chance(&self) -> Option<Chance> {

@@ -8,7 +8,7 @@
 //!
 //! Light is given at instants and is linear between them. Each piece is cut into steps by how much `ln i`
 //! changes; within a step the voltage has a closed form (`steps`) and the instant of a crossing is solved
-//! for, not rounded to the step. Halving `log_step` divides the error by eight. Front ends without a closed
+//! for, not rounded to the step. Halving `log_step` divides the error by 32. Front ends without a closed
 //! form are integrated with error control instead (`numeric`).
 //!
 //! - [`LinearLight`]: the light. [`Chain`]: the pixel, its reset rule and its effects. [`simulate`]: events.

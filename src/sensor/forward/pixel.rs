@@ -266,16 +266,18 @@ impl<N: PixelNoise> Run<'_, N> {
                     // The voltage runs after the light. While it does so in one direction, a crossing shows
                     // at the end; and it stays between where it is and where the light goes.
                     let is_outside = ends.iter().any(|input| *input >= high || *input <= low);
+                    let turns = || {
+                        let [first_slope, last_slope] = steps
+                            .end_slopes(n, voltage - first)
+                            .map(|slope| slope + drift_per_s * steps.length_s[n]);
+                        (first_slope > 0.0) != (last_slope > 0.0)
+                    };
                     let reach = drift_per_s.abs() * steps.length_s[n];
-                    let [first_slope, last_slope] = steps
-                        .end_slopes(n, voltage - first)
-                        .map(|slope| slope + drift_per_s * steps.length_s[n]);
-                    let turns = (first_slope > 0.0) != (last_slope > 0.0);
                     is_outside
                         || self.waits
-                        || turns
-                            && (first.max(last).max(voltage) + self.drift + reach >= high
-                                || first.min(last).min(voltage) + self.drift - reach <= low)
+                        || (first.max(last).max(voltage) + self.drift + reach >= high
+                            || first.min(last).min(voltage) + self.drift - reach <= low)
+                            && turns()
                 }
             };
             if may_fire {

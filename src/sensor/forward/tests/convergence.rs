@@ -13,7 +13,7 @@ fn apart(a: &[f64], b: &[f64]) -> f64 {
 }
 
 #[test]
-fn halving_the_step_divides_the_error_by_eight() {
+fn halving_the_step_divides_the_error_by_thirty_two() {
     // Coarse samples, so that ln i is really curved inside a piece, and a time constant that moves with it.
     let t_ns: Vec<i64> = (0..12).map(|n| n * 5_000_000).collect();
     let photocurrent = t_ns.iter().map(|&t| 0.5 + 0.4 * libm::sin(t as f64 * 3e-7)).collect();
@@ -30,12 +30,12 @@ fn halving_the_step_divides_the_error_by_eight() {
         events.iter().map(|event| event.t_in_ns as f64).collect::<Vec<f64>>()
     };
     let exact = times(0.005);
-    let errors = [0.4, 0.2, 0.1].map(|log_step| apart(&times(log_step), &exact));
-    assert!(errors[2] > 20.0, "far above the nanosecond of the stamps: {errors:?}");
+    let errors = [0.8, 0.4, 0.2].map(|log_step| apart(&times(log_step), &exact));
+    assert!(errors[2] > 1.5, "above the nanosecond of the stamps: {errors:?}");
     for pair in errors.windows(2) {
-        assert!(pair[0] / pair[1] > 5.5 && pair[0] / pair[1] < 16.0, "{errors:?}");
+        assert!(pair[0] / pair[1] > 18.0 && pair[0] / pair[1] < 60.0, "{errors:?}");
     }
-    assert!(apart(&times(LOG_STEP), &exact) < 20.0, "the usual step");
+    assert!(apart(&times(LOG_STEP), &exact) < 1.0, "the usual step");
 }
 
 #[test]
