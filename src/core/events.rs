@@ -123,7 +123,7 @@ impl EventBand {
         for i in 1..offsets.len() {
             offsets[i] += offsets[i - 1];
         }
-        // Rows by counting; in a row, stamp, column and place in the given order are the digits of one number.
+        // Rows by counting; in a row, stamp, column and place as given are the digits of one number.
         let mut next = offsets.clone();
         let mut order = vec![0_u128; events.len()];
         for (place, event) in events.iter().enumerate() {

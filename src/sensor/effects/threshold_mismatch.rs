@@ -67,7 +67,8 @@ pub(super) struct ThresholdMismatch {
     pub sigma: f64,
 }
 
-/// The two standard normal numbers of a pixel. Those of the last one are kept: a pixel needs them at every event.
+/// The two standard normal numbers of a pixel. Those of the last one are kept: a pixel needs them at every
+/// event.
 fn normals(site: &Site) -> [f64; 2] {
     thread_local! {
         static LAST: Cell<Option<(Site, [f64; 2])>> = const { Cell::new(None) };

@@ -224,9 +224,9 @@ impl StepResponse {
         }
     }
 
-    /// About where the input is `level`: on the exponential of constant light; otherwise on the cubic with the
-    /// same values and slopes at the step's ends, taken as `s` over value, or on a part of a step the straight
-    /// line.
+    /// About where the input is `level`: on the exponential of constant light; otherwise on the cubic with
+    /// the same values and slopes at the step's ends, taken as `s` over value, or on a part of a step the
+    /// straight line.
     fn guess(&self, level: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
         let rise = to.1 - from.1;
         let share = ((level - from.1) / rise).clamp(0.0, 1.0);

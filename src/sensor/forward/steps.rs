@@ -7,9 +7,9 @@
 //! and an addition, and the search for a crossing in the few steps that can hold one.
 //!
 //! Time is counted in time constants: with `theta = integral of dt / tau` the low-pass is
-//! `dV / dtheta = u - V`, `u = ln i`, for any course of `tau`. Light is linear in time within a step. `1 / tau`
-//! is taken at five instants a quarter of the step apart, and as the polynomial through them (Boole's rule
-//! gives theta); `u` as the polynomial in theta through the same instants; for it the voltage has a closed
+//! `dV / dtheta = u - V`, `u = ln i`, for any course of `tau`. Light is linear in time within a step. `1 /
+//! tau` is taken at five instants a quarter of the step apart, and as the polynomial through them (Boole's
+//! rule gives theta); `u` as the polynomial in theta through the same instants; for it the voltage has a closed
 //! form. The error of a step is of fifth order in the change of `ln i`; constant light is exact over any
 //! length, and so is a time constant of zero.
 
@@ -21,8 +21,8 @@ use multiversion::multiversion;
 /// Steps prepared in one go: their arrays stay in the first-level cache.
 pub(super) const CHUNK: usize = 64;
 
-/// Where light changes by a smaller share in all steps of a chunk, `ln i` is taken as a parabola in theta, with an error of 1e-6
-/// at most.
+/// Where light changes by a smaller share in all steps of a chunk, `ln i` is taken as a parabola in theta,
+/// with an error of 1e-6 at most.
 const FINE: f64 = 0.025;
 
 /// Steps one after another, and how the low-pass answers to each. Entry `n` is of a step; `n` and `n + 1` are
@@ -46,7 +46,8 @@ pub(super) struct Steps {
     pub course: [[f64; CHUNK]; 4],
     /// What is left at the end of a difference between voltage and light at the start.
     pub kept: [f64; CHUNK],
-    /// What the change of the light adds to the voltage at the end, and to its slope over the step's time there.
+    /// What the change of the light adds to the voltage at the end, and to its slope over the step's time
+    /// there.
     pub driven: [f64; CHUNK],
     driven_slope: [f64; CHUNK],
     /// The same for the second derivative over sigma.
@@ -239,8 +240,8 @@ fn prepare_all<const IS_FINE: bool>(steps: &mut Steps, front_end: &FrontEnd, cou
     }
 }
 
-/// The parabola in place of [`through`], from `sigma` at half the time: there `ln i` lies above the mean of its
-/// ends by ln cosh of half the change.
+/// The parabola in place of [`through`], from `sigma` at half the time: there `ln i` lies above the mean of
+/// its ends by ln cosh of half the change.
 #[inline(always)]
 fn parabola(sigma: f64, change: f64) -> [f64; 4] {
     let z = 0.25 * change * change;
