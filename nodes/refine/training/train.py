@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 import data
+import halves
 import losses
 from network import Interpolator, Refinement, root
 
@@ -216,8 +217,8 @@ def weights_of(path, network):
         return torch.load(path, weights_only=True, map_location="cpu")
     import onnx
 
-    stored = {value.name: torch.from_numpy(onnx.numpy_helper.to_array(value).copy()) for value in onnx.load(str(path)).graph.initializer}
-    return {name: stored[name] for name in network.state_dict()}
+    stored = halves.weights(onnx.load(str(path)))
+    return {name: torch.from_numpy(stored[name]) for name in network.state_dict()}
 
 
 def export(network, path):
@@ -226,6 +227,11 @@ def export(network, path):
     import onnxruntime
 
     network.eval()
+    # As they are stored, so that the framework gives what the file does.
+    with torch.no_grad():
+        for value in network.state_dict().values():
+            if value.dtype == torch.float32 and value.numel() >= halves.LEAST:
+                value.copy_(value.half().float())
     random = torch.Generator().manual_seed(5)
     shapes = network.INPUTS
 
@@ -248,7 +254,7 @@ def export(network, path):
             node.metadata_props.remove(entry)
     for entry in [*stored.graph.metadata_props, *stored.metadata_props]:
         (stored.graph.metadata_props if entry in stored.graph.metadata_props else stored.metadata_props).remove(entry)
-    onnx.save(stored, str(path))
+    onnx.save(halves.halved(stored), str(path))
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     furthest = 0.0
     for height, width in [(64, 80), (96, 48), (16, 32), (32, 48)]:
