@@ -114,6 +114,21 @@ photocurrent_core::ports! {
     }
 }
 
+/// What it gives, with units; the last one where the edges' speeds are stated.
+const METRICS: [(&str, &str); 5] = [
+    ("bew_px", "px"),
+    ("bew_gaussian_px", "px"),
+    ("bew_overshoot", "%"),
+    ("bew_ghosts", ""),
+    ("bet_us", "us"),
+];
+
+impl Params {
+    fn metrics(&self) -> &'static [(&'static str, &'static str)] {
+        if self.speeds_px_per_ms.is_empty() { &METRICS[..4] } else { &METRICS }
+    }
+}
+
 /// The node.
 pub struct ScoreBew {
     params: Params,
@@ -219,6 +234,10 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
         no_mosaic(frames, "an edge's profile")?;
         self.check(frames.extent, frames.channels())?;
         Ok([true, false, false].map(|scores| Meta::Table(Arc::new(TableMeta { scores }))).to_vec())
+    }
+
+    fn metrics(params: &Params) -> Vec<String> {
+        params.metrics().iter().map(|(metric, _)| (*metric).into()).collect()
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -408,17 +427,17 @@ impl ScoreBew {
                 f64::from(edge.ghosts)
             }
         };
-        type Reading<'a> = (&'a str, &'a str, &'a dyn Fn(usize, &Edge) -> f64);
-        let metrics: [Reading; 5] = [
-            ("bew_px", "px", &|_, edge| edge.width),
-            ("bew_gaussian_px", "px", &|_, edge| edge.gaussian_width),
-            ("bew_overshoot", "%", &|_, edge| edge.overshoot),
-            ("bew_ghosts", "", &|_, edge| ghosts(edge)),
-            ("bet_us", "us", &|e, edge| self.transit_us(e, edge)),
+        // In the order of METRICS.
+        type Reading<'a> = &'a dyn Fn(usize, &Edge) -> f64;
+        let readings: [Reading; 5] = [
+            &|_, edge| edge.width,
+            &|_, edge| edge.gaussian_width,
+            &|_, edge| edge.overshoot,
+            &|_, edge| ghosts(edge),
+            &|e, edge| self.transit_us(e, edge),
         ];
-        let asked = if self.params.speeds_px_per_ms.is_empty() { 4 } else { 5 };
         let mut scores = Vec::new();
-        for (metric, unit, value) in &metrics[..asked] {
+        for ((metric, unit), value) in self.params.metrics().iter().zip(readings) {
             let score = |frame, t_ns, value| Score {
                 metric: (*metric).into(),
                 frame,

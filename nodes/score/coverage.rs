@@ -105,6 +105,10 @@ in   = { frames = "render.frames", sigma = "render.sigma", truth = "recording.tr
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
 
+    fn metrics(_: &Params) -> Vec<String> {
+        WITHIN.iter().map(|(_, name)| *name).chain(["rms_z", "sigma_dn"]).map(String::from).collect()
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         belong(&input.frames.meta, &input.sigma.meta)?;
         let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;

@@ -59,6 +59,22 @@ photocurrent_core::ports! {
     }
 }
 
+/// What it may give; which of them apply depends on the answer.
+const METRICS: [&str; 12] = [
+    "count",
+    "false_alarm",
+    "first_right",
+    "in_set",
+    "set_size",
+    "surplus",
+    "f1",
+    "posterior",
+    "parameter_error",
+    "covered",
+    "unnamed",
+    "covariate_right",
+];
+
 /// The node.
 pub struct ScoreDiagnosis {
     params: Params,
@@ -143,6 +159,10 @@ params = { answers = "known.json", recording = "01234567" }
         inputs.diagnosis("report")?.need(DiagnosisKind::Report, "report")?;
         self.answer()?;
         Ok([true, false].map(|scores| Meta::Table(Arc::new(TableMeta { scores }))).to_vec())
+    }
+
+    fn metrics(_: &Params) -> Vec<String> {
+        METRICS.map(String::from).to_vec()
     }
 
     fn run(&self, input: In, _: &Context) -> Result<Out, NodeError> {

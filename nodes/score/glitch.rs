@@ -86,6 +86,11 @@ in   = { scores = "psnr" }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
 
+    fn metrics(params: &Params) -> Vec<String> {
+        let of = &params.metric;
+        vec![format!("glitch_{of}"), format!("glitch_max_{of}"), "glitches".into()]
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let scores = input.scores.as_scores().ok_or_else(|| NodeError::input("`scores` holds no scores"))?;
         let mut frames: Vec<&Score> =

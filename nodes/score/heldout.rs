@@ -103,6 +103,10 @@ in   = { frames = "render_at_held", held = "split.held", sensor = "sensor" }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
 
+    fn metrics(_: &Params) -> Vec<String> {
+        METRICS.map(|(metric, _)| metric.into()).to_vec()
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let (frames, held) = (&input.frames, &input.held);
         check(&frames.meta, &held.meta)?;

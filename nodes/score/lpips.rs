@@ -173,6 +173,10 @@ params = { weights = "data/weights/lpips_alex.onnx" }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
 
+    fn metrics(_: &Params) -> Vec<String> {
+        vec!["lpips".into()]
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let (frames, truth) = (&input.frames, &input.truth.0);
         let pairs = Pairs::new(frames, truth, self.params.tolerance)?;

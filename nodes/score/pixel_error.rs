@@ -80,6 +80,13 @@ photocurrent_core::ports! {
     }
 }
 
+/// Of a pixel at an instant, a value and its truth.
+type Reading = fn(&Follow) -> [f64; 2];
+
+/// What it gives, with units.
+const METRICS: [(&str, &str, Reading); 2] =
+    [("pixel_error_dn", "DN", |row| row.dn), ("pixel_error_v_dc", "", |row| row.v_dc)];
+
 /// The node.
 pub struct ScorePixelError {
     params: Params,
@@ -151,6 +158,10 @@ params = { pixels = [{ x = 64, y = 48 }] }
         Ok([true, false].map(|scores| Meta::Table(Arc::new(TableMeta { scores }))).to_vec())
     }
 
+    fn metrics(_: &Params) -> Vec<String> {
+        METRICS.map(|(metric, ..)| metric.into()).to_vec()
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let (frames, truth, sensor) = (&input.frames, &input.truth.0, &*input.sensor);
         let pairs = self.check(&frames.meta, &truth.meta, sensor)?;
@@ -202,10 +213,7 @@ params = { pixels = [{ x = 64, y = 48 }] }
         let times: Vec<(i64, i64)> =
             pairs.iter().map(|(l, _)| (*l as i64, frames.meta.times.exposures[*l].mid().0)).collect();
         let mut scores = Vec::new();
-        type Reading = fn(&Follow) -> [f64; 2];
-        let metrics: [(&str, &str, Reading); 2] =
-            [("pixel_error_dn", "DN", |row| row.dn), ("pixel_error_v_dc", "", |row| row.v_dc)];
-        for (metric, unit, of) in metrics {
+        for (metric, unit, of) in METRICS {
             let score =
                 |frame, t_ns, value| Score { metric: metric.into(), frame, t_ns, value, unit: unit.into() };
             let error = |row: &Follow| (of(row)[0] - of(row)[1]).abs();

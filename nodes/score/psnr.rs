@@ -56,6 +56,10 @@ params = { region = "moving" }
         self.params.plan(inputs)
     }
 
+    fn metrics(_: &Params) -> Vec<String> {
+        vec!["psnr_db".into()]
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;
         let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), &input.truth.0, "true")?;

@@ -79,6 +79,10 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
         Ok(planned)
     }
 
+    fn metrics(_: &Params) -> Vec<String> {
+        vec!["ssim".into()]
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let truth = &input.truth.0;
         let pairs = Pairs::new(&input.frames, truth, self.params.tolerance)?;

@@ -38,7 +38,7 @@ pub enum Command {
     ///
     /// Joins what `run --rows --part` made of some rows each, and runs the rest of the pipeline.
     Merge(MergeOptions),
-    /// List, measure, trim or verify the cache
+    /// List, trim, verify the cache; pass results on
     Cache(CacheOptions),
     /// Make one HTML page of finished runs
     ///
@@ -46,6 +46,8 @@ pub enum Command {
     Report(ReportOptions),
     /// Print scores: Markdown, CSV, LaTeX, JSON
     Table(TableOptions),
+    /// Print past runs: when, what was set, scores
+    Runs(RunsOptions),
     /// Draw the graph of a pipeline
     Graph(GraphOptions),
     /// Show what recordings hold, and their data hazards
@@ -61,7 +63,7 @@ pub enum Command {
     /// List sensor effects, or print the page of one
     Effects(EffectsOptions),
     /// Print the JSON Schema of manifests, for editors
-    Schema,
+    Schema(SchemaOptions),
     /// Print a manual page, or write all of them
     Man(ManOptions),
     /// Print completions for a shell
@@ -203,6 +205,12 @@ pub struct RunOptions {
     /// ever, what must be whole after them is left to `merge`
     #[arg(long, value_name = "FIRST..END", value_parser = rows, requires = "part")]
     pub rows: Option<Rows>,
+    /// Show the plan first, and run only after a yes; needs a terminal
+    #[arg(long)]
+    pub confirm: bool,
+    /// Write the page of the run (report.html in the output folder) and print its path
+    #[arg(long, conflicts_with = "part")]
+    pub report: bool,
     /// Folder for what is made of these rows; a part that is there is not made again, one that was stopped
     /// goes on
     #[arg(long, value_name = "FOLDER", requires = "rows")]
@@ -383,6 +391,24 @@ pub struct ReportOptions {
     pub quiet: bool,
 }
 
+#[derive(ClapArgs)]
+pub struct RunsOptions {
+    /// The pipeline, a TOML file
+    pub manifest: PathBuf,
+    /// Only these scores: psnr_db, or psnr.psnr_db of one node [default: all]
+    #[arg(long, value_name = "METRIC,...", value_delimiter = ',')]
+    pub metric: Vec<String>,
+    /// Only so many runs, the last ones
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    pub last: u32,
+    /// Where results are kept
+    #[arg(long, value_name = "FOLDER", default_value = CACHE)]
+    pub cache: PathBuf,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 pub enum GraphStyle {
     Dot,
@@ -497,6 +523,13 @@ pub struct EffectsOptions {
 }
 
 #[derive(ClapArgs)]
+pub struct SchemaOptions {
+    /// That of a line of `--progress json` instead
+    #[arg(long)]
+    pub progress: bool,
+}
+
+#[derive(ClapArgs)]
 pub struct ManOptions {
     /// A command, such as run [default: the first page, which lists them]
     pub command: Option<String>,
@@ -517,7 +550,7 @@ pub struct CacheOptions {
     #[command(subcommand)]
     pub command: CacheCommand,
     /// Where results are kept
-    #[arg(long, value_name = "FOLDER", default_value = ".photocurrent", global = true)]
+    #[arg(long, value_name = "FOLDER", default_value = CACHE, global = true)]
     pub cache: PathBuf,
     /// Print as JSON
     #[arg(long, global = true)]
@@ -544,6 +577,56 @@ pub enum CacheCommand {
     },
     /// Read everything and compare it with its digest
     Verify,
+    /// Write a finished run into one file, to pass on
+    ///
+    /// The manifest with what it extends, the files that its nodes read, their results, and the files that
+    /// they wrote. Whoever unpacks it runs the manifest without executing a node.
+    Pack(PackOptions),
+    /// Take in what `cache pack` wrote
+    ///
+    /// Every digest is verified before anything is placed; what is there already stays as it is.
+    Unpack(UnpackOptions),
+}
+
+/// The cache of a folder that names none.
+pub const CACHE: &str = ".photocurrent";
+
+#[derive(ClapArgs)]
+pub struct PackOptions {
+    /// A manifest that was run (its files are in out/NAME), or the folder that a run wrote to
+    #[arg(value_name = "RUN|MANIFEST")]
+    pub run: PathBuf,
+    /// The file to write
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// What was laid over the manifest
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub sets: Vec<String>,
+    /// Only variants of an ablation with this name, or part of it
+    #[arg(long = "variant", value_name = "NAME")]
+    pub variants: Vec<String>,
+    /// Only these nodes and what they need
+    #[arg(long = "to", value_name = "NODE")]
+    pub to: Vec<String>,
+    /// Where the run wrote files [default: out/NAME of the manifest]
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Replace a file that is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct UnpackOptions {
+    /// What `cache pack` wrote
+    pub file: PathBuf,
+    /// Folder for the manifest and the files that its nodes read [default: the file's name without its
+    /// ending]
+    #[arg(long, value_name = "FOLDER")]
+    pub to: Option<PathBuf>,
+    /// Folder for the files that the run wrote [default: out/NAME of the manifest]
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
 }
 
 /// `0..180`: rows of the sensor.

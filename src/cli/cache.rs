@@ -1,4 +1,5 @@
-//! `photocurrent cache`: what is kept, how much room it takes, what may go, whether it is whole.
+//! `photocurrent cache`: what is kept, how much room it takes, what may go, whether it is whole. Packs are in
+//! `pack` and `unpack`.
 
 use crate::args::{CacheCommand, CacheOptions};
 use crate::failure::{Done, Failure};
@@ -11,21 +12,30 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Runs one of the cache's commands.
 pub fn cache(options: &CacheOptions) -> Done {
-    if !options.cache.is_dir() {
-        return Err(Failure::Other {
-            message: format!(
-                "there is no cache at {}; `photocurrent run` makes one, --cache names another",
-                options.cache.display()
-            ),
-            code: 2,
-        });
-    }
     match &options.command {
-        CacheCommand::Ls => ls(options),
-        CacheCommand::Du => du(options),
-        CacheCommand::Gc { older_than, max_size, dry_run } => gc(options, *older_than, *max_size, *dry_run),
-        CacheCommand::Verify => verify(options),
+        CacheCommand::Ls => ls(existing(options)?),
+        CacheCommand::Du => du(existing(options)?),
+        CacheCommand::Gc { older_than, max_size, dry_run } => {
+            gc(existing(options)?, *older_than, *max_size, *dry_run)
+        }
+        CacheCommand::Verify => verify(existing(options)?),
+        CacheCommand::Pack(pack) => crate::pack::pack(pack, &options.cache, options.json),
+        CacheCommand::Unpack(unpack) => crate::unpack::unpack(unpack, &options.cache, options.json),
     }
+}
+
+/// Refuses a cache that is not there.
+fn existing(options: &CacheOptions) -> Result<&CacheOptions, Failure> {
+    if options.cache.is_dir() {
+        return Ok(options);
+    }
+    Err(Failure::Other {
+        message: format!(
+            "there is no cache at {}; `photocurrent run` makes one, --cache names another",
+            options.cache.display()
+        ),
+        code: 2,
+    })
 }
 
 fn now_unix_s() -> u64 {

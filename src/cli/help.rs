@@ -14,7 +14,7 @@ use std::path::Path;
 /// The commands by what a person wants.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Run pipelines", &["init", "run", "plan", "explain", "check", "merge", "cache"]),
-    ("See results", &["report", "table", "graph"]),
+    ("See results", &["report", "table", "runs", "graph"]),
     ("Recordings", &["inspect", "convert"]),
     ("Diagnose", &["diagnose"]),
     ("Reference", &["nodes", "effects", "schema", "man", "completions"]),

@@ -1,8 +1,8 @@
 //! The photocurrent command: arguments, exit codes, what the terminal shows. Nothing numerical.
 //!
 //! Data go to stdout, talk to stderr. Exit codes: 0 done, 1 a node failed, 2 manifest or usage error (nothing
-//! ran), 3 input data failed a check, 4 an ablation finished with failed variants, 130 interrupted (artefacts
-//! intact).
+//! ran), 3 input data failed a check, 4 an ablation finished with failed variants, 5 a score is outside its
+//! bound (`expect`), 130 interrupted (artefacts intact).
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
@@ -16,6 +16,7 @@ mod declared;
 mod diagnose;
 mod effects;
 pub mod embed;
+mod expect;
 mod failure;
 mod file_kind;
 mod graph;
@@ -24,6 +25,7 @@ mod init;
 mod inspect;
 mod nodes;
 mod numbers;
+mod pack;
 mod parts;
 mod plan;
 mod problems;
@@ -31,9 +33,11 @@ mod progress;
 mod report;
 mod run;
 mod run_record;
+mod runs;
 mod table;
 mod tables;
 mod terminal;
+mod unpack;
 
 use crate::terminal::say;
 use args::{Args, Command};
@@ -60,12 +64,13 @@ fn execute(command: &Command) -> Done {
         Command::Check(options) => check::check(options),
         Command::Table(options) => table::table(options),
         Command::Report(options) => report::report(options),
+        Command::Runs(options) => runs::runs(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),
-        Command::Schema => nodes::schema(),
+        Command::Schema(options) => nodes::schema(options),
         Command::Man(options) => help::man(options),
         Command::Completions(options) => help::completions(options),
         Command::Cache(options) => cache::cache(options),

@@ -1,6 +1,6 @@
 //! `photocurrent nodes`, `schema`: what there is to wire, for people and editors.
 
-use crate::args::NodesOptions;
+use crate::args::{NodesOptions, SchemaOptions};
 use crate::failure::{Done, Failure};
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
@@ -44,8 +44,12 @@ pub fn nodes(options: &NodesOptions) -> Done {
     Ok(0)
 }
 
-/// Prints the JSON Schema of manifests.
-pub fn schema() -> Done {
+/// Prints the JSON Schema of manifests, or of lines of progress.
+pub fn schema(options: &SchemaOptions) -> Done {
+    if options.progress {
+        print(crate::progress::SCHEMA)?;
+        return Ok(0);
+    }
     print_json(&photocurrent_engine::manifest_schema(&photocurrent_nodes::catalogue()))?;
     Ok(0)
 }
@@ -65,6 +69,7 @@ fn describe(kind: &Kind) -> Value {
         "kind": decl.kind, "about": decl.about, "revision": decl.revision, "grain": grain(decl.grain),
         "local_in_time": kind.local_in_time, "uses_seed": decl.draws, "writes_files": decl.exports,
         "inputs": ports(&kind.inputs), "outputs": ports(&kind.outputs), "params": kind.schema,
+        "metrics": kind.metrics,
         "sources": decl.sources, "example": decl.example.trim(),
     })
 }
@@ -115,6 +120,10 @@ fn page(kind: &Kind) -> String {
             }
             text.push('\n');
         }
+    }
+    if !kind.metrics.is_empty() {
+        let names: Vec<String> = kind.metrics.iter().map(|metric| format!("`{metric}`")).collect();
+        let _ = writeln!(text, "Scores, on which `expect` sets bounds: {}.\n", names.join(", "));
     }
     let properties = kind.schema["properties"].as_object();
     if properties.is_some_and(|p| !p.is_empty()) {

@@ -12,6 +12,9 @@ use std::fmt::Write;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+/// The form of a line of `--progress json`.
+pub const SCHEMA: &str = include_str!("progress.schema.json");
+
 /// Who watches a run of a process of ours.
 enum Watcher {
     /// A person at a terminal.

@@ -2,10 +2,12 @@
 
 use crate::args::{MergeOptions, RunOptions};
 use crate::common::failed_nodes;
+use crate::expect::{self, ExpectRecord, exit_code};
 use crate::failure::{Done, Failure};
 use crate::numbers::{human_bytes, human_seconds};
 use crate::progress::watcher;
 use crate::run_record::RunRecord;
+use crate::runs::remember;
 use crate::tables::draw;
 use crate::terminal::{host_cancel, print, print_json, say};
 use photocurrent_core::document::Problem;
@@ -19,6 +21,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+
+/// The exit code of a run that was shown and not wanted: that of one that is interrupted.
+const NOT_CONFIRMED: u8 = 130;
 
 /// A run that came to its end, and where its results are.
 pub struct Ran {
@@ -45,7 +50,16 @@ pub fn run_and_keep(options: &RunOptions) -> Result<(u8, Option<Ran>), Failure> 
 /// Joins parts and runs what is left.
 pub fn merge(options: &MergeOptions) -> Done {
     let (target, running, parts) = (options.target.clone(), options.running.clone(), options.parts.clone());
-    let options = RunOptions { target, running, force: Vec::new(), band_rows: None, rows: None, part: None };
+    let options = RunOptions {
+        target,
+        running,
+        force: Vec::new(),
+        band_rows: None,
+        rows: None,
+        part: None,
+        confirm: false,
+        report: false,
+    };
     Ok(run_with(&options, &parts)?.0)
 }
 
@@ -54,6 +68,10 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Result<(u8, Option<Ran>)
     check_forced(options, &plan)?;
     if options.part.is_none() {
         options.target.check_out_dir()?;
+    }
+    if options.confirm && !crate::plan::confirm(&options.target, &plan, &options.force)? {
+        say!("nothing ran");
+        return Ok((NOT_CONFIRMED, None));
     }
     let cancel = stop_on_signal(None)?;
     let cache = Cache::open(&options.target.cache)?;
@@ -91,10 +109,50 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Result<(u8, Option<Ran>)
     })?;
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &*watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
-    RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds)
-        .save(&out_dir)?;
-    report(options, &project, &outcome, &cache, &out_dir, seconds)?;
-    Ok((outcome.exit_code(), Some(Ran { outcome, cache, out_dir, seconds })))
+    finish(options, &project, &plan, Ran { outcome, cache, out_dir, seconds })
+}
+
+/// Writes down what came of a run, and says it.
+fn finish(
+    options: &RunOptions,
+    project: &Project,
+    plan: &Plan,
+    ran: Ran,
+) -> Result<(u8, Option<Ran>), Failure> {
+    let Ran { outcome, cache, out_dir, seconds } = &ran;
+    let target = &options.target;
+    let scores = outcome.metrics(cache);
+    let pooled = scores.as_ref().map_or(&[][..], |(_, pooled)| pooled);
+    let judged: Vec<ExpectRecord> = outcome.judge(pooled).iter().map(ExpectRecord::from).collect();
+    let mut record = RunRecord::of(project, plan, outcome, &target.sets, &target.cache, out_dir, *seconds);
+    record.expect.clone_from(&judged);
+    record.save(out_dir)?;
+    let (single, pooled) = scores?;
+    if !single.is_empty() || !pooled.is_empty() {
+        write_lines(&out_dir.join("metrics.jsonl"), &single)?;
+        write_lines(&out_dir.join("metrics.pooled.jsonl"), &pooled)?;
+    }
+    let quiet = options.running.quiet;
+    let page = options.report.then(|| crate::report::of_run(out_dir, &target.cache, quiet)).transpose()?;
+    if options.running.json {
+        let mut all = as_json(outcome, *seconds);
+        all["expect"] = json!(judged);
+        all["report"] = json!(page);
+        print_json(&all)?;
+    } else {
+        let text = tables(project, outcome, cache, &pooled)?;
+        if !text.is_empty() {
+            print(&text)?;
+        }
+    }
+    talk(options, outcome, out_dir, *seconds);
+    expect::talk(&judged, outcome.is_ablation, quiet);
+    if let Some(page) = page.filter(|_| !options.running.json) {
+        print(&page.display().to_string())?;
+    }
+    let code = exit_code(outcome, &judged);
+    remember(cache, project, &record, &pooled, (out_dir.as_path(), code));
+    Ok((code, Some(ran)))
 }
 
 /// What came of a part.
@@ -185,31 +243,6 @@ pub fn stop_on_signal(leave: Option<&Path>) -> Result<Arc<AtomicBool>, Failure> 
     })
     .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))?;
     Ok(flag)
-}
-
-fn report(
-    options: &RunOptions,
-    project: &Project,
-    outcome: &Outcome,
-    cache: &Cache,
-    out_dir: &Path,
-    seconds: f64,
-) -> Result<(), Failure> {
-    let (single, pooled) = outcome.metrics(cache)?;
-    if !single.is_empty() || !pooled.is_empty() {
-        write_lines(&out_dir.join("metrics.jsonl"), &single)?;
-        write_lines(&out_dir.join("metrics.pooled.jsonl"), &pooled)?;
-    }
-    if options.running.json {
-        print_json(&as_json(outcome, seconds))?;
-    } else {
-        let text = tables(project, outcome, cache, &pooled)?;
-        if !text.is_empty() {
-            print(&text)?;
-        }
-    }
-    talk(options, outcome, out_dir, seconds);
-    Ok(())
 }
 
 fn as_json(outcome: &Outcome, seconds: f64) -> serde_json::Value {

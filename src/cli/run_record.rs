@@ -5,6 +5,7 @@
 //! the cache holds of them. Nothing here enters a key, and no node reads it. The form is described in
 //! docs/formats.md.
 
+use crate::expect::ExpectRecord;
 use crate::failure::{Failure, write_whole};
 use photocurrent_core::Digest;
 use photocurrent_engine::TaskInput;
@@ -42,6 +43,9 @@ pub struct RunRecord {
     pub variants: Vec<VariantRecord>,
     pub tasks: Vec<TaskRecord>,
     pub warnings: Vec<String>,
+    /// Bounds on scores and how these came out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub expect: Vec<ExpectRecord>,
 }
 
 /// A variant and its nodes in running order.
@@ -172,6 +176,7 @@ impl RunRecord {
             variants: outcome.variants.iter().map(variant).collect(),
             tasks: plan.tasks.iter().zip(&outcome.tasks).map(task).collect(),
             warnings: outcome.warnings.clone(),
+            expect: Vec::new(),
         }
     }
 

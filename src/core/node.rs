@@ -89,6 +89,13 @@ pub trait Node: Sized + Send + Sync + 'static {
         Self::DECL.grain
     }
 
+    /// Names of the scores that it may give with these parameters, such as `psnr_db`, with their unit at the
+    /// end: a manifest may set bounds on them. None for a node that scores nothing; a score that is not named
+    /// here is the node's failure.
+    fn metrics(_params: &Self::Params) -> Vec<String> {
+        Vec::new()
+    }
+
     /// Does the work for `cx.rows()`.
     ///
     /// # Errors
@@ -148,6 +155,8 @@ pub struct Built {
     pub node: Box<dyn AnyNode>,
     /// All parameters, defaults filled in, as JSON.
     pub params: serde_json::Value,
+    /// [`Node::metrics`] with them.
+    pub metrics: Vec<String>,
 }
 
 /// A node kind with its types erased: a line of the catalogue.
@@ -162,6 +171,8 @@ pub struct Kind {
     pub local_in_time: bool,
     /// JSON Schema of the parameters.
     pub schema: serde_json::Value,
+    /// [`Node::metrics`] with its defaults.
+    pub metrics: Vec<String>,
     build: fn(serde_json::Value) -> Result<Built, NodeError>,
 }
 
@@ -174,16 +185,18 @@ impl Kind {
             outputs: N::Out::specs(),
             local_in_time: N::LOCAL_IN_TIME,
             schema: schemars::schema_for!(N::Params).to_value(),
+            metrics: N::metrics(&N::Params::default()),
             build: |params| {
                 let params: N::Params =
                     serde_json::from_value(params).map_err(|error| NodeError::usage(error.to_string()))?;
                 let mut canonical =
                     serde_json::to_value(&params).map_err(|error| NodeError::usage(error.to_string()))?;
+                let metrics = N::metrics(&params);
                 let node = N::build(params)?;
                 if let (Some(machine), Some(params)) = (node.machine(), canonical.as_object_mut()) {
                     params.insert("machine".into(), machine.into());
                 }
-                Ok(Built { node: Box::new(Erased(node)), params: canonical })
+                Ok(Built { node: Box::new(Erased(node)), params: canonical, metrics })
             },
         }
     }

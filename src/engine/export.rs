@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The stamp's file name.
-const STAMP: &str = ".photocurrent.toml";
+pub const STAMP: &str = ".photocurrent.toml";
 
 /// What the stamp says about one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -12,6 +12,7 @@
 //! - `lacking`: what sensor descriptions do not state, reported in one piece.
 //! - `key`, `mod@status`, `mod@explain`: what a result depends on, whether the cache has it, and why not.
 //! - `schedule`, `export`, `observer`, `outcome`: [`run`] it, watch it, see what came of it.
+//! - `expect`: bounds on scores, and whether they hold.
 //! - `parts`: some rows by themselves, and their union.
 //! - [`mod@graph`], `schema`: pictures of a pipeline, and the manifest's JSON Schema for editors.
 //!
@@ -36,6 +37,7 @@
 mod ablation;
 mod blocks;
 mod budget;
+mod expect;
 mod explain;
 mod export;
 pub mod graph;
@@ -62,15 +64,17 @@ mod tests;
 pub use ablation::Ablation;
 pub use blocks::{Blocks, Extract, Source, node_of};
 pub use budget::machine_memory;
+pub use expect::{Bound, Judged, Statistic, Verdict};
 pub use explain::{Explanation, explain};
-pub use export::read_stamp;
+pub use export::{STAMP, read_stamp};
 pub use graph::{Drawing, GraphFormat, graph};
+pub use manifest::ManifestFile;
 pub use observer::{End, Observer, Unobserved};
 pub use outcome::{Outcome, TaskOutcome};
 pub use parts::{PartEnd, join, run_part};
 pub use pipeline::Pipeline;
 pub use plan::{Plan, Selection};
-pub use resolve::Project;
+pub use resolve::{Project, manifest_id};
 pub use schedule::{Keep, Options, run};
 pub use schema::manifest_schema;
 pub use status::{State, TaskStatus, status};

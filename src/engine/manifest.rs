@@ -6,6 +6,7 @@
 //! rest goes on, so that one run shows every mistake.
 
 use crate::blocks::Blocks;
+use crate::expect;
 use crate::overlay::{node_names, overlay};
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
 use photocurrent_core::{Catalogue, error, schema};
@@ -30,8 +31,19 @@ pub(crate) struct Manifest<'a> {
     pub start: Option<Origin>,
     /// Does it extend another one?
     pub extends: bool,
+    /// It and what it extends, in the order in which they were read.
+    pub files: Vec<ManifestFile>,
     /// The kinds, to say of a stray key that it is a parameter.
     catalogue: Option<&'a Catalogue>,
+}
+
+/// A file that a manifest consists of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ManifestFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Does the manifest that it belongs to name it by an absolute path?
+    pub is_absolute: bool,
 }
 
 /// Reads a manifest and, below it, what it extends.
@@ -69,6 +81,9 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
         );
     }
     chain.push(canonical);
+    manifest
+        .files
+        .push(ManifestFile { path: path.to_path_buf(), is_absolute: asked_by.is_some_and(is_absolute) });
     let folder = shown.parent().map(Path::to_path_buf).unwrap_or_default();
     let source = Source::new(shown.display().to_string(), folder.clone(), text);
     manifest.start.get_or_insert_with(|| Origin { source: source.clone(), span: 0..0 });
@@ -86,6 +101,12 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
         read_chain(&folder.join(base), Some(&tree.origin), chain, manifest);
     }
     overlay(&mut manifest.table, &table);
+}
+
+/// Is an absolute path written here, as a text in quotes or in a list of them?
+pub(crate) fn is_absolute(written: &Origin) -> bool {
+    let text = written.source.text.get(written.span.clone()).unwrap_or_default();
+    text.contains("\"/") || text.contains("'/")
 }
 
 /// The place of the first byte that is no UTF-8.
@@ -268,6 +289,9 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
             "params": such_as(table_of(json!({})), "`params = { width = 64 }`"),
             "bypass": { "type": "boolean" },
             "optional": { "type": "boolean" },
+            "expect": such_as(
+                table_of(expect::schema()), "`expect = { psnr_db = { at_least = 35.0 } }`",
+            ),
         })),
         &format!("`[nodes.{}]` with `kind = \"family/name\"` below it", key.name),
     );

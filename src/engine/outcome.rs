@@ -1,5 +1,6 @@
 //! What came of a run.
 
+use crate::expect::{Judged, Verdict};
 use crate::observer::End;
 use crate::task::{PlannedVariant, TaskId};
 use photocurrent_core::error::Trouble;
@@ -174,6 +175,38 @@ impl Outcome {
             }));
         }
         Ok((single, pooled))
+    }
+
+    /// Every bound with how the score came out, in the order of variants and nodes; `pooled` are the pooled
+    /// scores of [`Outcome::metrics`].
+    pub fn judge(&self, pooled: &[serde_json::Value]) -> Vec<Judged> {
+        let mut all = Vec::new();
+        for variant in &self.variants {
+            for (node, bound) in &variant.expect {
+                let task = self.node(&variant.name, node);
+                let is_left_out = variant.left_out.iter().any(|left| left.node == *node);
+                // A node that this run does not reach is not judged.
+                if task.is_none() && !is_left_out {
+                    continue;
+                }
+                let line = pooled.iter().find(|line| {
+                    line["variant"] == variant.name.as_str()
+                        && line["node"] == node.as_str()
+                        && line["metric"] == bound.metric.as_str()
+                });
+                let value = line.and_then(|line| line[bound.of.name()].as_f64());
+                let has_result = task.is_some_and(|task| task.end.is_well());
+                all.push(Judged {
+                    variant: variant.name.clone(),
+                    node: node.clone(),
+                    verdict: if has_result { bound.verdict(value) } else { Verdict::Unchecked },
+                    bound: bound.clone(),
+                    value,
+                    unit: line.and_then(|line| line["unit"].as_str()).unwrap_or_default().into(),
+                });
+            }
+        }
+        all
     }
 
     /// What is missing, each once: in whole sentences, and the nodes that are left out for it.

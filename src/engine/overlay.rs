@@ -15,6 +15,7 @@ pub(crate) fn overlay(base: &mut Table, over: &Table) {
             && let Item::Table(old) = &mut old.item
         {
             old.remove("params");
+            old.remove("expect");
         }
     }
     merge(base, over);

@@ -2,6 +2,7 @@
 
 use crate::ablation::Variant;
 use crate::blocks::Blocks;
+use crate::expect::{self, Bound};
 use crate::manifest::Manifest;
 use photocurrent_core::document::{Item, Key, Origin, Problem, Table, Tree};
 use std::collections::BTreeSet;
@@ -77,6 +78,8 @@ pub struct NodeSpec {
     pub bypass: Option<Origin>,
     /// Left out, with what takes something from it, while its files are missing?
     pub optional: bool,
+    /// Bounds on its scores, in written order.
+    pub expect: Vec<Bound>,
 }
 
 impl Pipeline {
@@ -116,7 +119,7 @@ impl Pipeline {
             if manifest.broken.contains(&key.name) {
                 continue;
             }
-            match NodeSpec::from_tree(key, tree) {
+            match NodeSpec::from_tree(key, tree, &mut manifest.problems) {
                 Some(node) => result.nodes.push(node),
                 None => {
                     manifest.problems.push(without_kind(key, &nodes, manifest.extends));
@@ -160,7 +163,7 @@ fn references(tree: &Tree) -> Vec<Reference> {
 }
 
 impl NodeSpec {
-    fn from_tree(key: &Key, tree: &Tree) -> Option<NodeSpec> {
+    fn from_tree(key: &Key, tree: &Tree, problems: &mut Vec<Problem>) -> Option<NodeSpec> {
         let table = tree.as_table()?;
         let kind = table.get("kind")?;
         let empty = Tree { item: Item::Table(Table::default()), origin: kind.origin.clone() };
@@ -183,6 +186,10 @@ impl NodeSpec {
                 .filter(|tree| tree.item == Item::Boolean(true))
                 .map(|tree| tree.origin.clone()),
             optional: table.get("optional").is_some_and(|tree| tree.item == Item::Boolean(true)),
+            expect: table
+                .get("expect")
+                .and_then(Tree::as_table)
+                .map_or_else(Vec::new, |t| expect::read(t, problems)),
         })
     }
 

@@ -106,7 +106,13 @@ impl Planner {
                 missing[at].clone().map(|(missing, why)| LeftOut { node: id(at), missing, why })
             })
             .collect();
-        PlannedVariant { name: pipeline.variant.clone(), levels: pipeline.levels.clone(), nodes, left_out }
+        let expect = pipeline
+            .nodes
+            .iter()
+            .flat_map(|node| node.expect.iter().map(|bound| (node.id.clone(), bound.clone())))
+            .collect();
+        let (name, levels) = (pipeline.variant.clone(), pipeline.levels.clone());
+        PlannedVariant { name, levels, nodes, left_out, expect }
     }
 
     /// The nodes that `to` names and all they need.
@@ -249,6 +255,7 @@ impl Planner {
         let changed_params = changed(&node.params, &node.kind.schema);
         let params = node.params.clone();
         let (origin, local_in_time) = (node.spec.kind_origin.clone(), node.kind.local_in_time);
+        let metrics = node.metrics.clone();
         let node = node.node.clone();
         self.tasks.push(Task {
             decl,
@@ -264,6 +271,7 @@ impl Planner {
             files,
             seed,
             local_in_time,
+            metrics,
             export,
             origin,
             node,

@@ -6,7 +6,8 @@
 //! manifest means can be seen by reading it.
 
 use crate::ablation::{self, Ablation};
-use crate::manifest::{self, Manifest, check_targets};
+use crate::blocks::node_of;
+use crate::manifest::{self, Manifest, ManifestFile, check_targets};
 use crate::overlay::{nested, overlay, read_path};
 use crate::pipeline::Pipeline;
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
@@ -19,7 +20,9 @@ use std::path::{Path, PathBuf};
 pub struct Project {
     /// The manifest's path as given.
     pub path: PathBuf,
-    /// Names the manifest in the cache's history: the digest of its canonical path.
+    /// The manifest and what it extends, in the order in which they were read.
+    pub files: Vec<ManifestFile>,
+    /// Names the manifest in the cache's history, see [`manifest_id`].
     pub manifest_id: Digest,
     /// What the ablation says, when there is one.
     pub ablation: Option<Ablation>,
@@ -59,15 +62,29 @@ impl Project {
             sets.iter().for_each(|set| overlay(&mut table, set));
             pipelines.push(Pipeline::from_table(&table, variant, &mut manifest));
         }
-        let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-        let manifest_id = Digest::of_bytes(canonical.to_string_lossy().as_bytes());
-        (Project { path: path.to_path_buf(), manifest_id, ablation, pipelines }, manifest.problems)
+        let manifest_id = manifest_id(path);
+        let Manifest { files, problems, .. } = manifest;
+        (Project { path: path.to_path_buf(), files, manifest_id, ablation, pipelines }, problems)
+    }
+
+    /// Can a file that a node reads be found from the manifest wherever that is moved? Not where it is named
+    /// by an absolute path or by `--set`, whose paths are relative to the folder of the command.
+    pub fn is_placed(&self, variant: &str, node: &str, param: &str) -> bool {
+        let spec = self.pipeline(variant).and_then(|pipeline| pipeline.node(node_of(node)));
+        let written = spec.map(|spec| spec.param_origin(param));
+        written.is_some_and(|written| written.source.name != "--set" && !manifest::is_absolute(written))
     }
 
     /// A variant's pipeline.
     pub fn pipeline(&self, variant: &str) -> Option<&Pipeline> {
         self.pipelines.iter().find(|pipeline| pipeline.variant == variant)
     }
+}
+
+/// Names a manifest in the cache's history: the digest of its canonical path.
+pub fn manifest_id(path: &Path) -> Digest {
+    let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    Digest::of_bytes(canonical.to_string_lossy().as_bytes())
 }
 
 /// The mistakes of all variants, each once: they share most of their text. One that only some variants make

@@ -19,7 +19,7 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
         "type": "object", "additionalProperties": false,
         "properties": {
             "in": { "type": "object" }, "params": { "type": "object" }, "bypass": { "type": "boolean" },
-            "optional": { "type": "boolean" },
+            "optional": { "type": "boolean" }, "expect": { "type": "object" },
         },
     });
     json!({
@@ -105,6 +105,17 @@ fn ablation() -> Json {
     })
 }
 
+/// The schema of a node's bounds. Names of scores may depend on parameters, so others than those of the
+/// defaults are allowed.
+fn expect(metrics: &[String]) -> Json {
+    let known: Map<String, Json> =
+        metrics.iter().map(|metric| (metric.clone(), crate::expect::schema())).collect();
+    json!({
+        "type": "object", "description": "Bounds on its scores.",
+        "properties": known, "additionalProperties": crate::expect::schema(),
+    })
+}
+
 fn node(kind: &Kind) -> Json {
     let port = |port: &PortSpec| {
         let name = json!({ "type": "string", "pattern": "^[a-z][a-z0-9_]*(\\.[a-z][a-z0-9_]*)?$" });
@@ -140,6 +151,7 @@ fn node(kind: &Kind) -> Json {
             "optional": { "type": "boolean", "description": "Leave the node out, with all that take \
                 something from it, while its files are \
                 missing." },
+            "expect": expect(&kind.metrics),
         },
     })
 }

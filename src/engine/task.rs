@@ -1,6 +1,7 @@
 //! A task: a node that runs, once for all variants that share it, with what comes in and what it will give.
 
 use crate::blocks::{Source, extracted};
+use crate::expect::Bound;
 use photocurrent_core::document::Origin;
 use photocurrent_core::node::AnyNode;
 use photocurrent_core::{DataType, Decl, FileRef, Grain, Meta, NodeError};
@@ -63,6 +64,8 @@ pub struct Task {
     pub seed: Option<u64>,
     /// May a recording be cut into blocks of time for it?
     pub local_in_time: bool,
+    /// Scores that it may give.
+    pub(crate) metrics: Vec<String>,
     /// Where its files go, below the output folder.
     pub export: Option<PathBuf>,
     /// Where the manifest names its kind.
@@ -113,6 +116,8 @@ pub struct PlannedVariant {
     /// Nodes marked `optional` whose files are missing, and those that take something from them, in running
     /// order.
     pub left_out: Vec<LeftOut>,
+    /// Bounds on scores, by node.
+    pub expect: Vec<(String, Bound)>,
 }
 
 /// A node that does not run because a file is missing.

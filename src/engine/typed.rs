@@ -29,6 +29,8 @@ pub(crate) struct TypedNode<'a> {
     pub node: Arc<dyn AnyNode>,
     /// All parameters, defaults filled in.
     pub params: serde_json::Value,
+    /// Scores that it may give.
+    pub metrics: Vec<String>,
     /// For each connected input, in the kind's order.
     pub inputs: Vec<(&'a PortSpec, Vec<Link>)>,
 }
@@ -81,6 +83,7 @@ pub(crate) fn check<'a>(
                 kind,
                 node: built.node.into(),
                 params: built.params,
+                metrics: built.metrics,
                 inputs: std::mem::take(&mut inputs[at]),
             }),
             _ => None,
@@ -133,13 +136,30 @@ impl<'a> Checker<'a, '_> {
         name_readers(&mut self.problems[before..], kind, catalogue);
         if self.problems.len() == before {
             match kind.build(schema::to_json(&node.params, &kind.schema)) {
-                Ok(built) => return Some(built),
+                Ok(built) => {
+                    self.bounds(node, kind, &built.metrics);
+                    return Some(built);
+                }
                 Err(error) => self.problems.extend(node_problem(node, &error)),
             }
         }
         // A mistake in a parameter does not affect the sockets: they are still checked, but nothing is
         // planned from here on.
         None
+    }
+
+    /// Bounds are on scores that the node gives.
+    fn bounds(&mut self, node: &NodeSpec, kind: &Kind, metrics: &[String]) {
+        for bound in node.expect.iter().filter(|bound| !metrics.contains(&bound.metric)) {
+            let name = kind.decl.kind;
+            let problem = Problem::at(&bound.origin, format!("`{}` is not a score of {name}", bound.metric))
+                .label("unknown score");
+            self.problems.push(if metrics.is_empty() {
+                problem.help("it gives no scores: write `expect` at an evaluator, such as score/psnr")
+            } else {
+                problem.did_you_mean(&bound.metric, metrics.iter().map(String::as_str))
+            });
+        }
     }
 
     /// `bypass = true` needs one connected input and one output of one type.

@@ -18,7 +18,7 @@ mod shell;
 
 pub use escape::{escaped, png_uri};
 pub use run::{
-    Bar, Card, Cell, Copy, Curve, Event, Film, Graph, Group, Hazard, Mark, NodeRow, Panel, Picture, Pixel,
-    Residual, RunPage, Solved, Verdict, VerdictRow,
+    Bar, BoundMark, BoundRow, Card, Cell, Copy, Curve, Event, Film, Graph, Group, Hazard, Mark, NodeRow,
+    Panel, Picture, Pixel, Residual, RunPage, Solved, Verdict, VerdictRow,
 };
 pub use shell::{Page, Script, Section};

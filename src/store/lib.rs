@@ -43,8 +43,8 @@ pub mod stream;
 mod threads;
 
 pub use cache::{
-    BandStore, Cache, CacheWriter, CheckReport, DiskUse, Export, FileInput, GcOptions, GcReport, Ingredients,
-    KeptBand, Listing, Lookup, Params, PortInput, Record, StoredOutput,
+    Arrivals, BandStore, Cache, CacheWriter, CheckReport, DiskUse, Export, FileInput, GcOptions, GcReport,
+    Ingredients, KeptBand, Listing, Lookup, Params, Placed, PortInput, Record, StoredOutput,
 };
 pub use error::StoreError;
 pub use layout::{ValueWriter, open_value};

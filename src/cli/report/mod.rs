@@ -17,14 +17,37 @@ use crate::numbers::human_bytes;
 use crate::terminal::{print, say};
 use photocurrent_page::RunPage;
 use run::Run;
+use std::path::{Path, PathBuf};
 
 /// Room for everything but pictures, bytes; what is more is taken from the pictures on a second try.
 const REST: u64 = 200_000;
+/// The page may be so large where nobody says otherwise, bytes: the default of --max-size.
+const MAX_SIZE: u64 = 12_000_000;
 /// So often the pictures are made smaller.
 const TRIES: usize = 4;
 
 /// Writes the page and prints its path.
 pub fn report(options: &ReportOptions) -> Done {
+    let output = write(options)?;
+    print(&output.display().to_string())?;
+    Ok(0)
+}
+
+/// The page of a run into `folder` that has just ended.
+pub fn of_run(folder: &Path, cache: &Path, quiet: bool) -> Result<PathBuf, Failure> {
+    write(&ReportOptions {
+        runs: vec![folder.into()],
+        output: None,
+        variants: Vec::new(),
+        pixels: Vec::new(),
+        max_size: MAX_SIZE,
+        cache: Some(cache.into()),
+        quiet,
+    })
+}
+
+/// Writes the page and gives its path.
+fn write(options: &ReportOptions) -> Result<PathBuf, Failure> {
     let runs = options.runs.iter().map(|source| Run::open(source, options)).collect::<Result<Vec<_>, _>>()?;
     let output = options.output.clone().unwrap_or_else(|| runs[0].folder.join("report.html"));
     let mut budget = options.max_size.saturating_sub(REST);
@@ -41,8 +64,7 @@ pub fn report(options: &ReportOptions) -> Done {
                     .for_each(|note| say!("note: {}", note.replace('`', "")));
                 say!("{} in one file; open it in a browser", human_bytes(html.len() as u64));
             }
-            print(&output.display().to_string())?;
-            return Ok(0);
+            return Ok(output);
         }
         budget = budget.saturating_sub(over + over / 10 + 1000);
     }

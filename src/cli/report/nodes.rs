@@ -1,12 +1,13 @@
 //! Graphs with times and states, what nodes said, failures, and where the numbers come from.
 
 use super::run::Run;
+use crate::expect::ExpectRecord;
 use crate::numbers::{human_bytes, human_seconds, print_count};
 use crate::run_record::{TaskRecord, VariantRecord};
 use photocurrent_core::context::LOSS;
-use photocurrent_engine::End;
 use photocurrent_engine::graph::{Drawing, Edge, Node};
-use photocurrent_page::{Graph, Hazard, NodeRow, RunPage, escaped};
+use photocurrent_engine::{End, Verdict};
+use photocurrent_page::{BoundMark, BoundRow, Graph, Hazard, NodeRow, RunPage, escaped};
 
 /// Letters of a key that are shown: enough to find it in the cache.
 const KEY: usize = 12;
@@ -64,6 +65,9 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
                 End::Executed | End::Reused => {}
             }
         }
+        let broken = record.expect.iter().filter(|judged| judged.verdict == Verdict::Fail);
+        page.failures.extend(broken.filter_map(|judged| judged.complaint(!record.axes.is_empty())));
+        page.bounds.extend(bounds(run, several));
         page.graphs.extend(run.variants().next().map(|variant| graph(run, variant)));
         page.hazards.extend(hazards(run));
         page.diagnosis += &diagnoses(run);
@@ -80,14 +84,53 @@ fn state(task: &TaskRecord) -> String {
     }
 }
 
+/// Every bound of the variants that are shown; what is broken comes first.
+fn bounds(run: &Run, several: bool) -> Vec<BoundRow> {
+    let record = &run.record;
+    let is_shown = |judged: &&ExpectRecord| run.variants().any(|variant| variant.name == judged.variant);
+    let mut shown: Vec<&ExpectRecord> = record.expect.iter().filter(is_shown).collect();
+    shown.sort_by_key(|judged| std::cmp::Reverse(judged.verdict));
+    let row = |judged: &ExpectRecord| {
+        let name = judged.name(!record.axes.is_empty());
+        let mark = match judged.verdict {
+            Verdict::Pass => BoundMark::Pass,
+            Verdict::Warn => BoundMark::Warn,
+            Verdict::Fail => BoundMark::Fail,
+            Verdict::Unchecked => BoundMark::Unchecked,
+        };
+        BoundRow {
+            name: if several { format!("{}, {name}", run.name) } else { name },
+            measured: judged.measured(),
+            bound: judged.bound(),
+            warning: judged.warning(),
+            mark,
+        }
+    };
+    shown.into_iter().map(row).collect()
+}
+
+/// How the bounds of a node came out; `None` where it has none.
+fn worst_verdict(run: &Run, variant: &VariantRecord, node: &str) -> Option<Verdict> {
+    let of = run.record.expect.iter().filter(|judged| judged.variant == variant.name && judged.node == node);
+    of.map(|judged| judged.verdict).max()
+}
+
 fn graph(run: &Run, variant: &VariantRecord) -> Graph {
     let tasks: Vec<(usize, &TaskRecord)> = run.tasks(variant).collect();
+    let worst = |name: &str| worst_verdict(run, variant, name);
+    let is_broken = |name: &str| worst(name) == Some(Verdict::Fail);
+    let bounds_of = |name: &str| match worst(name) {
+        Some(Verdict::Fail) => "out of bounds, ",
+        Some(Verdict::Warn) => "near its bound, ",
+        Some(Verdict::Pass) => "in bounds, ",
+        Some(Verdict::Unchecked) | None => "",
+    };
     let place = |task: usize| tasks.iter().position(|(at, _)| *at == task);
     let node = |(name, _): &(String, usize), (_, task): &(usize, &TaskRecord)| Node {
         id: name.clone(),
         kind: task.kind.clone(),
-        note: state(task),
-        state: task.end.name().into(),
+        note: format!("{}{}", bounds_of(name), state(task)),
+        state: [task.end.name(), if is_broken(name) { " broken" } else { "" }].concat(),
     };
     let edges = tasks.iter().enumerate().flat_map(|(to, (_, task))| {
         task.inputs.iter().flat_map(move |input| {

@@ -464,6 +464,13 @@ fn give_back() {
     }
 }
 
+/// A score that the node's kind does not name: no manifest could set a bound on it.
+fn unnamed_metric(task: &Task, value: &Value) -> Option<String> {
+    let Value::Table(table) = value else { return None };
+    let scores = table.as_scores()?;
+    scores.into_iter().map(|score| score.metric).find(|metric| !task.metrics.contains(metric))
+}
+
 /// The wanted outputs, held against the plan: a node that gives something else than it planned would poison
 /// every key after it.
 pub(crate) fn checked(
@@ -500,6 +507,9 @@ pub(crate) fn checked(
             return Err(broken(format!("`{}` is not as planned", output.port))
                 .note(format!("planned {:?}", output.meta))
                 .note(format!("found   {meta:?}")));
+        }
+        if let Some(metric) = unnamed_metric(task, &value) {
+            return Err(broken(format!("`{metric}` is not among its metrics")));
         }
         let value = match (band, value.rows()) {
             (Some(band), Some(rows)) if !rows.contains(band) => {

@@ -368,6 +368,9 @@ impl Node for Sum {
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
+    fn metrics(_: &Self::Params) -> Vec<String> {
+        vec!["sum".into()]
+    }
     fn run(&self, input: Planes, _: &Context) -> Result<Scores, NodeError> {
         let mut total = 0.0;
         let mut scores = Vec::new();

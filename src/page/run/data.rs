@@ -13,6 +13,8 @@ pub struct RunPage {
     pub facts: Vec<(String, String)>,
     /// Nodes that failed or were skipped, in whole sentences.
     pub failures: Vec<String>,
+    /// Bounds on scores, what is broken first.
+    pub bounds: Vec<BoundRow>,
     /// Tables of scores.
     pub verdicts: Vec<Verdict>,
     /// Sequences that show the same scene.
@@ -54,6 +56,34 @@ pub enum Mark {
     Second,
     /// No number: it failed, or was not run.
     Missing,
+}
+
+/// How a score came out that has a bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoundMark {
+    /// Inside.
+    Pass,
+    /// Inside, and near enough for a warning.
+    Warn,
+    /// Outside, or not measured.
+    Fail,
+    /// The run has no result of its node.
+    Unchecked,
+}
+
+/// A bound on a score.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BoundRow {
+    /// Which score.
+    pub name: String,
+    /// What was measured, with its unit.
+    pub measured: String,
+    /// `at least 35`; empty without one.
+    pub bound: String,
+    /// Where a warning begins, `below 36`; empty without one.
+    pub warning: String,
+    /// How it came out.
+    pub mark: BoundMark,
 }
 
 /// A cell of a verdict.

@@ -8,8 +8,8 @@ mod data;
 mod parts;
 
 pub use data::{
-    Bar, Card, Cell, Copy, Curve, Event, Film, Graph, Group, Hazard, Mark, NodeRow, Panel, Picture, Pixel,
-    Residual, RunPage, Solved, Verdict, VerdictRow,
+    Bar, BoundMark, BoundRow, Card, Cell, Copy, Curve, Event, Film, Graph, Group, Hazard, Mark, NodeRow,
+    Panel, Picture, Pixel, Residual, RunPage, Solved, Verdict, VerdictRow,
 };
 
 use crate::shell::{Page, Script, Section};

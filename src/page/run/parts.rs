@@ -1,6 +1,6 @@
 //! The parts of a run's report as HTML.
 
-use super::data::{Mark, RunPage, Verdict};
+use super::data::{BoundMark, BoundRow, Mark, RunPage, Verdict};
 use crate::escape::escaped;
 use std::fmt::Write;
 
@@ -40,17 +40,49 @@ fn code_spans(text: &str) -> String {
 }
 
 pub(super) fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
+    let mut html = bounds(&page.bounds);
     if page.verdicts.is_empty() {
-        return "<p class=\"missing\">The run has no scores: connect a node <code>score/...</code> to what it \
-                renders. Without a truth, <code>split/frames</code> and \
-                <code>score/heldout</code> compare with frames that were held out.</p>\n"
-            .into();
+        html += "<p class=\"missing\">The run has no scores: connect a node <code>score/...</code> to what \
+                it renders. Without a truth, <code>split/frames</code> and \
+                <code>score/heldout</code> compare with frames that were held out.</p>\n";
+        return html;
     }
-    let mut html = page.verdicts.iter().map(|verdict| table(verdict, copies)).collect::<String>();
+    html += &page.verdicts.iter().map(|verdict| table(verdict, copies)).collect::<String>();
     html += "<p class=\"note\">\u{25cf} bold: the best; \u{25cb} underlined: the second of three or more; \
              hatched: no number, the reason is in the cell. How each \
              number was measured is under <a href=\"#cards\">metric cards</a>.</p>\n";
     html
+}
+
+/// Bounds on scores; empty without any.
+fn bounds(rows: &[BoundRow]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
+    let mut html = String::from(
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Bounds on scores\">\n<table>\n\
+         <caption>Bounds on scores</caption>\n<thead><tr><th scope=\"col\">score</th><th \
+         scope=\"col\">verdict</th><th scope=\"col\" class=\"number\">measured</th><th \
+         scope=\"col\">expected</th><th scope=\"col\">a warning</th></tr></thead>\n<tbody>\n",
+    );
+    for row in rows {
+        let (class, word) = match row.mark {
+            BoundMark::Pass => ("", "pass"),
+            BoundMark::Warn => ("", "\u{25b2} warning"),
+            BoundMark::Fail => (" class=\"broken\"", "\u{2715} out of bounds"),
+            BoundMark::Unchecked => ("", "not checked: no result"),
+        };
+        let _ = writeln!(
+            html,
+            "<tr><th scope=\"row\">{}</th><td{class}>{word}</td><td \
+             class=\"number\">{}</td><td>{}</td><td>{}</td></tr>",
+            escaped(&row.name),
+            escaped(&row.measured),
+            escaped(&row.bound),
+            escaped(&row.warning)
+        );
+    }
+    html + "</tbody>\n</table>\n</div>\n"
 }
 
 fn table(verdict: &Verdict, copies: &mut Vec<String>) -> String {

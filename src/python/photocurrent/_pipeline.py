@@ -22,7 +22,8 @@ class Run:
     Attributes
     ----------
     code : int
-        The exit code of the command: 0, or 4 for an ablation with failed variants.
+        The exit code of the command: 0, 4 for an ablation with failed variants, or 5 when a score is outside its
+        bound (`expect`).
     variants : list of str
         Names of the variants; `["base"]` without an ablation.
     seconds : float
@@ -171,7 +172,7 @@ def _run(
         for name in names:
             arguments += [option, name]
     native = _native.run(arguments, listener())
-    if native.code != 4:
+    if native.code not in (4, 5):
         heard(native)
     return Run(native)
 

@@ -59,6 +59,27 @@ impl Cache {
         Ok(file)
     }
 
+    /// Moves a synced file of a content to its name, with its checksum, unless an intact one is there.
+    pub(super) fn place(&self, digest: &Digest, temporary: &Temporary) -> Result<(), StoreError> {
+        let bytes = Identity::of(&temporary.0)
+            .map_err(|error| StoreError::io(&temporary.0, "read the file", error))?
+            .bytes;
+        let sum = Sum { bytes, blake3: files::hash_file(&temporary.0)? };
+        let sum = toml::to_string(&sum)
+            .map_err(|error| StoreError::Misuse { path: temporary.0.clone(), what: error.to_string() })?;
+        let _placing = self.placing()?;
+        // Somebody may have placed the same content since; when that is intact, ours is not needed.
+        if self.intact(digest).is_err() {
+            self.owner.write(&sum_path(&self.root, digest), sum.as_bytes())?;
+            files::rename(&temporary.0, &self.data_path(digest))?;
+            // The bytes were hashed a moment ago: no need to read them again.
+            if let Ok(identity) = Identity::of(&self.data_path(digest)) {
+                self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(*digest, identity);
+            }
+        }
+        Ok(())
+    }
+
     /// Checks presence and length only.
     pub(super) fn has_length(&self, digest: &Digest) -> Result<(), StoreError> {
         if checked_length(&self.root, digest).is_err() {
@@ -139,19 +160,7 @@ impl CacheWriter<'_> {
             return Ok(stored);
         }
         files::sync(&temporary.0)?;
-        let sum = Sum { bytes, blake3: files::hash_file(&temporary.0)? };
-        let sum = toml::to_string(&sum)
-            .map_err(|error| StoreError::Misuse { path: temporary.0.clone(), what: error.to_string() })?;
-        let _placing = cache.placing()?;
-        // Somebody may have placed the same content since; when that is intact, ours is not needed.
-        if cache.intact(&digest).is_err() {
-            cache.owner.write(&sum_path(&cache.root, &digest), sum.as_bytes())?;
-            files::rename(&temporary.0, &cache.data_path(&digest))?;
-            // The bytes were hashed a moment ago: no need to read them again.
-            if let Ok(identity) = Identity::of(&cache.data_path(&digest)) {
-                cache.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, identity);
-            }
-        }
+        cache.place(&digest, &temporary)?;
         Ok(stored)
     }
 }

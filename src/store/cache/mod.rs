@@ -16,6 +16,7 @@
 //! removes records before data. A damaged entry counts as missing: the node runs again and its output
 //! replaces the entry.
 
+mod arrive;
 mod bands;
 mod content;
 mod files;
@@ -24,6 +25,7 @@ mod keep;
 mod memory;
 mod record;
 
+pub use arrive::{Arrivals, Placed};
 pub use bands::{BandStore, KeptBand};
 pub use content::CacheWriter;
 pub use folder::{Cache, Lookup};
