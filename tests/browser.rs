@@ -1,5 +1,5 @@
-//! The pages in a real browser: headless Chromium opens the report of a run and of a diagnosis, and does what
-//! a person would.
+//! The pages in a real browser: headless Chromium opens the report of a run, of a diagnosis, and a page that
+//! plays a recording, and does what a person would.
 //!
 //! The browser is driven through its own protocol on a pipe (`--remote-debugging-pipe`: JSON, ended by a zero
 //! byte): no port, no driver program, no library. Any error on a page, or anything that it would load, fails
@@ -11,7 +11,7 @@
 //! A and AA, or its best practices. `make browser` fetches it; without it that part is skipped and said so,
 //! unless `REQUIRE_AXE` is set. What axe-core cannot decide is not reported.
 
-use crate::support::{Bench, root};
+use crate::support::{Bench, root, small_pipeline};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -479,6 +479,114 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     browser.wait("document.querySelector('[data-copy=\"0\"]').textContent !== 'Markdown'");
     browser.js("document.getElementById('theme').click()");
     browser.check("after all of it");
+}
+
+#[test]
+fn a_page_that_plays_a_run_is_used_in_a_browser() {
+    let bench = Bench::new();
+    bench.write("m.toml", &small_pipeline());
+    assert_eq!(bench.run(&["run", "m.toml", "--quiet"]).code, 0);
+    let done = bench.run(&["play", "m.toml", "-o", "play.html"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let mut browser = Browser::open(&bench.path("play.html"), 1280, 900);
+    let caption = "document.querySelector('[data-film=method] [data-part=caption]').textContent";
+    browser.wait(&format!("{caption}.includes('frame')"));
+    look_everywhere(&mut browser, "play");
+    // The instant in ms, as the page states it.
+    let now = "Number.parseFloat(document.querySelector('[data-part=now]').textContent)";
+    let at = |browser: &mut Browser| browser.js(now).as_f64().expect("a time");
+    let key = |browser: &mut Browser, key: &str| {
+        let text = if key.len() == 1 { key } else { "" };
+        browser.ask("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": key, "text": text }));
+    };
+    let wait_for = |browser: &mut Browser, ms: f64| browser.wait(&format!("Math.abs({now} - {ms}) < 1e-6"));
+    // Space plays and pauses.
+    let begin = at(&mut browser);
+    key(&mut browser, " ");
+    browser.wait(&format!("{now} > {begin}"));
+    assert_eq!(browser.js("document.querySelector('[data-part=play]').textContent"), json!("Pause"));
+    key(&mut browser, " ");
+    assert_eq!(
+        browser.js("document.querySelector('[data-part=play]').getAttribute('aria-pressed')"),
+        json!("false")
+    );
+    // The slider, and arrows by the window of events.
+    browser.js("(() => { const s = document.querySelector('[data-part=time]'); s.value = 100; \
+                s.dispatchEvent(new Event('input')); s.focus(); const w = \
+                document.querySelector('[data-part=window]'); w.value = 2e6; w.dispatchEvent(new \
+                Event('input')); })()");
+    let data = "P.data.from_ns / 1e6";
+    let zero = browser.js(data).as_f64().expect("a time");
+    wait_for(&mut browser, zero + 10.0);
+    key(&mut browser, "ArrowRight");
+    wait_for(&mut browser, zero + 12.0);
+    assert!(
+        browser
+            .js("document.querySelector('[data-part=time]').getAttribute('aria-valuetext')")
+            .as_str()
+            .is_some_and(|text| text.contains(" ms, ") && text.ends_with("events/s"))
+    );
+    // From frame to frame: the instant is the middle of an exposure.
+    key(&mut browser, ".");
+    let frames = "document.querySelector('[data-film=captured] [data-part=caption]').textContent";
+    browser.wait(&format!("{frames}.endsWith('its middle is at the instant')"));
+    // Another sequence, and events over it: other pictures each.
+    let picture = "(() => { const c = document.querySelector('[data-film=method] [data-part=picture]'); \
+                   const k = new OffscreenCanvas(c.width, c.height).getContext('2d'); k.drawImage(c, 0, 0); \
+                   return [...k.getImageData(0, 0, c.width, c.height).data].reduce((sum, v, at) => (sum * 31 \
+                   + v + at) % 1000003, 0); })()";
+    let first = browser.js(picture);
+    browser.js("(() => { const s = document.querySelector('[data-film=method] select'); s.value = \
+                [...s.options].find((o) => o.text === 'truth').value; s.dispatchEvent(new Event('input')); \
+                })()");
+    browser.wait(&format!("{caption}.startsWith('truth, frame') && {picture} !== {first}"));
+    let second = browser.js(picture);
+    browser.js("document.querySelector('[data-part=over]').click()");
+    browser.wait(&format!("{picture} !== {second}"));
+    // A press on the time line goes there.
+    let [left, top, width, height] = browser.settled("[data-part=line]");
+    browser.press(left + 96.0 + 0.25 * (width - 102.0), top + height / 2.0);
+    let length = browser.js("(P.data.to_ns - P.data.from_ns) / 1e6").as_f64().expect("a time");
+    browser.wait(&format!("Math.abs({now} - {}) < {}", zero + 0.25 * length, 0.01 * length));
+    browser.js("document.getElementById('theme').click()");
+    browser.check("after all of it");
+}
+
+#[test]
+fn a_page_draws_the_events_of_its_window_where_they_were() {
+    let bench = Bench::new();
+    // From 0 on: ON at (3, 2) within the first ms, OFF at (7, 5) at 10 ms, both at (1, 4) at 20 ms.
+    bench.write("e.csv", "t,x,y,p\n0,3,2,1\n900,3,2,1\n10000,7,5,0\n20000,1,4,1\n20010,1,4,0\n30000,0,0,1\n");
+    let done = bench.run(&["play", "e.csv", "--extent", "8x6", "--time-unit", "us", "-o", "play.html"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let mut browser = Browser::open(&bench.path("play.html"), 1280, 900);
+    browser.wait("document.querySelector('[data-part=events-caption]').textContent.includes('ON')");
+    let goes = |browser: &mut Browser, ms: u32, window_ns: u32| {
+        browser.js(&format!(
+            "(async () => {{ const set = (part, value) => {{ const e = \
+             document.querySelector(`[data-part=${{part}}]`); e.value = value; e.dispatchEvent(new \
+             Event('input')); }}; set('window', {window_ns}); set('time', {}); for (let k = 0; k < 3; k++) \
+             await new Promise((done) => requestAnimationFrame(done)); }})()",
+            ms * 10
+        ));
+        // Column, row, and which of ON's orange and OFF's blue outweighs.
+        browser.js("(() => { const c = document.querySelector('[data-part=events]'); const d = \
+                    c.getContext('2d').getImageData(0, 0, c.width, c.height).data; const all = []; for (let \
+                    k = 0; k < d.length; k += 4) if (d[k + 3]) all.push([k / 4 % c.width, Math.floor(k / 4 / \
+                    c.width), d[k] > d[k + 2] + 40 ? 'on' : d[k + 2] > d[k] + 40 ? 'off' : 'both']); return \
+                    all; })()")
+    };
+    let rate = "document.querySelector('[data-part=rate]').textContent";
+    assert_eq!(goes(&mut browser, 10, 1_000_000), json!([[7, 5, "off"]]));
+    assert_eq!(browser.js(rate), json!("1 k events/s"));
+    assert_eq!(goes(&mut browser, 20, 1_000_000), json!([[1, 4, "both"]]));
+    assert_eq!(browser.js(rate), json!("2 k events/s"));
+    assert_eq!(goes(&mut browser, 5, 1_000_000), json!([]));
+    assert_eq!(browser.js(rate), json!("0 events/s"));
+    // At the beginning half of the window lies before the recording: two events in 1 ms.
+    assert_eq!(goes(&mut browser, 0, 2_000_000), json!([[3, 2, "on"]]));
+    assert_eq!(browser.js(rate), json!("2 k events/s"));
+    assert_eq!(goes(&mut browser, 10, 20_000_000), json!([[3, 2, "on"], [7, 5, "off"]]));
 }
 
 #[test]

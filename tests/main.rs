@@ -1,12 +1,13 @@
 //! The integration tests, as one binary. What belongs where:
 //!
-//! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
+//! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis, one that plays.
 //! - `circles`: modules that import each other.
 //! - `code_map`: the tables of docs/architecture.md against the tree.
 //! - `commands`: the commands in README.md and docs/ run.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `pack`: a finished run as one file, run on another machine.
 //! - `pages`: the pages of README.md and docs/, their code blocks and links.
+//! - `play`: pages that play a recording or a run, by `photocurrent play`.
 //! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
 //! - `pipelines`: the pipelines that people run, and their ablations, do run.
 //! - `cache`: what runs again after a change, and what does not.
@@ -69,6 +70,7 @@ mod pages;
 mod pairing;
 mod parts;
 mod pipelines;
+mod play;
 mod progress;
 mod readers;
 mod readme;

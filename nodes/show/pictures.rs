@@ -8,7 +8,7 @@
 use crate::write::display::{Curve, Look};
 use crate::write::picture::Picture;
 use photocurrent_core::{
-    Colour, DataType, Extent, FrameScale, FrameSequence, NodeError, Sensor, Truth, Value,
+    Colour, DataType, Exposure, Extent, FrameScale, FrameSequence, NodeError, Sensor, Truth, Value,
 };
 use png::BitDepth;
 
@@ -88,9 +88,19 @@ impl Shown {
         self.frames.is_empty()
     }
 
+    /// Exposure of each frame's row 0.
+    pub fn exposures(&self) -> &[Exposure] {
+        &self.frames.meta.times.exposures
+    }
+
+    /// Delay from one row's exposure to the next, ns.
+    pub fn row_time_ns(&self) -> i64 {
+        self.frames.meta.times.row_time_ns
+    }
+
     /// Middle of the exposure of each frame's row 0, ns.
     pub fn middles_ns(&self) -> Vec<i64> {
-        self.frames.meta.times.exposures.iter().map(|exposure| exposure.mid().0).collect()
+        self.exposures().iter().map(|exposure| exposure.mid().0).collect()
     }
 
     /// The exposure that its DN stand for, ns: of captured frames the median one.
@@ -152,7 +162,7 @@ impl Shown {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::{Exposure, testing};
+    use photocurrent_core::testing;
 
     fn codes(png: &[u8]) -> (u32, u32, Vec<u8>) {
         let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();

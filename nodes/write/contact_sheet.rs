@@ -15,13 +15,12 @@
 //! lower rows are later, so a captured frame leans against the truth and the events next to it. A value that
 //! is not known (NaN) is drawn black; what saturated in a longer exposure looks too dark.
 
-mod events;
 mod sheet;
 mod shown;
 
-use self::events::{Count, colour, counted};
 use self::sheet::{GAP, Layout, Sheet, displayed, grey_range};
 use self::shown::Shown;
+use super::events::{Count, colour, counted};
 use super::font;
 use super::frames::nominal_exposure_ns;
 use super::picture::Picture;

@@ -7,6 +7,7 @@
 pub mod contact_sheet;
 pub mod diagnosis;
 pub(crate) mod display;
+mod events;
 pub mod figure;
 mod font;
 pub mod frames;

@@ -7,19 +7,29 @@
 //! film. `rate` says how many frames a second are shown, whatever the time between them was: a film of 1,000
 //! frames per second shown at 30 is 33 times slowed down, and a note says so.
 //!
+//! With `events` connected, the events around the middle of each frame's exposure are drawn over it in two
+//! colours ([`super::events`]), and the film is one of colours. `counters` writes the time of that middle,
+//! the number of the frame and, with events, their rate over the array into the picture. `scale` makes small
+//! pictures larger.
+//!
 //! With `encoder = "ffmpeg"` that program then makes `video.mp4` of it, in this node's folder; other programs
 //! and arguments by `arguments`. Nothing is looked for that the manifest does not name: on a machine without
 //! the encoder the node fails, it does not give something else under the same key. Another version of the
 //! encoder gives other bytes: `encoder_version` is a text of yours to raise then.
 //!
-//! Limits: for looking only, never for scores. Y4M is not compressed: 1.5 bytes a grey pixel.
+//! Limits: for looking only, never for scores. Y4M is not compressed: 1.5 bytes a grey pixel, 3 a coloured
+//! one. Middles are those of row 0: under a rolling shutter, events of lower rows are earlier than their
+//! frame.
 
+mod overlay;
+
+use self::overlay::{Film, Overlay};
 use super::display::Look;
 use crate::command;
-use photocurrent_core::quantity::Rate;
+use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{
-    Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
+    Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
 };
 use photocurrent_formats::ycbcr::{Levels, Range};
 use schemars::JsonSchema;
@@ -39,6 +49,15 @@ pub struct Params {
     /// DN of white. Default: 99.8 percent of the values lie below it, and it is at most the saturation of the
     /// sensor description.
     pub white: Option<f64>,
+    /// Events are drawn over a frame from half of this before the middle of its exposure to half after it.
+    /// Default: the mean time from frame to frame, so that a film has every event once; 5 ms for one frame.
+    #[schemars(extend("x-min" = "1 us", "x-max" = "1000 s"))]
+    pub window: Option<Duration>,
+    /// Write time, frame number and event rate into the picture.
+    pub counters: bool,
+    /// Picture dots for each pixel along each side, 1 to 16.
+    #[schemars(range(min = 1, max = 16))]
+    pub scale: u32,
     /// The program that makes `video.mp4`, by its name on the path or its whole path; absent = Y4M only.
     pub encoder: Option<String>,
     /// Its arguments, each by itself; no shell sees them. `{y4m}` and `{mp4}` stand for the files. Default:
@@ -53,6 +72,9 @@ impl Default for Params {
         Params {
             rate: Rate::new(30.0),
             white: None,
+            window: None,
+            counters: false,
+            scale: 1,
             encoder: None,
             arguments: None,
             encoder_version: String::new(),
@@ -65,7 +87,9 @@ photocurrent_core::ports! {
     pub struct In {
         /// Frames, captured or rendered, grey or RGB.
         frames: FrameSequence,
-        /// The sensor description: black level and saturation.
+        /// Events, drawn over the frames: ON orange, OFF light blue.
+        events: Option<EventStream>,
+        /// The sensor description: black level and saturation; clock offset of the events.
         sensor: Option<Arc<Sensor>>,
     }
 }
@@ -134,8 +158,8 @@ params = { path = "scene.h5" }
 
 [nodes.film]
 kind   = "write/video"
-in     = { frames = "recording.frames", sensor = "recording.sensor" }
-params = { rate = "25 Hz" }
+in     = { frames = "recording.frames", events = "recording.events", sensor = "recording.sensor" }
+params = { rate = "25 Hz", window = "5 ms", counters = true }
 "#,
     };
     type Params = Params;
@@ -153,6 +177,16 @@ params = { rate = "25 Hz" }
         }
         if params.white.is_some_and(|white| !white.is_finite()) {
             return Err(NodeError::usage("`white` must be a number of DN").param("white"));
+        }
+        if !(1..=16).contains(&params.scale) {
+            return Err(
+                NodeError::usage(format!("`scale` is {}, and must be 1 to 16", params.scale)).param("scale")
+            );
+        }
+        if let Some(window) = params.window.filter(|window| window.ns() < 1000) {
+            return Err(
+                NodeError::usage(format!("`window` is {window}, and must be 1 us or longer")).param("window")
+            );
         }
         if params.encoder.is_none() && (params.arguments.is_some() || !params.encoder_version.is_empty()) {
             let idle = if params.arguments.is_some() { "arguments" } else { "encoder_version" };
@@ -184,6 +218,15 @@ params = { rate = "25 Hz" }
             return Err(NodeError::usage("a mosaic is no picture to look at")
                 .hint("connect frames of render/demosaic"));
         }
+        match inputs.all("events").first() {
+            None if self.params.window.is_some() => {
+                return Err(NodeError::usage("`window` does nothing without `events`")
+                    .hint("connect the events of the recording, or leave `window` out")
+                    .param("window"));
+            }
+            Some(Meta::Events(events)) => overlay::check(events, frames)?,
+            _ => {}
+        }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
 
@@ -199,19 +242,24 @@ params = { rate = "25 Hz" }
             |result: std::io::Result<()>| result.map_err(|error| super::cannot_write(&path, &error));
         let mut file =
             BufWriter::new(File::create(&path).map_err(|error| super::cannot_write(&path, &error))?);
-        written(file.write_all(header(frames, self.params.rate).as_bytes()))?;
+        let film = Film::of(frames, input.events.is_some(), self.params.scale);
+        let (window, sensor) = (self.params.window, input.sensor.as_deref());
+        let mut overlay = Overlay::new(frames, input.events.as_ref(), sensor, window, self.params.counters)?;
+        overlay.about().into_iter().for_each(|note| cx.note(note));
+        written(file.write_all(header(film, self.params.rate).as_bytes()))?;
         cx.begin(frames.len() as u64, "frames");
-        let (curve, colour) = (look.curve(), frames.meta.channels() == 3);
+        let curve = look.curve();
         let mut planes = Vec::new();
         for l in 0..frames.len() {
             let block = frames.read(l..l + 1, frames.rows())?;
             let codes: Vec<u8> = block.dn.iter().map(|&dn| curve.of(dn)).collect();
+            let codes = overlay.draw(film, l, codes)?;
             planes.clear();
             planes.extend_from_slice(b"FRAME\n");
-            if colour {
+            if film.is_colour {
                 push_444(&codes, &mut planes)
             } else {
-                push_420(&codes, frames.meta.extent.width, &mut planes)
+                push_420(&codes, film.width, &mut planes)
             }
             written(file.write_all(&planes))?;
             cx.advance(1)?;
@@ -257,12 +305,12 @@ impl WriteVideo {
 }
 
 /// The line that the file begins with.
-fn header(frames: &FrameSequence, rate: Rate) -> String {
+fn header(film: Film, rate: Rate) -> String {
     let hz = rate.hz();
     let (numerator, denominator) =
         if hz.fract() == 0.0 { (hz.round() as u64, 1) } else { ((hz * 1000.0).round() as u64, 1000) };
-    let chroma = if frames.meta.channels() == 3 { "444" } else { "420jpeg" };
-    let (width, height) = (frames.meta.extent.width, frames.rows().len());
+    let chroma = if film.is_colour { "444" } else { "420jpeg" };
+    let (width, height) = (film.width, film.height);
     format!("YUV4MPEG2 W{width} H{height} F{numerator}:{denominator} Ip A1:1 C{chroma} XCOLORRANGE=LIMITED\n")
 }
 
@@ -315,7 +363,7 @@ mod tests {
         look: impl FnOnce(Result<Out, NodeError>, Vec<String>, &Path),
     ) {
         let node = WriteVideo::build(params).unwrap();
-        exporting(|cx| node.run(In { frames: frames.clone(), sensor: None }, cx), look);
+        exporting(|cx| node.run(In { frames: frames.clone(), events: None, sensor: None }, cx), look);
     }
 
     fn exposures(count: i64) -> Vec<Exposure> {

@@ -52,6 +52,10 @@ pub enum Command {
     Graph(GraphOptions),
     /// Show what recordings hold, and their data hazards
     Inspect(InspectOptions),
+    /// Make one HTML page that plays a recording or a run
+    ///
+    /// Events, frames and, for a run, what was reconstructed, side by side in time.
+    Play(crate::play::PlayOptions),
     /// Write a recording, or a part, in another format
     Convert(ConvertOptions),
     /// Say where recording and sensor description differ

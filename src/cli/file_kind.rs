@@ -222,6 +222,9 @@ fn of_text(path: &Path, head: &[u8], bytes: u64) -> Option<FileKind> {
     if is_page_of("report") {
         return Some(FileKind::Other("the report of a run: open it in a browser".into()));
     }
+    if is_page_of("play") {
+        return Some(FileKind::Other("a page that plays a recording: open it in a browser".into()));
+    }
     match of_toml(text) {
         _ if bytes > LARGEST_TOML => None,
         Some(kind) => Some(kind),

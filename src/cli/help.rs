@@ -12,11 +12,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// The commands by what a person wants.
-const GROUPS: [(&str, &[&str]); 5] = [
+const GROUPS: [(&str, &[&str]); 4] = [
     ("Run pipelines", &["init", "run", "plan", "explain", "check", "merge", "cache"]),
     ("See results", &["report", "table", "runs", "graph"]),
-    ("Recordings", &["inspect", "convert"]),
-    ("Diagnose", &["diagnose"]),
+    ("Recordings", &["inspect", "play", "convert", "diagnose"]),
     ("Reference", &["nodes", "effects", "schema", "man", "completions"]),
 ];
 

@@ -28,6 +28,7 @@ mod numbers;
 mod pack;
 mod parts;
 mod plan;
+mod play;
 mod problems;
 mod progress;
 mod report;
@@ -65,6 +66,7 @@ fn execute(command: &Command) -> Done {
         Command::Table(options) => table::table(options),
         Command::Report(options) => report::report(options),
         Command::Runs(options) => runs::runs(options),
+        Command::Play(options) => play::play(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),

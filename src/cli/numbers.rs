@@ -30,6 +30,11 @@ pub fn human_bytes(bytes: u64) -> String {
     if unit == 0 { format!("{bytes} B") } else { format!("{value:.1} {}", units[unit]) }
 }
 
+/// A time in ms, to the microsecond: `12.345`.
+pub fn in_ms(ns: i64) -> String {
+    format!("{:.3}", ns as f64 / 1e6)
+}
+
 /// `85 ms`, `3.2 s`, `4 min 10 s`.
 pub fn human_seconds(seconds: f64) -> String {
     match seconds {

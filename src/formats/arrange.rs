@@ -512,6 +512,11 @@ impl Arranged {
         Ok(Box::new(self.trimmed(recording, false)?))
     }
 
+    /// Are events that are there twice read once? By [`Arranged::gather`] only.
+    pub fn drops_duplicates(&self) -> bool {
+        self.drop_duplicates
+    }
+
     /// The frames in the window by their numbers in the file, in order of time.
     pub fn frames_read(&self) -> &[usize] {
         &self.order

@@ -13,17 +13,6 @@
   const mark = (x, y, style) =>
     P.svg("path", { d: SHAPES[style === "truth" ? 0 : style % 8], transform: `translate(${x.toFixed(1)} ${y.toFixed(1)})`, fill: line(style).stroke, stroke: line(style).stroke, "stroke-width": 1.2 });
 
-  // Round steps: 1, 2 or 5 times a power of ten, some `count` of them.
-  const steps = (low, high, count) => {
-    const rough = (high - low) / Math.max(count, 1);
-    const power = 10 ** Math.floor(Math.log10(rough));
-    const step = [1, 2, 5, 10].map((k) => k * power).find((step) => step >= rough * 0.999);
-    const values = [];
-    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) values.push(k * step);
-    const digits = Math.max(0, Math.min(6, -Math.floor(Math.log10(step) + 1e-9)));
-    return values.map((value) => [value, value.toFixed(digits)]);
-  };
-
   // Round values of a positive range: 1, 2 and 5 times each power of ten, powers alone over many; the ends of a narrow one.
   const ratios = (low, high) => {
     const values = [];
@@ -54,11 +43,11 @@
     const y = (value) => height - bottom - ((value - y0) / (y1 - y0)) * (height - bottom - top);
     const svg = P.svg("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${spec.title ?? ""}: ${spec.y} over ${spec.x}` });
     if (spec.title) svg.append(P.svg("text", { class: "title", x: left, y: 16 }, spec.title));
-    for (const [value, text] of steps(y0, y1, height / 50)) {
+    for (const [value, text] of P.steps(y0, y1, height / 50)) {
       svg.append(P.svg("line", { class: value === 0 ? "axis" : "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
       svg.append(P.svg("text", { x: left - 6, y: y(value) + 4, "text-anchor": "end" }, text));
     }
-    for (const [value, text] of spec.isLog ? ratios(x0, x1) : steps(x0, x0 + span, width / 90)) {
+    for (const [value, text] of spec.isLog ? ratios(x0, x1) : P.steps(x0, x0 + span, width / 90)) {
       svg.append(P.svg("line", { class: "grid", x1: x(value), x2: x(value), y1: top, y2: height - bottom }));
       svg.append(P.svg("text", { x: x(value), y: height - bottom + 16, "text-anchor": "middle" }, text));
     }

@@ -36,6 +36,36 @@ pub fn png_uri(png: &[u8]) -> String {
     format!("data:image/png;base64,{}", STANDARD.encode(png))
 }
 
+/// Bytes as text for JSON, base64.
+pub(crate) fn as_text<S: serde::Serializer>(bytes: &[u8], to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(&STANDARD.encode(bytes))
+}
+
+/// Escaped text in which what stands in backquotes is code.
+pub(crate) fn code_spans(text: &str) -> String {
+    let parts = text.split('`').enumerate();
+    parts
+        .map(|(at, part)| if at % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) })
+        .collect()
+}
+
+/// Names and texts as a list of terms; nothing for none.
+pub(crate) fn list(rows: &[(String, String)]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
+    let rows: String = rows
+        .iter()
+        .map(|(name, text)| format!("<dt>{}</dt><dd>{}</dd>\n", escaped(name), escaped(text)))
+        .collect();
+    format!("<dl>\n{rows}</dl>\n")
+}
+
+/// What is missing or was left out, a paragraph each.
+pub(crate) fn notes(texts: &[String]) -> String {
+    texts.iter().map(|text| format!("<p class=\"missing\">{}</p>\n", code_spans(text))).collect()
+}
+
 /// JSON inside a `script` element: nothing in it ends the element or begins a comment.
 pub(crate) fn embedded(json: &serde_json::Value) -> String {
     json.to_string().replace('<', "\\u003c").replace('\u{2028}', "\\u2028").replace('\u{2029}', "\\u2029")

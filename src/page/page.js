@@ -28,6 +28,16 @@ P.number = (value, digits = 4) => {
   const text = value.toPrecision(digits);
   return text.includes("e") ? String(Number(text)) : text.replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
 };
+// Round steps: 1, 2 or 5 times a power of ten, some `count` of them, with their texts.
+P.steps = (low, high, count) => {
+  const rough = (high - low) / Math.max(count, 1);
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((k) => k * power).find((step) => step >= rough * 0.999);
+  const values = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) values.push(k * step);
+  const digits = Math.max(0, Math.min(6, -Math.floor(Math.log10(step) + 1e-9)));
+  return values.map((value) => [value, value.toFixed(digits)]);
+};
 P.ms = (ns) => `${(ns / 1e6).toFixed(3)} ms`;
 
 // Theme: as the system has it, light, dark. Nothing is stored.

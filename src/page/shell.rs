@@ -15,6 +15,8 @@ pub enum Script {
     Compare,
     /// One pixel over time.
     Probe,
+    /// Events and pictures in time.
+    Play,
 }
 
 impl Script {
@@ -23,6 +25,7 @@ impl Script {
             Script::Chart => include_str!("chart.js"),
             Script::Compare => include_str!("compare.js"),
             Script::Probe => include_str!("probe.js"),
+            Script::Play => include_str!("play.js"),
         }
     }
 }

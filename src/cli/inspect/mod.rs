@@ -142,13 +142,7 @@ pub fn look(
         .filter_map(|file| std::fs::metadata(file).ok())
         .map(|metadata| metadata.len())
         .sum();
-    let bar = (!quiet && is_terminal()).then(|| ProgressBar::new(1000));
-    if let Some(bar) = &bar {
-        bar.set_style(
-            ProgressStyle::with_template("reading {wide_bar} {eta}")
-                .unwrap_or_else(|_| ProgressStyle::default_bar()),
-        );
-    }
+    let bar = reading_bar(quiet);
     let survey = survey(&*recording, format.id, &Most::default(), |part| {
         if let Some(bar) = &bar {
             bar.set_position((part * 1000.0) as u64);
@@ -159,6 +153,16 @@ pub fn look(
     }
     let findings = hazard::findings(&survey, &Limits::default());
     Ok(Seen { format, bytes, survey, findings })
+}
+
+/// A bar of a thousand parts for a file that is read, where a person sits at a terminal and wants one.
+pub fn reading_bar(quiet: bool) -> Option<ProgressBar> {
+    let bar = (!quiet && is_terminal()).then(|| ProgressBar::new(1000))?;
+    bar.set_style(
+        ProgressStyle::with_template("reading {wide_bar} {eta}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar()),
+    );
+    Some(bar)
 }
 
 /// What to say of a file that is none of ours.

@@ -5,11 +5,12 @@
 //! the size, and again.
 
 use super::run::{Output, Run, Styles};
+use super::scores::best_row;
 use crate::failure::Failure;
 use crate::numbers::human_bytes;
 use photocurrent_core::{Extent, NodeError, Sensor, Value};
 use photocurrent_nodes::show::{Shown, Tone};
-use photocurrent_page::{Film, Group, Mark, Picture, RunPage, png_uri};
+use photocurrent_page::{Film, Group, Picture, RunPage, png_uri};
 use std::sync::Arc;
 
 /// More sequences than these are hard to choose from.
@@ -218,7 +219,7 @@ fn group(
     let chosen: Vec<i64> = (0..count).map(|k| instants[place(k)]).collect();
     let sequences = films.encode(&chosen, styles).map_err(failed)?;
     Ok(Group {
-        first: first_pair(&sequences, best(page)),
+        first: first_pair(&sequences, best_row(page)),
         name,
         width: extent.width / shrink,
         height: extent.height / shrink,
@@ -299,15 +300,6 @@ fn common<'a>(instants: &[i64], methods: impl Iterator<Item = &'a Vec<i64>>) -> 
     let (from, to) = methods.fold((i64::MIN, i64::MAX), ends);
     let found: Vec<i64> = instants.iter().copied().filter(|t| (from..=to).contains(t)).collect();
     if found.is_empty() { instants.to_vec() } else { found }
-}
-
-/// The name of the method that is best in the first column of the verdict.
-fn best(page: &RunPage) -> Option<&str> {
-    let rows = page.verdicts.first().map_or(&[][..], |verdict| &verdict.rows);
-    rows.iter()
-        .find(|row| row.cells.first().is_some_and(|cell| cell.mark == Mark::Best))
-        .and_then(|row| row.names.last())
-        .map(String::as_str)
 }
 
 /// What was captured on the left, and the best method on the right, else the first.

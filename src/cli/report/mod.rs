@@ -8,8 +8,11 @@
 mod films;
 mod nodes;
 mod pixels;
-mod run;
+pub mod run;
 mod scores;
+
+pub use films::sensor;
+pub use scores::best;
 
 use crate::args::ReportOptions;
 use crate::failure::{Done, Failure, write_whole};
@@ -48,7 +51,8 @@ pub fn of_run(folder: &Path, cache: &Path, quiet: bool) -> Result<PathBuf, Failu
 
 /// Writes the page and gives its path.
 fn write(options: &ReportOptions) -> Result<PathBuf, Failure> {
-    let runs = options.runs.iter().map(|source| Run::open(source, options)).collect::<Result<Vec<_>, _>>()?;
+    let open = |source| Run::open(source, "report", &options.variants, options.cache.as_deref());
+    let runs = options.runs.iter().map(|source| open(source)).collect::<Result<Vec<_>, _>>()?;
     let output = options.output.clone().unwrap_or_else(|| runs[0].folder.join("report.html"));
     let mut budget = options.max_size.saturating_sub(REST);
     for _ in 0..TRIES {

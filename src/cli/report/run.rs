@@ -1,6 +1,5 @@
 //! A finished run: what it says of itself, its cache, and what its outputs are called.
 
-use crate::args::ReportOptions;
 use crate::failure::Failure;
 use crate::file_kind::FileKind;
 use crate::run_record::{FILE, Part, RunRecord, TaskRecord, VariantRecord, check_same_manifest};
@@ -30,8 +29,14 @@ pub struct Run {
 }
 
 impl Run {
-    /// The run of a manifest or of a folder.
-    pub fn open(source: &Path, options: &ReportOptions) -> Result<Run, Failure> {
+    /// The run of a manifest or of a folder, for `command`; with its cache, unless that is elsewhere, and of
+    /// an ablation the variants with a part of `wanted` in their names.
+    pub fn open(
+        source: &Path,
+        command: &str,
+        wanted: &[String],
+        cache: Option<&Path>,
+    ) -> Result<Run, Failure> {
         let usage = |message: String| Failure::Other { message, code: 2 };
         let kind = FileKind::of(source);
         let is_manifest = matches!(kind, FileKind::Manifest);
@@ -47,11 +52,9 @@ impl Run {
                      manifest again; what the cache has is not run again",
                     source.display()
                 )),
-                kind => kind.refuse(
-                    source,
-                    "report",
-                    "a manifest that was run, or the folder that a run wrote to",
-                ),
+                kind => {
+                    kind.refuse(source, command, "a manifest that was run, or the folder that a run wrote to")
+                }
             });
         }
         if !folder.join(FILE).exists() {
@@ -75,7 +78,7 @@ impl Run {
             )?;
         }
         let record = RunRecord::load(&folder)?;
-        let at = options.cache.clone().unwrap_or_else(|| folder.join(&record.cache));
+        let at = cache.map_or_else(|| folder.join(&record.cache), Path::to_path_buf);
         // Looking makes no folder.
         let cache = if at.is_dir() {
             Cache::open(&at).map_err(|error| error.to_string())
@@ -86,12 +89,12 @@ impl Run {
         let name =
             absolute.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned());
         let (labels, joined) = (labels(&record), joined(&record));
-        let run = Run { name, folder, record, cache, labels, joined, wanted: options.variants.clone() };
+        let run = Run { name, folder, record, cache, labels, joined, wanted: wanted.to_vec() };
         if run.variants().next().is_none() {
             let names: Vec<&str> = run.record.variants.iter().map(|variant| variant.name.as_str()).collect();
             return Err(usage(format!(
                 "--variant {}: no variant of {} has this in its name\n  hint: there are {}",
-                options.variants.join(", "),
+                wanted.join(", "),
                 run.name,
                 names.join("; ")
             )));

@@ -83,6 +83,22 @@ fn laid_out(records: &[Record]) -> Result<Grid, Failure> {
     Err(Failure::other(format!("the scores cannot be laid out: {last}")))
 }
 
+/// The name of the method that is best in the first column of the verdict.
+pub fn best_row(page: &RunPage) -> Option<&str> {
+    let rows = page.verdicts.first().map_or(&[][..], |verdict| &verdict.rows);
+    rows.iter()
+        .find(|row| row.cells.first().is_some_and(|cell| cell.mark == Mark::Best))
+        .and_then(|row| row.names.last())
+        .map(String::as_str)
+}
+
+/// The name of a run's method that is best in the first column of its scores.
+pub fn best(run: &Run) -> Result<Option<String>, Failure> {
+    let mut page = RunPage::default();
+    verdict(std::slice::from_ref(run), &mut page)?;
+    Ok(best_row(&page).map(String::from))
+}
+
 /// Adds the tables of scores and the metric cards.
 pub fn verdict(runs: &[Run], page: &mut RunPage) -> Result<(), Failure> {
     let records = pooled(runs)?;

@@ -1,7 +1,7 @@
 //! The parts of a run's report as HTML.
 
 use super::data::{BoundMark, BoundRow, Mark, RunPage, Verdict};
-use crate::escape::escaped;
+use crate::escape::{code_spans, escaped, list, notes};
 use std::fmt::Write;
 
 pub(super) fn lead(page: &RunPage) -> String {
@@ -14,29 +14,6 @@ pub(super) fn lead(page: &RunPage) -> String {
         let _ = writeln!(html, "<p class=\"failed\" role=\"alert\">{}</p>", escaped(failure));
     }
     html
-}
-
-fn list(rows: &[(String, String)]) -> String {
-    if rows.is_empty() {
-        return String::new();
-    }
-    let rows: String = rows
-        .iter()
-        .map(|(name, text)| format!("<dt>{}</dt><dd>{}</dd>\n", escaped(name), escaped(text)))
-        .collect();
-    format!("<dl>\n{rows}</dl>\n")
-}
-
-fn notes(texts: &[String]) -> String {
-    texts.iter().map(|text| format!("<p class=\"missing\">{}</p>\n", code_spans(text))).collect()
-}
-
-/// Escaped text in which what stands in backquotes is code.
-fn code_spans(text: &str) -> String {
-    let parts = text.split('`').enumerate();
-    parts
-        .map(|(at, part)| if at % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) })
-        .collect()
 }
 
 pub(super) fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
