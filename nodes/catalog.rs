@@ -39,6 +39,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<refine::picture::RefinePicture>(),
         Kind::of::<align::tracks::AlignTracks>(),
         // Photocurrent becomes frames.
+        Kind::of::<solve::frames::SolveFrames>(),
         Kind::of::<render::rows::RenderRows>(),
         Kind::of::<render::demosaic::RenderDemosaic>(),
         Kind::of::<refine::onnx::RefineOnnx>(),

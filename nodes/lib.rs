@@ -4,11 +4,13 @@
 //! list of all of them. What several nodes share stands next to the families: [`sampling`] (when virtual
 //! frames are exposed), [`reconstruct`] (what methods that start from captured frames do alike), [`spans`]
 //! (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of
-//! many frames), [`onnx`] (networks). [`show`] is what a report shows of results.
+//! many frames), [`onnx`] (networks), [`backend`] (processor or card). [`show`] is what a
+//! report shows of results.
 
 #![warn(unreachable_pub)]
 
 pub mod align;
+mod backend;
 pub mod baseline;
 pub mod catalog;
 mod command;

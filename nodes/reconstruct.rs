@@ -362,19 +362,25 @@ pub(crate) fn in_rows(
     let rows = cx.rows();
     cx.begin(rows.len() as u64, "rows");
     let mut block = FrameBlock::zeros(0..meta.times.len(), rows, meta.row_values());
-    let mut of_rows: Vec<(u32, Vec<&mut [f32]>)> =
-        rows.iter().map(|y| (y, Vec::with_capacity(meta.times.len()))).collect();
-    for frame in block.dn.chunks_exact_mut((rows.len() * meta.row_values()).max(1)) {
-        of_rows
-            .iter_mut()
-            .zip(frame.chunks_exact_mut(meta.row_values()))
-            .for_each(|((_, frames), values)| frames.push(values));
-    }
-    of_rows.into_par_iter().try_for_each(|(y, mut frames)| -> Result<(), NodeError> {
+    rows_of(&mut block).into_par_iter().try_for_each(|(y, mut frames)| -> Result<(), NodeError> {
         row(y, &mut frames)?;
         cx.advance(1)
     })?;
     Ok(FrameSequence::in_memory(Arc::new(meta), block))
+}
+
+/// Every row of a block, of each of its frames, to write.
+pub(crate) fn rows_of(block: &mut FrameBlock) -> Vec<(u32, Vec<&mut [f32]>)> {
+    let (count, width) = (block.frames.len(), block.row_values);
+    let mut of_rows: Vec<(u32, Vec<&mut [f32]>)> =
+        block.rows.iter().map(|y| (y, Vec::with_capacity(count))).collect();
+    for frame in block.dn.chunks_exact_mut((block.rows.len() * width).max(1)) {
+        of_rows
+            .iter_mut()
+            .zip(frame.chunks_exact_mut(width))
+            .for_each(|((_, frames), values)| frames.push(values));
+    }
+    of_rows
 }
 
 #[cfg(test)]

@@ -13,12 +13,16 @@
 //! is taken with the events of the event pixel that it lies on. Limits: no front-end delay, no readout
 //! latency, no refractory period.
 
+mod on_card;
+
+use crate::backend::{Backend, Machine};
 use crate::held::{Exposures, HeldMeans, Knots, Lanes, TILE, develop};
 pub use crate::reconstruct::In;
 use crate::reconstruct::{Request, black_level, contrast_of, events_of, in_rows, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
 use multiversion::multiversion;
 use photocurrent_core::events::{EventRow, PixelIndex};
+use photocurrent_core::node::Working;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     Context, Decl, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
@@ -54,6 +58,10 @@ pub struct Params {
     /// exposure as recorded.
     #[schemars(extend("x-min" = "1 ns"))]
     pub blur: Option<Duration>,
+    /// What takes the means: `cpu`, this processor, or `gpu`, a graphics card, for programs built with the
+    /// feature `gpu`; without either it is an error. Pictures are the same to 1e-5 of their light. Where each
+    /// frame has a threshold of its own, it is done on the processor then too.
+    pub backend: Backend,
 }
 
 photocurrent_core::ports! {
@@ -67,6 +75,7 @@ photocurrent_core::ports! {
 /// The node.
 pub struct BaselineEdi {
     params: Params,
+    machine: Machine,
 }
 
 impl BaselineEdi {
@@ -131,13 +140,22 @@ params = { rate = "1 kHz", latency = "40 us" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        Ok(BaselineEdi { params })
+        let machine = Machine::new(params.backend)?;
+        Ok(BaselineEdi { params, machine })
+    }
+
+    fn machine(&self) -> Option<String> {
+        self.machine.name().map(String::from)
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let request = Request::planned(inputs)?;
         self.rule(&request, inputs.has("contrast").then_some(1.0))?;
         Ok(vec![Meta::Frames(Arc::new(request.output(&self.params.sampling)?))])
+    }
+
+    fn working(&self, _inputs: &PortMetas) -> Working {
+        self.machine.working(None)
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -156,6 +174,16 @@ params = { rate = "1 kHz", latency = "40 us" }
         };
         let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
+        if let (Some(card), Some(name)) = (self.machine.open()?, self.machine.name()) {
+            cx.note(format!("rendered on {name}"));
+            if job.per_frame.is_empty() {
+                return Ok(Out { frames: on_card::frames(&job, card.integrator, &events, &frames, cx)? });
+            }
+            cx.count(
+                cx.rows().len() as u64,
+                "rows were done on the processor: each frame has its own threshold",
+            );
+        }
         Ok(Out {
             frames: in_rows(cx, meta.clone(), |row, out| {
                 events.with_row(row, |events| job.row(row, &events, &frames, out))
@@ -438,8 +466,9 @@ mod tests {
         let frames = testing::captured(ONE, exposures, 0, |_, _, _| dn);
         let input =
             In { events: testing::stream(ONE, events), frames, sensor: None, contrast: None, at: None };
-        let (out, _) =
-            testing::with_context(ONE.rows(), &["frames"], |cx| BaselineEdi { params }.run(input, cx));
+        let (out, _) = testing::with_context(ONE.rows(), &["frames"], |cx| {
+            BaselineEdi::build(params).unwrap().run(input, cx)
+        });
         out.unwrap().frames.read_rows(ONE.rows()).unwrap().dn
     }
 
@@ -502,8 +531,9 @@ mod tests {
         let input =
             In { events: testing::stream(ONE, vec![]), frames, sensor: None, contrast: None, at: None };
         let params = Params { chain: 1.0, ..params(200.0) };
-        let (out, _) =
-            testing::with_context(ONE.rows(), &["frames"], |cx| BaselineEdi { params }.run(input, cx));
+        let (out, _) = testing::with_context(ONE.rows(), &["frames"], |cx| {
+            BaselineEdi::build(params).unwrap().run(input, cx)
+        });
         let dn = out.unwrap().frames.read_rows(ONE.rows()).unwrap().dn;
         let apart = libm::exp(libm::log(4.0) / 6.0);
         assert!(
@@ -523,8 +553,9 @@ mod tests {
         let events = testing::stream(ONE, vec![on(2_000_000), on(12_000_000)]);
         let params = Params { threshold: None, ..params(1000.0) };
         let input = In { events, frames, sensor: None, contrast, at: None };
-        let (out, _) =
-            testing::with_context(ONE.rows(), &["frames"], |cx| BaselineEdi { params }.run(input, cx));
+        let (out, _) = testing::with_context(ONE.rows(), &["frames"], |cx| {
+            BaselineEdi::build(params).unwrap().run(input, cx)
+        });
         let dn = out.unwrap().frames.read_rows(ONE.rows()).unwrap().dn;
         let at = |ms: usize| f64::from(dn[ms]);
         for (ms, expected) in [(1, 20.0), (3, 40.0), (11, 15.0), (13, 45.0)] {
@@ -619,7 +650,7 @@ mod tests {
 
     #[test]
     fn a_threshold_must_come_from_somewhere() {
-        let node = BaselineEdi { params: Params::default() };
+        let node = BaselineEdi::build(Params::default()).unwrap();
         let events = testing::stream(ONE, vec![]);
         let frames = testing::frames(1, 1, 1);
         let request = Request { frames: &frames.meta, events: Some(&events.meta), at: None, sensor: None };

@@ -3,5 +3,9 @@
 pub mod colour;
 pub mod demosaic;
 pub mod grey;
+mod job;
+mod on_card;
+#[cfg(all(test, feature = "gpu"))]
+mod on_card_tests;
 mod reading;
 pub mod rows;

@@ -25,19 +25,19 @@
 //!
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
 
+use super::job::{DigitalNumbers, Job};
+use super::on_card;
 use super::reading::Readout;
+use crate::backend::{Backend, Machine};
 use crate::crop::Crop;
-use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
 use crate::reconstruct::in_rows;
-use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::series::to_bfloat16;
+use crate::sampling::{Sampling, virtual_frames};
+use photocurrent_core::node::Working;
 use photocurrent_core::{
-    Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameScale, FrameSequence, FrameTimes,
-    FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
+    Between, Context, DataType, Decl, Exposure, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta,
+    Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackSet, TracksMeta,
 };
-use photocurrent_sensor::effects::Site;
-use photocurrent_sensor::exposure::{DigitalNumber, LogLinearTrack, ManyExposures};
-use photocurrent_solve::co_located::{channel_gains, gain_of};
+use photocurrent_solve::RowPicture;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -76,6 +76,10 @@ pub struct Params {
     /// How tracks that are held between knots are read; those that are log-linear already are not changed by
     /// it.
     pub between: Reading,
+    /// What renders: `cpu`, this processor, or `gpu`, a graphics card, for programs built with the feature
+    /// `gpu`; without either it is an error. Pictures are the same to 1e-5 of their light. Frames on which
+    /// `[effects]` act are rendered on the processor then too.
+    pub backend: Backend,
 }
 
 photocurrent_core::ports! {
@@ -103,6 +107,7 @@ photocurrent_core::ports! {
 /// The node.
 pub struct RenderRows {
     params: Params,
+    machine: Machine,
 }
 
 impl Node for RenderRows {
@@ -127,23 +132,23 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        Ok(RenderRows { params })
+        let machine = Machine::new(params.backend)?;
+        Ok(RenderRows { params, machine })
+    }
+
+    fn machine(&self) -> Option<String> {
+        self.machine.name().map(String::from)
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let tracks = inputs.tracks("tracks")?;
         let sensor = inputs.sensor("sensor")?;
-        DigitalNumbers::new(sensor, tracks.colour)?;
-        Readout::new(sensor, FrameScale::Captured)?;
         let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
-        let frames = Meta::Frames(Arc::new(self.frames(tracks, at.map(|at| &**at), sensor)?));
-        let why = || "the tracks carry no standard deviation (those of `solve/map` do)".to_string();
-        let sigma = if tracks.has_sigma {
-            frames.clone()
-        } else {
-            Meta::Absent { data_type: DataType::Frames, why: why() }
-        };
-        Ok(vec![frames, sigma])
+        self.planned(tracks, sensor, at.map(|at| &**at))
+    }
+
+    fn working(&self, _inputs: &PortMetas) -> Working {
+        self.machine.working(None)
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -155,58 +160,30 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let dn = DigitalNumbers::new(&input.sensor, of.colour)?;
         let band = tracks.read(Rows { start: top + cx.rows().start, end: top + cx.rows().end })?;
         let readout = Readout::new(&input.sensor, meta.scale)?;
+        let with_sigma = of.has_sigma && cx.wants("sigma");
+        let between = self.params.between.of(of.between);
+        let job = Job { band: &band, meta: &meta, dn, between, first: (left * of.colour.channels(), top) };
+        if let (Some(card), Some(name)) = (self.machine.open()?, self.machine.name()) {
+            cx.note(format!("rendered on {name}"));
+            if readout.is_none() {
+                let (frames, sigma) = on_card::render(&job, card.integrator, with_sigma, cx)?;
+                return Ok(Out { frames, sigma });
+            }
+            cx.count(
+                cx.rows().len() as u64,
+                "rows were rendered on the processor: effects act on their frames",
+            );
+        }
         let frames = in_rows(cx, meta.clone(), |row, frames| {
-            let first = (left * of.colour.channels(), top + row);
-            let render = |exposures: Vec<Exposure>, frames: &mut [&mut [f32]]| {
-                let exposures = Exposures::new(exposures);
-                let seconds: Vec<f64> =
-                    exposures.all().iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-                match self.params.between.of(of.between) {
-                    Between::Hold => render_held(&band, first, &exposures, &seconds, dn, frames),
-                    Between::LogLinear => render_log_linear(&band, first, &exposures, &seconds, dn, frames),
-                }
-            };
-            let stated: Vec<Exposure> =
-                (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
-            let Some(readout) = &readout else {
-                render(stated, frames);
-                return Ok(());
-            };
-            let exposed: Vec<Exposure> = stated
-                .iter()
-                .enumerate()
-                .map(|(frame, exposure)| readout.exposure((first.1, of.extent.height), frame, *exposure))
-                .collect();
-            let before: Vec<Exposure> =
-                exposed.iter().map(|exposure| exposure.delayed(-exposure.length_ns())).collect();
-            let mut previous: Vec<Vec<f32>> = frames.iter().map(|values| vec![0.0; values.len()]).collect();
-            render(exposed, frames);
-            render(before, &mut previous.iter_mut().map(Vec::as_mut_slice).collect::<Vec<_>>());
-            for (frame, (values, before)) in frames.iter_mut().zip(&previous).enumerate() {
-                for (x, (value, before)) in values.iter_mut().zip(before).enumerate() {
-                    let at = first.0 + x as u32;
-                    let site = Site {
-                        x: at / of.colour.channels(),
-                        y: first.1,
-                        width: of.extent.width,
-                        height: of.extent.height,
-                        seed: 0,
-                    };
-                    *value =
-                        readout.read(dn.at(at, first.1), &site, frame, f64::from(*value), f64::from(*before))
-                            as f32;
-                }
+            match &readout {
+                Some(readout) => job.read(readout, of.extent, row, frames),
+                None => job.light(row, job.exposures(row), frames),
             }
             Ok(())
         })?;
-        let sigma = (of.has_sigma && cx.wants("sigma")).then(|| {
+        let sigma = with_sigma.then(|| {
             in_rows(cx, meta.clone(), |row, frames| {
-                let exposures: Vec<Exposure> =
-                    (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
-                let seconds: Vec<f64> =
-                    exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-                let first = (left * of.colour.channels(), top + row);
-                render_sigma(&band, first, &exposures, &seconds, dn, frames);
+                job.sigma(row, frames);
                 Ok(())
             })
         });
@@ -214,42 +191,55 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
     }
 }
 
-/// One row of the standard deviations of all frames, rounded to 16 bits.
-fn render_sigma(
-    band: &TrackBand,
-    (left, row): (u32, u32),
-    exposures: &[Exposure],
-    seconds: &[f64],
-    dn: DigitalNumbers,
-    out: &mut [&mut [f32]],
-) {
-    let width = out.first().map_or(0, |values| values.len());
-    let mut spread: Vec<f32> = Vec::new();
-    let mut many = ManyExposures::default();
-    for x in 0..width {
-        let track = band.pixel(left + x as u32, row);
-        let gain = dn.at(left + x as u32, row).gain;
-        spread.clear();
-        spread.extend(
-            track.photocurrent.iter().zip(track.sigma).map(|(photocurrent, sigma)| photocurrent * sigma),
-        );
-        if spread.is_empty() {
-            out.iter_mut().for_each(|values| values[x] = f32::NAN);
-            continue;
-        }
-        let integrals = many.of(&LogLinearTrack::new(track.t, &spread), exposures);
-        for (((values, exposure), seconds), integral) in
-            out.iter_mut().zip(exposures).zip(seconds).zip(integrals)
-        {
-            let sigma = gain * integral / exposure.seconds() * seconds;
-            values[x] = to_bfloat16(sigma as f32);
-        }
-    }
+/// Do effects act on frames of this scale?
+///
+/// # Errors
+/// When an effect is not understood.
+pub(crate) fn has_readout(sensor: &Sensor, scale: FrameScale) -> Result<bool, NodeError> {
+    Ok(Readout::new(sensor, scale)?.is_some())
+}
+
+/// Frames of means of light that another processor gave, in the order of the context's rows.
+///
+/// # Errors
+/// When the description lacks what digital numbers need.
+pub(crate) fn developed(
+    rows: &[RowPicture],
+    meta: &FramesMeta,
+    sensor: &Sensor,
+    with_sigma: bool,
+    cx: &Context,
+) -> Result<Out, NodeError> {
+    let dn = DigitalNumbers::new(sensor, meta.colour)?;
+    let (frames, sigma) = on_card::developed(rows, meta, dn, with_sigma, cx);
+    Ok(Out { frames, sigma })
 }
 
 impl RenderRows {
+    /// What frames and standard deviations of tracks will look like.
+    ///
+    /// # Errors
+    /// As the plan of the node.
+    pub(crate) fn planned(
+        &self,
+        tracks: &TracksMeta,
+        sensor: &Sensor,
+        at: Option<&FramesMeta>,
+    ) -> Result<Vec<Meta>, NodeError> {
+        DigitalNumbers::new(sensor, tracks.colour)?;
+        Readout::new(sensor, FrameScale::Captured)?;
+        let frames = Meta::Frames(Arc::new(self.frames(tracks, at, sensor)?));
+        let why = || "the tracks carry no standard deviation (those of `solve/map` do)".to_string();
+        let sigma = if tracks.has_sigma {
+            frames.clone()
+        } else {
+            Meta::Absent { data_type: DataType::Frames, why: why() }
+        };
+        Ok(vec![frames, sigma])
+    }
+
     /// The frames to come: of the whole sensor, or of a part of it with the exposures of its own rows.
-    fn frames(
+    pub(crate) fn frames(
         &self,
         tracks: &TracksMeta,
         at: Option<&FramesMeta>,
@@ -285,107 +275,16 @@ impl RenderRows {
     }
 }
 
-/// One row of all frames, from held tracks; `first` is the value and the row of the sensor that it begins
-/// with.
-fn render_held(
-    band: &TrackBand,
-    first: (u32, u32),
-    exposures: &Exposures,
-    seconds: &[f64],
-    dn: DigitalNumbers,
-    out: &mut [&mut [f32]],
-) {
-    let width = out.first().map_or(0, |values| values.len());
-    let mut means = HeldMeans::default();
-    for left in (0..width).step_by(TILE) {
-        let tile = left..width.min(left + TILE);
-        let mut gain = [0.0; TILE];
-        gain.iter_mut()
-            .zip(tile.clone())
-            .for_each(|(gain, x)| *gain = dn.at(first.0 + x as u32, first.1).gain);
-        for frames in Exposures::pieces(0..exposures.len()) {
-            let knots = tile.clone().map(|x| {
-                let track = band.pixel(first.0 + x as u32, first.1);
-                Knots { t: track.t, value: track.photocurrent }
-            });
-            let means = means.of(exposures, frames.clone(), knots);
-            develop(means, &seconds[frames.clone()], dn.black_level, &gain, &mut out[frames], left);
-        }
-    }
-}
-
-/// Pixels whose log-linear tracks are integrated before they go to the frames together.
-const COLUMNS: usize = 16;
-
-/// The same from tracks whose logarithm is linear between knots.
-fn render_log_linear(
-    band: &TrackBand,
-    first: (u32, u32),
-    exposures: &Exposures,
-    seconds: &[f64],
-    dn: DigitalNumbers,
-    out: &mut [&mut [f32]],
-) {
-    let width = out.first().map_or(0, |values| values.len());
-    let mut tile = vec![[f32::NAN; COLUMNS]; exposures.len()];
-    let mut many = ManyExposures::default();
-    for left in (0..width).step_by(COLUMNS) {
-        let used = COLUMNS.min(width - left);
-        for n in 0..used {
-            let value = first.0 + (left + n) as u32;
-            let track = band.pixel(value, first.1);
-            let dn = dn.at(value, first.1);
-            if track.t.is_empty() {
-                tile.iter_mut().for_each(|values| values[n] = f32::NAN);
-                continue;
-            }
-            let integrals = many.of(&LogLinearTrack::new(track.t, track.photocurrent), exposures.all());
-            for (((values, exposure), seconds), integral) in
-                tile.iter_mut().zip(exposures.all()).zip(seconds).zip(integrals)
-            {
-                values[n] = dn.of(integral / exposure.seconds() * seconds) as f32;
-            }
-        }
-        for (values, out) in tile.iter().zip(out.iter_mut()) {
-            out[left..left + used].copy_from_slice(&values[..used]);
-        }
-    }
-}
-
-/// From charge to DN for every value of a row.
-#[derive(Clone, Copy)]
-struct DigitalNumbers {
-    colour: Colour,
-    black_level: f64,
-    gain: f64,
-    channels: [f64; 3],
-}
-
-impl DigitalNumbers {
-    fn new(sensor: &Sensor, colour: Colour) -> Result<DigitalNumbers, NodeError> {
-        let gain = sensor.need(sensor.frames.gain, "frames.gain", "render/rows")?;
-        Ok(DigitalNumbers {
-            colour,
-            black_level: sensor.frames.black_level_dn.unwrap_or(0.0),
-            gain,
-            channels: channel_gains(sensor)?,
-        })
-    }
-
-    fn at(&self, value: u32, row: u32) -> DigitalNumber {
-        DigitalNumber {
-            black_level: self.black_level,
-            gain: gain_of(self.gain, &self.channels, self.colour, value, row),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::sampling::Shutter;
     use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::{Ports, TimeSpan, testing};
+    use photocurrent_core::{Colour, Ports, TimeSpan, TrackBand, testing};
+
+    fn built(params: Params) -> RenderRows {
+        RenderRows::build(params).unwrap()
+    }
 
     fn sensor() -> Arc<Sensor> {
         let mut sensor = Sensor::unknown("test");
@@ -419,7 +318,7 @@ mod tests {
     }
 
     fn render(sampling: Sampling, at: Option<FrameSequence>) -> FrameSequence {
-        let node = RenderRows { params: Params { sampling, ..Params::default() } };
+        let node = built(Params { sampling, ..Params::default() });
         let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| {
             node.run(In { tracks: tracks(), sensor: sensor(), at }, cx)
         });
@@ -448,7 +347,7 @@ mod tests {
             |_, _, _| 0.0,
         );
         let dn = |tracks: Between, between: Reading| {
-            let node = RenderRows { params: Params { between, ..Params::default() } };
+            let node = built(Params { between, ..Params::default() });
             let input = In { tracks: tracks_joined(tracks), sensor: sensor(), at: Some(at.clone()) };
             let (out, _) =
                 testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(input, cx));
@@ -521,12 +420,10 @@ mod tests {
         }
         let meta = TracksMeta { has_sigma: true, ..(*tracks_joined(Between::LogLinear).meta).clone() };
         let input = In { tracks: TrackSet::in_memory(Arc::new(meta), band), sensor: sensor(), at: None };
-        let node = RenderRows {
-            params: Params {
-                sampling: Sampling { rate: Rate::new(400.0), ..Sampling::default() },
-                ..Params::default()
-            },
-        };
+        let node = built(Params {
+            sampling: Sampling { rate: Rate::new(400.0), ..Sampling::default() },
+            ..Params::default()
+        });
         let (out, _) =
             testing::with_context(Rows { start: 0, end: 3 }, &["frames", "sigma"], |cx| node.run(input, cx));
         let (frames, sigma) = out.map(|out| (out.frames, out.sigma.unwrap())).unwrap();
@@ -565,8 +462,7 @@ mod tests {
             sensor.frames.channel_gain = Some([0.5, 1.0, 2.0]);
             let sensor = Arc::new(sensor);
             let render = |roi: Option<Crop>, rows: Rows| {
-                let node =
-                    RenderRows { params: Params { sampling: sampling.clone(), roi, ..Params::default() } };
+                let node = built(Params { sampling: sampling.clone(), roi, ..Params::default() });
                 let input = In { tracks: tracks.clone(), sensor: sensor.clone(), at: None };
                 testing::with_context(rows, &["frames"], |cx| node.run(input, cx)).0.unwrap().frames
             };
@@ -595,7 +491,7 @@ mod tests {
     #[test]
     fn a_part_outside_the_sensor_or_inside_a_mosaics_cell_is_refused() {
         let refused = |roi: Crop| {
-            let node = RenderRows { params: Params { roi: Some(roi), ..Params::default() } };
+            let node = built(Params { roi: Some(roi), ..Params::default() });
             node.frames(
                 &uneven(Extent { width: 8, height: 6 }, Colour::named("bayer_rggb").unwrap(), Between::Hold)
                     .meta,

@@ -4,9 +4,11 @@
 //! All frames and events of a pixel at once, with knots that are finer than the events, the exact reset and a
 //! prior ([`photocurrent_solve::solve_rows`]); events, frames and tracks as in [`photocurrent_solve`].
 
-use super::backend::{Backend, Machine, OnMachine};
+use super::host::OnMachine;
 use super::{In, Out, out};
+use crate::backend::{Backend, Machine};
 use crate::spans::{check_covered, check_one_clock, check_steps};
+use photocurrent_core::node::Working;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TimeSpan};
 use photocurrent_sensor::map::COARSEST;
 use photocurrent_solve::co_located::CoLocated;
@@ -106,6 +108,11 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "sen
             // The plan refuses it.
             Err(_) => Self::DECL.grain,
         }
+    }
+
+    fn working(&self, inputs: &PortMetas) -> Working {
+        let tracks = || self.options.tracks_meta(inputs.events("events")?, inputs.frames("frames")?);
+        self.machine.working(tracks().ok().as_ref())
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {

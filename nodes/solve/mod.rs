@@ -2,12 +2,14 @@
 //!
 //! Two kinds take the same inputs and give the same outputs, so that one stands in for the other: [`map`],
 //! the MAP estimate, and [`paper`], Eq. (13) of the paper. What they compute is in [`photocurrent_solve`].
+//! [`frames`] goes on to pictures, where nobody else takes the photocurrent.
 
-mod backend;
 #[cfg(test)]
 mod colour_tests;
 #[cfg(test)]
 mod coupled_tests;
+pub mod frames;
+mod host;
 pub mod map;
 pub mod paper;
 #[cfg(test)]
@@ -18,7 +20,7 @@ mod tests;
 mod undo_tests;
 
 use photocurrent_core::{Context, EventStream, FrameSequence, MapSet, Sensor, TrackSet};
-use photocurrent_solve::{Recording, Solution};
+use photocurrent_solve::{Recording, Report, Solution};
 use std::sync::Arc;
 
 photocurrent_core::ports! {
@@ -55,11 +57,15 @@ impl In {
 
 /// Notes what a solution left out, and counts pixels that did not come out as they should.
 fn out(solution: Solution, plausible_range: f64, cx: &Context) -> Out {
-    if let Some(note) = solution.not_modelled {
+    note(solution.not_modelled, &solution.report, plausible_range, cx);
+    Out { tracks: solution.tracks, map: solution.map }
+}
+
+fn note(not_modelled: Option<String>, report: &Report, plausible_range: f64, cx: &Context) {
+    if let Some(note) = not_modelled {
         cx.note(note);
     }
-    for (pixels, what) in solution.report.lines(plausible_range) {
+    for (pixels, what) in report.lines(plausible_range) {
         cx.count(pixels, &what);
     }
-    Out { tracks: solution.tracks, map: solution.map }
 }

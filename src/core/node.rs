@@ -56,6 +56,15 @@ pub struct FileRef {
     pub path: PathBuf,
 }
 
+/// Memory that a node takes besides its inputs and outputs, bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Working {
+    /// Of each thread, however few rows it does at once.
+    pub per_thread: u64,
+    /// With all rows at once; some rows take their part.
+    pub banded: u64,
+}
+
 /// One kind of node.
 pub trait Node: Sized + Send + Sync + 'static {
     /// What it says about itself.
@@ -96,6 +105,12 @@ pub trait Node: Sized + Send + Sync + 'static {
         Vec::new()
     }
 
+    /// About how much memory it takes besides these inputs and its outputs, where that counts: asked after
+    /// [`Node::plan`] accepted them.
+    fn working(&self, _inputs: &PortMetas) -> Working {
+        Working::default()
+    }
+
     /// Does the work for `cx.rows()`.
     ///
     /// # Errors
@@ -123,6 +138,8 @@ pub trait AnyNode: Send + Sync {
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError>;
     /// [`Node::grain`].
     fn grain(&self, inputs: &PortMetas) -> Grain;
+    /// [`Node::working`].
+    fn working(&self, inputs: &PortMetas) -> Working;
     /// [`Node::run`].
     ///
     /// # Errors
@@ -140,6 +157,9 @@ impl<N: Node> AnyNode for Erased<N> {
     }
     fn grain(&self, inputs: &PortMetas) -> Grain {
         self.0.grain(inputs)
+    }
+    fn working(&self, inputs: &PortMetas) -> Working {
+        self.0.working(inputs)
     }
     fn run(&self, input: PortValues, cx: &Context) -> Result<PortValues, NodeError> {
         Ok(self.0.run(N::In::take(input), cx)?.give())

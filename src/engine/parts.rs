@@ -383,7 +383,7 @@ impl Part<'_> {
             .ok_or_else(|| NodeError::failed("a task that is made in parts has an identity"))?;
         let inputs = self.inputs(task, made)?;
         let share = self.options.memory / 4 * 3;
-        let bands = cut(self.plan, task, share, self.options.band_rows);
+        let bands = cut(self.plan, task, share, self.options.threads, self.options.band_rows);
         let metas: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
         let wanted = wanted(task);
         let mut parts: BTreeMap<String, Vec<Value>> = BTreeMap::new();

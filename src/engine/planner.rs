@@ -11,7 +11,7 @@ use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::document::Problem;
 use photocurrent_core::error::Trouble;
 use photocurrent_core::lacking::with_examples;
-use photocurrent_core::node::canonical_params;
+use photocurrent_core::node::{Working, canonical_params};
 use photocurrent_core::ports::{Arity, PortSpec};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Catalogue, Decl, Digest, FileRef, Grain, Meta, NodeError, PortMetas, TimeSpan};
@@ -248,7 +248,7 @@ impl Planner {
             self.tasks[task].uses.push(name);
             return Some(task);
         }
-        let (outputs, grain) = self.plan(node, &inputs)?;
+        let (outputs, grain, working) = self.plan(node, &inputs)?;
         self.hold(node, &outputs)?;
         let canonical_params = canonical_params(&node.params, &node.kind.schema);
         let schema = Arc::new(node.kind.schema.clone());
@@ -260,6 +260,7 @@ impl Planner {
         self.tasks.push(Task {
             decl,
             grain,
+            working,
             label,
             uses: vec![name],
             params,
@@ -391,8 +392,12 @@ impl Planner {
         None
     }
 
-    /// Asks the node what its outputs will look like, and how far they reach.
-    fn plan(&mut self, node: &TypedNode<'_>, inputs: &[TaskInput]) -> Option<(Vec<TaskOutput>, Grain)> {
+    /// Asks the node what its outputs will look like, how far they reach and what memory it takes besides.
+    fn plan(
+        &mut self,
+        node: &TypedNode<'_>,
+        inputs: &[TaskInput],
+    ) -> Option<(Vec<TaskOutput>, Grain, Working)> {
         let metas = inputs
             .iter()
             .map(|input| Ok((input.port.to_string(), input.metas(&self.tasks)?)))
@@ -433,7 +438,7 @@ impl Planner {
             .zip(specs)
             .map(|(meta, spec)| TaskOutput { port: spec.name, meta, wanted: false })
             .collect();
-        Some((outputs, node.node.grain(&metas)))
+        Some((outputs, node.node.grain(&metas), node.node.working(&metas)))
     }
 
     /// Notes why a node cannot be planned, with the files that are to blame.

@@ -3,7 +3,7 @@
 use crate::blocks::{Source, extracted};
 use crate::expect::Bound;
 use photocurrent_core::document::Origin;
-use photocurrent_core::node::AnyNode;
+use photocurrent_core::node::{AnyNode, Working};
 use photocurrent_core::{DataType, Decl, FileRef, Grain, Meta, NodeError};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -41,6 +41,8 @@ pub struct Task {
     pub decl: Decl,
     /// How far an output element reaches, with its inputs.
     pub grain: Grain,
+    /// Memory besides inputs and outputs.
+    pub working: Working,
     /// Its name where it stands in one variant, and for people: `solve`, or `solve[2]` for the second block
     /// of time.
     pub label: String,

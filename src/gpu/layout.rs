@@ -218,6 +218,11 @@ impl Batch {
 }
 
 impl Cut {
+    /// Its knots, ns.
+    pub(crate) fn t_ns(&self) -> &[i64] {
+        &self.t_ns
+    }
+
     /// How many steps it has.
     pub(crate) fn len(&self) -> usize {
         self.steps.len()
@@ -232,7 +237,7 @@ impl Pixel {
 }
 
 impl State {
-    fn outcome(&self, cut: &Cut) -> MapOutcome {
+    pub(crate) fn outcome(&self, cut: &Cut) -> MapOutcome {
         let until = &cut.steps[..=self.here.largest_step as usize];
         let begun = until.iter().filter(|step| step.what & laid::SEGMENT != 0).count();
         let Place { reference, on, off, event_square, frame_square, events, frames, .. } = self.here;

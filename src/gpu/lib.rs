@@ -1,4 +1,5 @@
-//! The MAP estimate of pixels on a graphics card, or on whatever else has a Vulkan driver.
+//! The MAP estimate of pixels and means of their light on a graphics card, or on whatever else has a Vulkan
+//! driver.
 //!
 //! [`Card`] takes the tasks that [`photocurrent_sensor::map::MapGroup`] takes and gives the same answers but
 //! for rounding: log light to about 1e-5, its standard deviation to about a tenth of a per cent
@@ -12,6 +13,9 @@
 //! measurements, of which single precision leaves nothing, so the last pass is in double precision, or in
 //! pairs of numbers where a card has none.
 //!
+//! Means over exposures are taken of tracks that are brought to the card (`means`), or of answers that never
+//! leave it (`pictures`).
+//!
 //! Limits: pixels with hints ([`photocurrent_sensor::map::MapProblem::hints`]) are not taken
 //! ([`Card::takes`]). Bits depend on the card, its driver and its compiler ([`Card::name`]).
 
@@ -19,12 +23,18 @@
 
 mod adapter;
 mod card;
+mod descent;
 mod layout;
+mod means;
+mod pictures;
+mod speed;
 mod structs;
 mod template;
 
 pub use adapter::ADAPTER_VARIABLE;
-pub use card::{Card, CardOptions, Unsolved};
+pub use card::{Card, CardOptions};
+pub use descent::Unsolved;
+pub use speed::CopySpeeds;
 
 /// What names the card that [`Card::open`] would take: name, driver and its version. Results depend on it.
 ///

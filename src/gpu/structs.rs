@@ -40,6 +40,30 @@ shared! {
         unused_1: u32,
     }
 
+    /// Of a call that integrates light.
+    struct MeansCall {
+        pixels: u32,
+        /// Of each pixel.
+        exposures: u32,
+        /// Exposures of a thread.
+        piece: u32,
+        is_linear: u32,
+        with_spread: u32,
+        unused_0: u32,
+        unused_1: u32,
+        unused_2: u32,
+    }
+
+    /// What makes a pixel's track of its answer.
+    struct Track {
+        /// Light of the pixel over that of the answer.
+        ratio: f32,
+        /// Light is held there.
+        most: f32,
+        sigma_factor: f32,
+        unused: f32,
+    }
+
     /// One pixel's constants.
     struct Pixel {
         /// First cell, and steps.

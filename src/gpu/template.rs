@@ -6,6 +6,7 @@
 //! index is a constant, and states stay in registers.
 
 use crate::structs;
+use photocurrent_sensor::map::estimate::LEAST_VARIANCE;
 use photocurrent_sensor::map::laid;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -101,6 +102,16 @@ pub(crate) fn last(variant: Variant, real: Real) -> String {
     shader(variant, real, include_str!("shaders/last.wgsl"))
 }
 
+/// The shader that integrates light: entry point `integrate`.
+pub(crate) fn means() -> String {
+    [structs::WGSL, include_str!("shaders/means.wgsl")].join("\n")
+}
+
+/// The shader that makes tracks of answers: entry point `settle`.
+pub(crate) fn settle() -> String {
+    [constants(0).as_str(), structs::WGSL, include_str!("shaders/settle.wgsl")].join("\n")
+}
+
 fn shader(variant: Variant, real: Real, own: &str) -> String {
     let (name, arithmetic) = match real {
         Real::Single => ("f32", include_str!("shaders/single.wgsl")),
@@ -169,6 +180,7 @@ fn constants(states: u32) -> String {
         ("LOG_LIMIT", laid::LOG_LIMIT),
         ("FIRST_DAMPING", laid::FIRST_DAMPING),
         ("LOG_TWO_PI", laid::LOG_TWO_PI),
+        ("LEAST_VARIANCE", LEAST_VARIANCE),
         // Of a sum of squares in single precision.
         ("ROUNDING", 1e-5),
     ] {

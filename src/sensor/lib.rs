@@ -16,7 +16,8 @@
 //! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
 //! - [`pooling`]: the light of an event pixel that lies on several frame pixels or colours.
-//! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5).
+//! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5); [`integrate`]: the same on
+//!   another processor.
 //! - [`forward`]: light in, events and frame values out, for one pixel.
 //! - [`array`](mod@array): what each pixel of a simulated array records.
 //! - [`model`]: a description in numbers.
@@ -45,6 +46,7 @@ pub mod exposure;
 pub mod form;
 pub mod forward;
 pub mod front_end;
+pub mod integrate;
 pub mod inverse;
 pub mod lanes;
 pub mod map;

@@ -73,6 +73,7 @@ mod track;
 /// What [`solve_pixel`] takes, for programs that depend on this crate alone.
 pub use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
 
+pub use elsewhere::RowPicture;
 pub use host::Host;
 pub use model::Model;
 pub use options::{
@@ -80,7 +81,9 @@ pub use options::{
 };
 pub use photocurrent_sensor::map::Elsewhere;
 pub use pixel::solve_pixel;
-pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
+pub use recording::{
+    Pictures, Recording, Solution, elsewhere_bytes, halo, picture_rows, solve, solve_paper_rows, solve_rows,
+};
 pub use status::{EVENT_RESIDUAL, PLANES, Report, map_meta};
 pub use subset::solve_pixels;
 pub use track::PixelTrack;

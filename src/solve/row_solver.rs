@@ -13,8 +13,8 @@ use photocurrent_sensor::elementary::{exp, exp_all};
 use photocurrent_sensor::map::estimate::{HoldOut, Miss};
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{
-    Hint, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, PixelEvent,
-    estimate,
+    Hint, MapFrame, MapGroup, MapOptions, MapOutcome, MapProblem, MapSolution, MapStatus, MapTask, Noise,
+    Pictured, PixelEvent, estimate,
 };
 use photocurrent_sensor::residuals::Misfit;
 use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
@@ -64,6 +64,19 @@ pub(crate) struct Posed<'a> {
     pub(crate) tasks: Vec<MapTask<'a>>,
 }
 
+impl Posed<'_> {
+    /// What makes means of the answer of a pixel, in a row of that place.
+    pub(crate) fn pictured(&self, row: usize, n: usize) -> Pictured {
+        let x = self.lit[n];
+        Pictured {
+            row,
+            ratio: self.data.light_ratio(x),
+            most: self.data.plausible(x).held(f64::INFINITY),
+            sigma_factor: self.setting.sigma_factor,
+        }
+    }
+}
+
 impl Part {
     /// Solves `lit` of the pixels of a row.
     fn solve(
@@ -99,25 +112,30 @@ impl Part {
 
     /// Takes the answer of a pixel.
     pub(crate) fn put(&mut self, posed: &Posed<'_>, n: usize, solution: &MapSolution<'_>) {
-        let Posed { model, setting, data, lit, tasks } = posed;
-        self.plain[n] = Plain::of(solution);
+        let Posed { model, setting, data, lit, .. } = posed;
         let begin = self.knots.len();
         let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
         let widened = (ratio, setting.sigma_factor);
         let brightest = self.thinner.thin(solution, &model.undo, widened, plausible, &mut self.knots);
         self.knots_of[n] = begin..self.knots.len();
-        let status = match solution.outcome.status {
+        self.put_outcome(posed, n, &solution.outcome, brightest);
+    }
+
+    /// Takes how a pixel came out, and its brightest light, but not its light.
+    pub(crate) fn put_outcome(&mut self, posed: &Posed<'_>, n: usize, outcome: &MapOutcome, brightest: f64) {
+        self.plain[n] = Plain::of(outcome);
+        let status = match outcome.status {
             MapStatus::Failed => Status::FellBack,
-            _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
+            _ if posed.tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
             MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
         };
-        self.planes[n] = planes(
-            status,
-            solution.outcome.iterations,
-            -solution.outcome.log_evidence,
-            &solution.outcome.misfit,
-            plausible.excess(brightest),
-        );
+        let excess = posed.data.plausible(posed.lit[n]).excess(brightest);
+        self.planes[n] = planes(status, outcome.iterations, -outcome.log_evidence, &outcome.misfit, excess);
+    }
+
+    /// The knots of each pixel; none of those whose light was not taken.
+    pub(crate) fn knots(&self) -> impl Iterator<Item = &[(i64, f32, f32)]> {
+        self.knots_of.iter().map(|range| &self.knots[range.clone()])
     }
 
     /// Solves again the pixels that have lost events.

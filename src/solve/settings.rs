@@ -318,6 +318,6 @@ fn losses_of(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapG
     let options = MapOptions { with_sigma: false, ..*options };
     let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
     let mut plain = vec![Plain::default(); tasks.len()];
-    group.solve(&tasks, |n, solution| plain[n] = Plain::of(&solution));
+    group.solve(&tasks, |n, solution| plain[n] = Plain::of(&solution.outcome));
     losses::lost_before(&tasks, &plain, group)
 }

@@ -6,6 +6,7 @@
 
 use crate::plan::Plan;
 use crate::task::Task;
+use photocurrent_core::node::Working;
 use photocurrent_core::ports::PortValues;
 use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta, Value};
 
@@ -36,12 +37,15 @@ pub(crate) struct Bands {
     pub estimate: u64,
     /// About how many bytes all rows of the inputs take, as planned.
     planned_inputs: u64,
+    /// What the node takes besides inputs and outputs: all threads together, and with all rows.
+    work: (u64, u64),
 }
 
 /// Bytes of a task's inputs and outputs: those that shrink with the band, and those that do not.
 struct Size {
     banded_inputs: u64,
     banded_outputs: u64,
+    banded_work: u64,
     fixed: u64,
 }
 
@@ -49,18 +53,20 @@ impl Size {
     /// With `part` of the rows as output and `reach` of the rows as input.
     fn at(&self, part: f64, reach: f64) -> u64 {
         self.fixed
-            + (self.banded_inputs as f64 * reach + COPIES as f64 * self.banded_outputs as f64 * part) as u64
+            + (self.banded_inputs as f64 * reach
+                + (COPIES as f64 * self.banded_outputs as f64 + self.banded_work as f64) * part)
+                as u64
     }
 
     /// Of all in one piece, which waits for the writer once.
     fn whole(&self) -> u64 {
-        self.fixed + self.banded_inputs + 2 * self.banded_outputs
+        self.fixed + self.banded_inputs + self.banded_work + 2 * self.banded_outputs
     }
 }
 
 /// Says how a task is cut so that a band fits into `share` bytes; `forced` sets the height instead, where the
 /// node may be cut at all.
-pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> Bands {
+pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, threads: usize, forced: Option<u32>) -> Bands {
     let outputs: Vec<&Meta> = task
         .outputs
         .iter()
@@ -75,7 +81,9 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
         .chain(&inputs)
         .find_map(|meta| meta.rows())
         .unwrap_or(Rows { start: 0, end: 0 });
-    let mut size = Size { banded_inputs: 0, banded_outputs: 0, fixed: 0 };
+    let Working { per_thread, banded } = task.working;
+    let work = (per_thread * threads as u64, banded);
+    let mut size = Size { banded_inputs: 0, banded_outputs: 0, banded_work: work.1, fixed: work.0 };
     for meta in &inputs {
         let counter = if meta.rows() == Some(rows) { &mut size.banded_inputs } else { &mut size.fixed };
         *counter += meta.estimated_bytes();
@@ -93,6 +101,7 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
             share,
             estimate: size.whole(),
             planned_inputs: size.banded_inputs,
+            work,
         };
     };
     let all = rows.len() as u32;
@@ -106,6 +115,7 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
         share,
         estimate: need(height),
         planned_inputs: size.banded_inputs,
+        work,
     }
 }
 
@@ -225,7 +235,11 @@ impl<'a> Cutter<'a> {
         let band =
             Rows { start: self.left.start, end: self.left.end.min(self.left.start.saturating_add(height)) };
         let reach = band.with_halo(self.bands.halo.unwrap_or(0), self.bands.rows);
-        banded_bytes(self.inputs, self.bands.rows, reach) + COPIES * self.row_outputs * band.len() as u64
+        let (fixed, banded) = self.bands.work;
+        let of_work = banded / (self.bands.rows.len() as u64).max(1) * band.len() as u64;
+        let of_data =
+            banded_bytes(self.inputs, self.bands.rows, reach) + COPIES * self.row_outputs * band.len() as u64;
+        of_data + of_work + fixed
     }
 }
 
@@ -286,7 +300,7 @@ mod tests {
         let band = MapBand::zeros(extent.rows(), &meta);
         let inputs = PortValues::from([("plane", vec![Value::Map(MapSet::in_memory(Arc::new(meta), band))])]);
         let bytes = banded_bytes(&inputs, extent.rows(), extent.rows());
-        let first = |count_hint: Option<u64>, planned_inputs: u64| {
+        let with_work = |count_hint: Option<u64>, planned_inputs: u64, work: (u64, u64)| {
             let tracks = Meta::Tracks(Arc::new(TracksMeta {
                 extent,
                 span: TimeSpan::new(0, 10),
@@ -303,14 +317,19 @@ mod tests {
                 share: 150_000,
                 estimate: 0,
                 planned_inputs,
+                work,
             };
             Cutter::new(&bands, extent.rows(), &[&tracks], &inputs).next(64).map(|band| band.len())
         };
+        let first = |hint, planned| with_work(hint, planned, (0, 0));
         // Eight knots a pixel are 104 bytes of it, three times 832 and 32 of inputs of a row: 59 rows fit,
         // and an eighth of that are 7.
         assert_eq!(first(None, bytes), Some(7));
         // Inputs are four times as large as planned, and so are outputs: 14 rows would fit.
         assert_eq!(first(None, bytes / 4), Some(1));
         assert_eq!(first(Some(8 * extent.pixels() as u64), bytes / 4), Some(7));
+        // Memory besides leaves room for half as many rows: once and for all, or by the row.
+        assert_eq!(with_work(None, bytes, (75_000, 0)), Some(3));
+        assert_eq!(with_work(None, bytes, (0, 64 * 2_528)), Some(3));
     }
 }

@@ -69,7 +69,7 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
     // Three quarters of the budget are for running tasks, the rest for results that are kept for those that
     // take them. Nodes use all threads inside themselves, so two at a time keep them busy.
     let share = shared.options.memory / 4 * 3 / shared.options.threads.clamp(1, 2) as u64;
-    let bands = bands::cut(shared.plan, task, share, shared.options.band_rows);
+    let bands = bands::cut(shared.plan, task, share, shared.options.threads, shared.options.band_rows);
     shared.state().admit(id, key, ingredients, bands);
     shared.changed.notify_all();
 }

@@ -1,4 +1,5 @@
-//! Seconds of the card and of one core of the processor for the same pixels of 100 ms.
+//! Seconds of the card and of one core of the processor for the same pixels of 100 ms, and how quickly the
+//! card copies.
 //!
 //! Run with `cargo bench -p photocurrent-gpu -- [PIXELS]`; 4,096 pixels where nothing is stated, 921,600 are
 //! 1280 x 720. Pixels of the forward model, of five kinds of light, repeat after 1,024; the processor solves
@@ -9,10 +10,12 @@ mod pixels;
 
 use photocurrent_gpu::{Card, CardOptions};
 use photocurrent_sensor::map::{MapGroup, MapOptions, MapTask, SecondStart};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const DIFFERENT: u64 = 1_024;
 const USUAL: usize = 4_096;
+/// Bytes of a copy.
+const COPIED: u64 = 96 << 20;
 
 #[allow(clippy::print_stdout)]
 fn main() {
@@ -25,6 +28,16 @@ fn main() {
             return;
         }
     };
+    match card.copy_speeds(COPIED, Duration::from_secs(1)) {
+        Ok(speeds) => println!(
+            "copies of {} MiB: on the card {:.1} GB/s read and written, to it {:.1}, from it {:.1}",
+            COPIED >> 20,
+            speeds.on_card * 1e-9,
+            speeds.to_card * 1e-9,
+            speeds.from_card * 1e-9
+        ),
+        Err(error) => println!("{error}"),
+    }
     let pixels = pixels::pixels(DIFFERENT);
     // As `solve/map` has it where second starts are rarely kept.
     let second = Some(SecondStart { least_misfit: 0.5, ..SecondStart::USUAL });

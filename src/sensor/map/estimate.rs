@@ -46,7 +46,7 @@ const LARGEST_FACTOR: f64 = 5.0;
 /// With fewer misses than this they are taken as they are.
 const FEWEST_MISSES: usize = 40;
 /// No light is known better than to a ten-thousandth.
-const LEAST_VARIANCE: f64 = 1e-8;
+pub const LEAST_VARIANCE: f64 = 1e-8;
 
 /// What it takes to choose something.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -278,7 +278,7 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
             options,
         });
         let mut plain = [losses::Plain::default(); 3];
-        group.solve(&tasks, |n, solution| plain[n] = losses::Plain::of(&solution));
+        group.solve(&tasks, |n, solution| plain[n] = losses::Plain::of(&solution.outcome));
         let lost = losses::lost_before(&tasks, &plain, &mut group);
         assert_eq!(lost, [vec![], vec![after], vec![]], "{reset:?}");
         // Behind the stretch, light is as if nothing had happened.
@@ -311,7 +311,7 @@ fn a_second_stretch_of_lost_events_is_found_once_the_first_is_known() {
             options: MapOptions { max_iterations: 8, ..MapOptions::default() },
         };
         let mut group = MapGroup::default();
-        let plain = losses::Plain::of(&group.solve_one(&task));
+        let plain = losses::Plain::of(&group.solve_one(&task).outcome);
         assert_eq!(losses::lost_before(&[task], &[plain], &mut group), [expected], "{reset:?}");
     }
 }

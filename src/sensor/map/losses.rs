@@ -10,7 +10,7 @@
 //! Limits: a stretch must hold the middle of an exposure and end with an event.
 
 use super::group::MapGroup;
-use super::options::{Evidence, MapOptions, MapOutcome, MapSolution, MapTask, Second};
+use super::options::{Evidence, MapOptions, MapOutcome, MapTask, Second};
 use super::problem::{MapFrame, MapProblem};
 
 /// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked
@@ -41,8 +41,8 @@ pub struct Plain {
 
 impl Plain {
     /// Of a solution.
-    pub fn of(solution: &MapSolution<'_>) -> Plain {
-        let MapOutcome { largest_square, largest_ns, log_evidence, second, .. } = solution.outcome;
+    pub fn of(outcome: &MapOutcome) -> Plain {
+        let MapOutcome { largest_square, largest_ns, log_evidence, second, .. } = *outcome;
         Plain { largest_square, largest_ns, log_evidence, second }
     }
 }
@@ -82,7 +82,7 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
             .collect();
         let mut came_out = vec![Plain::default(); trials.len()];
         group.solve_with(&trials, Evidence::Wanted, &mut |trial, solution| {
-            came_out[trial] = Plain::of(&solution)
+            came_out[trial] = Plain::of(&solution.outcome)
         });
         let mut best: Vec<Option<usize>> = vec![None; tasks.len()];
         for (trial, (n, _)) in suspects.iter().enumerate() {

@@ -83,7 +83,7 @@ mod tests;
 mod thresholds;
 
 pub use crate::comparator::PixelEvent;
-pub use elsewhere::Elsewhere;
+pub use elsewhere::{Elsewhere, MapMeans, Pictured};
 pub use group::MapGroup;
 pub use knots::COARSEST;
 pub use options::{MapOptions, MapOutcome, MapSolution, MapStatus, MapTask, Second, SecondStart};

@@ -1,6 +1,7 @@
 //! The card against the processor, pixel by pixel. Where there is no card, software or not, these tests are
 //! skipped and print so, unless `REQUIRE_GPU` is set: `make gpu` brings one that runs on the processor.
 
+mod means;
 mod pixels;
 mod recording;
 
